@@ -1,0 +1,1 @@
+"""Gymnasium environments on sand. None is registered yet; the folder installs as a subpackage."""

@@ -1,0 +1,39 @@
+"""Sand for MuJoCo: published granular resistance laws acting on any MJCF body.
+
+The way of the data, and the order in which to read the package: a `Medium` says what the sand is;
+`shape` cuts a model's geoms into elements; `surface` gives their depth; a `law` the force on each;
+a `scheme` makes a step of it; `Sand` binds them to a model.
+
+SI units, radians, world frame with z up; depth is positive below the surface; forces are on the
+body.
+"""
+
+# First of all, because MuJoCo reads the choice of a renderer once, when it is imported.
+from mjgranular import headless as _headless
+
+# isort: split
+from mjgranular._version import __version__ as __version__
+from mjgranular.errors import GranularError as GranularError
+from mjgranular.errors import InputError as InputError
+from mjgranular.errors import MissingExtraError as MissingExtraError
+from mjgranular.errors import OutputError as OutputError
+from mjgranular.errors import RenderError as RenderError
+from mjgranular.errors import UnknownNameError as UnknownNameError
+from mjgranular.errors import UnstableError as UnstableError
+from mjgranular.law import Law as Law
+from mjgranular.law import LinkLaw as LinkLaw
+from mjgranular.law import laws as laws
+from mjgranular.law import register_law as register_law
+from mjgranular.medium import Medium as Medium
+from mjgranular.medium import Quantity as Quantity
+from mjgranular.medium import media as media
+from mjgranular.medium import register_medium as register_medium
+from mjgranular.sand import BodyReport as BodyReport
+from mjgranular.sand import ElementReport as ElementReport
+from mjgranular.sand import Report as Report
+from mjgranular.sand import Sand as Sand
+from mjgranular.scheme import Explicit as Explicit
+from mjgranular.scheme import Scheme as Scheme
+from mjgranular.scheme import schemes as schemes
+from mjgranular.surface import Plane as Plane
+from mjgranular.surface import Surface as Surface

@@ -1,0 +1,66 @@
+"""Errors: one root, and beneath it the built-in that a caller would expect.
+
+Every message is one sentence that says what was wrong and what would have been right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class GranularError(Exception):
+    """Root of all errors that mjgranular raises on purpose."""
+
+
+class InputError(GranularError, ValueError):
+    """A value given by the user is outside what the physics or the model allows."""
+
+
+class UnknownNameError(GranularError, KeyError):
+    """A name that does not exist, told together with those that do.
+
+    Args:
+        kind: what the name was meant to name ("medium", "law", "camera", ...).
+        name: the name as given.
+        known: the valid names.
+    """
+
+    def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
+        self.kind = kind
+        self.name = name
+        self.known = tuple(known)
+        listed = ", ".join(self.known) if self.known else "none"
+        super().__init__(f"no {kind} {name!r}; there are: {listed}")
+
+    def __str__(self) -> str:  # KeyError would show the message in quotes
+        return str(self.args[0])
+
+    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...]]]:
+        return type(self), (self.kind, self.name, self.known)
+
+
+class UnstableError(GranularError, ArithmeticError):
+    """The simulation left reason: forces or speeds that no passive medium can cause."""
+
+
+class OutputError(GranularError, OSError):
+    """A folder or file cannot be written, or holds something that must not be lost."""
+
+
+class RenderError(GranularError, RuntimeError):
+    """Nothing can be drawn on this machine as it is set up."""
+
+
+class MissingExtraError(GranularError, ImportError):
+    """An optional dependency is not installed.
+
+    Args:
+        package: the package that could not be imported.
+        extra: the extra of mjgranular that brings it.
+        purpose: what it was wanted for.
+    """
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"{purpose} needs {package}, which is not installed: pip install 'mjgranular[{extra}]'"
+        )

@@ -1,0 +1,27 @@
+"""Chooses, on import, how MuJoCo draws on a machine without a screen."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+
+
+def choose_renderer() -> None:
+    """Sets `MUJOCO_GL=egl` where that is the way to draw and nobody has chosen otherwise.
+
+    That is on Linux without a display, with an EGL library, before mujoco is imported: MuJoCo
+    reads the variable once. Its own default there (GLFW) needs a display and fails.
+    """
+    if "MUJOCO_GL" in os.environ or "mujoco" in sys.modules or not sys.platform.startswith("linux"):
+        return
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return
+    try:
+        ctypes.CDLL("libEGL.so.1")
+    except OSError:
+        return  # `import mujoco` would fail with the variable set; without it only drawing does
+    os.environ["MUJOCO_GL"] = "egl"
+
+
+choose_renderer()

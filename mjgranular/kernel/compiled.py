@@ -1,0 +1,102 @@
+"""Compiles kernels with numba and keeps the machine code on disk."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def _stamp(paths: Iterable[Path]) -> tuple[int, int]:
+    """Changes when any of the files does: newest time [ns], summed size [bytes]."""
+    stats = [path.stat() for path in paths]
+    return max(s.st_mtime_ns for s in stats), sum(s.st_size for s in stats)
+
+
+_PACKAGE_STAMP = _stamp(_PACKAGE.rglob("*.py"))
+
+
+def _identity(value: Any) -> tuple[object, ...]:
+    """Names a kernel, or a constant in one, in a way that is the same in every process."""
+    function = getattr(value, "py_func", None) or getattr(value, "_defn", None)
+    if function is not None:  # a kernel, or one of numba's intrinsics
+        path = Path(function.__code__.co_filename)
+        name = (function.__module__, function.__qualname__)
+        return (*name, _stamp([path]) if path.is_file() else None, *_parts(function))
+    return (repr(value),)
+
+
+def _parts(function: Any) -> tuple[object, ...]:
+    """What a kernel made by a factory was made of: the identities of its closure."""
+    return tuple(_identity(cell.cell_contents) for cell in function.__closure__ or ())
+
+
+class _PackageCache(FunctionCache):
+    """numba's cache on disk, made safe for a package of kernels that are made of each other.
+
+    Three things differ. numba drops a cached kernel when the file that defines it changes, but not
+    when a file of a kernel that it *calls* does: after an update the old physics would go on
+    running; here the stamp covers the whole package. numba tells kernels from one factory apart by
+    pickling their closures, which differ in every process, so that they are compiled anew each
+    time; here by the names of the kernels in the closure. And a cache that cannot be read or
+    written (full disk, read-only folder) costs a compilation, never an exception.
+    """
+
+    def __init__(self, py_func: Callable[..., Any]) -> None:
+        super().__init__(py_func)
+        self._made_of = _parts(py_func)
+        self._cache_file = IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=_PACKAGE_STAMP,
+        )
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple[object, ...]:
+        return sig, codegen.magic_tuple(), self._made_of
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(OSError):
+            super().save_overload(sig, data)
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compiles `function` in nopython mode on first call; later processes load it from disk.
+
+    The machine code lies in `__pycache__` beside the source or, where that cannot be written, in
+    numba's folder for the user (`NUMBA_CACHE_DIR` overrides both). Where neither can be written
+    the kernel is compiled once a process.
+
+    Args:
+        function: scalar arithmetic and loops over arrays, without Python objects. It may be made
+            by a factory, with other kernels in its closure.
+
+    Returns:
+        numba's dispatcher, called like `function`.
+    """
+    # IEEE arithmetic (no fastmath): both doors and all platforms are to give the same numbers.
+    dispatcher = numba.njit(error_model="numpy")(function)
+    with suppress(RuntimeError):  # numba: "no locator available", there is no folder to write to
+        dispatcher._cache = _PackageCache(function)
+    return dispatcher
+
+
+def entry(dispatcher: Any, *types: Any) -> Callable[..., Any]:
+    """The compiled function for exactly these argument types, compiled now if it was not yet.
+
+    Calling it skips numba's choice among signatures, half of what a call from Python costs.
+    """
+    dispatcher.compile(types)
+    return dispatcher.get_overload(types)

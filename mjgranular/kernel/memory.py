@@ -1,0 +1,96 @@
+"""One table of integers through which kernels read and write a simulation.
+
+Handing numba a NumPy array costs about 80 ns each, and a kernel needs a dozen arrays of `mjData`
+and four of ours: more than the time of a bare `mj_step` on a one-link model. Their addresses do not
+change while the `MjData` lives, so one table of addresses stands for them all. An engine plugin,
+which gets no NumPy arrays but only the `mjData*`, fills the same table.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numba import carray, from_dtype, types
+from numba.extending import intrinsic
+
+from mjgranular.kernel.compiled import compiled
+
+# The table: four sizes, then addresses. The order is that of `simulation_table`.
+NBODY, NV, ELEMENT_COUNT, BODY_COUNT = range(4)
+GRAVITY, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(4, 14)
+ELEMENTS, BODIES, SCENE, CONTACTS = range(14, 18)
+TABLE_SIZE = 18
+
+
+def simulation_table(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    *,
+    elements: np.ndarray,
+    bodies: np.ndarray,
+    scene: np.ndarray,
+    contacts: np.ndarray,
+) -> np.ndarray:
+    """Makes the table of sizes and addresses.
+
+    Args:
+        model: the model.
+        data: its data.
+        elements: the law's elements, shape (n,).
+        bodies: rows of `sand.binding.BODY_DTYPE`, shape (m,).
+        scene: parameters of law, medium and surface, shape (1,).
+        contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
+
+    Returns:
+        The table, shape (18,), int64. It keeps nothing alive: all of the arguments must outlive
+        every use of it.
+    """
+    arrays = (
+        model.opt.gravity,
+        model.dof_parentid,
+        data.xpos,
+        data.xmat,
+        data.xipos,
+        data.subtree_com,
+        data.cvel,
+        data.cdof,
+        data.qacc_warmstart,
+        data.xfrc_applied,
+        elements,
+        bodies,
+        scene,
+        contacts,
+    )
+    sizes = (model.nbody, model.nv, len(elements), len(bodies))
+    return np.array([*sizes, *(array.ctypes.data for array in arrays)], dtype=np.int64)
+
+
+def records(dtype: np.dtype) -> Any:
+    """Makes a kernel `read(address, size)` that gives the array of such records at an address."""
+    record = from_dtype(dtype)
+
+    @intrinsic
+    def pointer(typingctx: Any, address: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+
+        return types.CPointer(record)(types.int64), codegen
+
+    @compiled
+    def read(address, size):
+        return carray(pointer(address), (size,))
+
+    return read
+
+
+floats = records(np.dtype(np.float64))
+ints = records(np.dtype(np.int32))
+_longs = records(np.dtype(np.int64))
+
+
+@compiled
+def table_at(address):
+    """The table at an address."""
+    return _longs(address, TABLE_SIZE)

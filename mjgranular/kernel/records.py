@@ -1,0 +1,30 @@
+"""The records that kernels fill: one for each body in the sand, one for each element."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjgranular.kernel.memory import records
+
+BODY_DTYPE = np.dtype(
+    [
+        ("body", np.int64),
+        ("root", np.int64),  # root of the body's kinematic tree
+        ("last_dof", np.int64),
+        ("wrench", np.float64, (6,)),  # force [N], moment about the centre of mass [N m], world
+        ("own", np.float64, (6,)),  # the user's row of xfrc_applied
+        ("written", np.float64, (6,)),  # that row as last written by the sand
+    ]
+)
+CONTACT_DTYPE = np.dtype(
+    [
+        ("depth", np.float64),  # of the element's deepest point [m], negative above the sand
+        ("length", np.float64),  # immersed length [m]
+        ("point", np.float64, (3,)),  # where the force acts [m], world
+        ("velocity", np.float64, (3,)),  # of that point [m/s], world
+        ("force", np.float64, (3,)),  # on the element [N], world
+    ]
+)
+
+body_records = records(BODY_DTYPE)
+contact_records = records(CONTACT_DTYPE)

@@ -1,0 +1,85 @@
+"""What every law offers, and the register of laws."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self, TypeVar
+
+import mujoco
+import numpy as np
+
+from mjgranular.medium import Medium
+from mjgranular.registry import Registry
+from mjgranular.surface import Surface
+
+laws: Registry[type[Law]] = Registry("law")
+
+
+class Law(ABC):
+    """How sand resists. A final law is a frozen dataclass of its parameters.
+
+    Three things pass through a law once, when it is bound to a model, and never again: the geoms
+    become the law's elements, its parameters and the surface become one record, and its kernel is
+    chosen. What runs at every step is the kernel alone.
+
+    Attributes:
+        name: the name it is known by.
+        title: one line for lists.
+        citation: where it was published.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    citation: ClassVar[str]
+
+    @classmethod
+    @abstractmethod
+    def from_medium(cls, medium: Medium) -> Self:
+        """The law with the medium's published constants.
+
+        Raises:
+            UnknownNameError: the medium has none for this law.
+        """
+
+    @abstractmethod
+    def elements(self, model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
+        """The elements that the law acts on, a structured array with a field `body` and `slot`."""
+
+    @abstractmethod
+    def scene(self, medium: Medium, surface: Surface) -> np.ndarray:
+        """Parameters of law, medium and surface as the kernel reads them, shape (1,)."""
+
+    @abstractmethod
+    def kernel(self, surface: Surface) -> Any:
+        """The compiled law under that kind of surface; fills the wrench of every body.
+
+        Called as `kernel(table, lead)`, with the simulation's table (`kernel.memory`) and the time
+        by which velocities are extrapolated [s]. It reads the elements and the scene made by the
+        methods above, and writes the `wrench` of every body and every element's contact
+        (`kernel.records`).
+        """
+
+
+LawClass = TypeVar("LawClass", bound=type[Law])
+
+
+def register_law(law: LawClass) -> LawClass:
+    """Makes a class of laws known by its `name`; can be used as a decorator.
+
+    Raises:
+        InputError: another law has that name.
+    """
+    laws.add(law.name, law)
+    return law
+
+
+def get_law(law: str | Law | None, medium: Medium) -> Law:
+    """The law of that name with the medium's constants, the medium's own law, or `law` itself.
+
+    Raises:
+        UnknownNameError: no such law, or the medium has no constants for it.
+    """
+    if isinstance(law, Law):
+        return law
+    return laws[medium.default_law if law is None else law].from_medium(medium)

@@ -1,0 +1,8 @@
+"""What the sand is: densities, grain sizes and, law by law, published constants with sources."""
+
+from mjgranular.medium import presets as presets
+from mjgranular.medium.medium import Medium as Medium
+from mjgranular.medium.medium import Quantity as Quantity
+from mjgranular.medium.medium import get_medium as get_medium
+from mjgranular.medium.medium import media as media
+from mjgranular.medium.medium import register_medium as register_medium

@@ -1,0 +1,45 @@
+"""What the sand keeps for one `MjData`: the table of addresses and the wrenches it wrote."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel.memory import simulation_table
+from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
+from mjgranular.shape.select import last_dof
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Arrays that the kernels work on, for one `MjData`. Nothing is allocated after this.
+
+    The table holds addresses in the `MjData`, which it does not keep alive: a binding must not be
+    used after its data is gone.
+    """
+
+    table: np.ndarray
+    address: int  # of the table: what the compiled calls take
+    bodies: np.ndarray
+    contacts: np.ndarray
+
+
+def bind(
+    model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray, scene: np.ndarray
+) -> Binding:
+    """Makes the binding of elements (fields `body`, `slot`) to a simulation."""
+    bodies = np.zeros(len(np.unique(elements["slot"])), BODY_DTYPE)
+    for element in elements:
+        row = bodies[element["slot"]]
+        body = int(element["body"])
+        row["body"] = body
+        row["root"] = model.body_rootid[body]
+        row["last_dof"] = last_dof(model, body)
+    bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
+    contacts = np.zeros(len(elements), CONTACT_DTYPE)
+    table = simulation_table(
+        model, data, elements=elements, bodies=bodies, scene=scene, contacts=contacts
+    )
+    return Binding(table, table.ctypes.data, bodies, contacts)

@@ -1,0 +1,222 @@
+"""`Sand`: a bed of sand bound to a model; the one handle a user holds."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+from numba import types
+
+from mjgranular.errors import InputError, UnstableError
+from mjgranular.kernel import entry
+from mjgranular.law import Law, get_law
+from mjgranular.medium import Medium, get_medium
+from mjgranular.sand.binding import Binding, bind
+from mjgranular.sand.report import BodyReport, ElementReport, Report
+from mjgranular.scheme import Scheme, get_scheme
+from mjgranular.scheme.explicit import take_back_wrenches
+from mjgranular.shape import select_geoms
+from mjgranular.surface import Plane, Surface
+
+_step1 = mujoco.mj_step1
+_step2 = mujoco.mj_step2
+
+
+class Sand:
+    """Sand under a MuJoCo model.
+
+    Everything is checked and prepared here, once. One `Sand` serves any number of `MjData` of its
+    model, also from several threads (one `MjData` a thread, as for MuJoCo itself).
+
+    Args:
+        model: the model; kept, not copied.
+        medium: a medium or its name.
+        law: a law, its name, or None for the medium's own.
+        surface: where the sand is; None for the plane z = 0.
+        scheme: how forces become a step: a scheme or its name.
+        bodies: names of the bodies that meet the sand.
+        geoms: names of the geoms that meet the sand. With neither, every collision geom of every
+            body that can move.
+
+    Raises:
+        UnknownNameError: a name that does not exist; lists those that do.
+        InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        *,
+        medium: str | Medium = "play_sand",
+        law: str | Law | None = None,
+        surface: Surface | None = None,
+        scheme: str | Scheme = "explicit",
+        bodies: Sequence[str] | str | None = None,
+        geoms: Sequence[str] | str | None = None,
+    ) -> None:
+        self._model = model
+        self._medium = get_medium(medium)
+        self._law = get_law(law, self._medium)
+        self._surface = Plane() if surface is None else surface
+        self._scheme = get_scheme(scheme)
+        self._scheme.check(model)
+        self._elements = self._law.elements(model, select_geoms(model, bodies=bodies, geoms=geoms))
+        self._scene = self._law.scene(self._medium, self._surface)
+        self._kernel = self._law.kernel(self._surface)
+        self._program = entry(self._scheme.program(self._kernel), types.int64, types.float64)
+        self._take_back = entry(take_back_wrenches, types.int64)
+        self._lead = self._scheme.lead
+        self._options = model.opt  # its `timestep` may change between steps
+        self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
+            weakref.WeakKeyDictionary()
+        )
+        # The last data and the address of its table: what a loop over one simulation needs.
+        self._recent: tuple[Callable[[], mujoco.MjData | None], int] = (lambda: None, 0)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model."""
+        return self._model
+
+    @property
+    def medium(self) -> Medium:
+        """What the sand is."""
+        return self._medium
+
+    @property
+    def law(self) -> Law:
+        """How it resists."""
+        return self._law
+
+    @property
+    def surface(self) -> Surface:
+        """Where it is."""
+        return self._surface
+
+    @property
+    def scheme(self) -> Scheme:
+        """How forces become a step."""
+        return self._scheme
+
+    @property
+    def elements(self) -> np.ndarray:
+        """The elements that the law acts on: a structured array, read-only."""
+        view = self._elements.view()
+        view.flags.writeable = False
+        return view
+
+    def step(self, data: mujoco.MjData) -> None:
+        """Advances the simulation by one time step with the sand acting: use it for `mj_step`.
+
+        `mj_step1` makes positions and velocities current, the wrench of every body is added to
+        `data.xfrc_applied`, `mj_step2` finishes the step, and `data.xfrc_applied` is left as it was
+        found: what a user writes there acts beside the sand and stays.
+
+        Raises:
+            UnstableError: a force is not finite. The step is not finished and `xfrc_applied` is as
+                it was.
+        """
+        recent, address = self._recent
+        if recent() is not data:
+            address = self._bind(data)
+        model = self._model
+        _step1(model, data)
+        failed = self._program(address, self._lead * self._options.timestep)
+        if failed >= 0:
+            raise self._unstable(data, failed)
+        _step2(model, data)
+        self._take_back(address)
+
+    def apply(self, data: mujoco.MjData) -> None:
+        """Adds the sand's wrenches to `data.xfrc_applied`, for a stepping loop of your own.
+
+        Call it between `mj_step1` and `mj_step2`, when positions and velocities are current. The
+        wrench stays in `xfrc_applied` until the next call, which takes it back; a row that was
+        written in between is taken to be wholly yours.
+
+        Raises:
+            UnstableError: a force is not finite; nothing is written.
+        """
+        recent, address = self._recent
+        if recent() is not data:
+            address = self._bind(data)
+        failed = self._program(address, self._lead * self._options.timestep)
+        if failed >= 0:
+            raise self._unstable(data, failed)
+
+    def report(self, data: mujoco.MjData) -> Report:
+        """What the sand does at the state in `data` (`qpos`, `qvel`), which is left untouched."""
+        probe = mujoco.MjData(self._model)
+        for name in ("qpos", "qvel", "mocap_pos", "mocap_quat"):
+            getattr(probe, name)[:] = getattr(data, name)
+        probe.time = data.time
+        mujoco.mj_kinematics(self._model, probe)
+        mujoco.mj_comPos(self._model, probe)
+        mujoco.mj_comVel(self._model, probe)
+        binding = bind(self._model, probe, self._elements, self._scene)
+        self._kernel(binding.table, 0.0)
+        return self._describe(data.time, binding)
+
+    def _describe(self, time: float, binding: Binding) -> Report:
+        gravity = float(np.linalg.norm(self._options.gravity))
+        elements = []
+        for element, contact in zip(self._elements, binding.contacts, strict=True):
+            velocity = contact["velocity"].copy()
+            force = contact["force"].copy()
+            weight_speed = np.sqrt(gravity * element["diameter"])
+            speed = np.linalg.norm(velocity)
+            elements.append(
+                ElementReport(
+                    geom=self._model.geom(element["geom"]).name or str(element["geom"]),
+                    body=self._model.body(element["body"]).name or str(element["body"]),
+                    depth=float(contact["depth"]),
+                    immersed_length=float(contact["length"]),
+                    point=contact["point"].copy(),
+                    velocity=velocity,
+                    force=force,
+                    power=float(force @ velocity),
+                    froude=float(speed / weight_speed) if weight_speed > 0 else 0.0,
+                )
+            )
+        bodies = []
+        for slot, row in enumerate(binding.bodies):
+            members = np.flatnonzero(self._elements["slot"] == slot)
+            mine = [elements[i] for i in members]
+            deepest = max(mine, key=lambda element: element.depth)
+            bodies.append(
+                BodyReport(
+                    body=deepest.body,
+                    force=row["wrench"][:3].copy(),
+                    moment=row["wrench"][3:].copy(),
+                    point=deepest.point,
+                    depth=deepest.depth,
+                    immersed_length=sum(element.immersed_length for element in mine),
+                    power=sum(element.power for element in mine),
+                    froude=max(element.froude for element in mine),
+                )
+            )
+        return Report(time=float(time), bodies=tuple(bodies), elements=tuple(elements))
+
+    def _bind(self, data: mujoco.MjData) -> int:
+        binding = self._bindings.get(data)
+        if binding is None:
+            if data.model is not self._model and data.model._address != self._model._address:
+                raise InputError(
+                    "this MjData belongs to another model: make it with MjData(model) from the "
+                    "model that Sand was made for"
+                )
+            self._scheme.check(self._model)
+            binding = bind(self._model, data, self._elements, self._scene)
+            self._bindings[data] = binding
+        self._recent = (weakref.ref(data), binding.address)
+        return binding.address
+
+    def _unstable(self, data: mujoco.MjData, row: int) -> UnstableError:
+        body = int(self._bindings[data].bodies[row]["body"])
+        name = self._model.body(body).name or f"number {body}"
+        return UnstableError(
+            f"the sand's force on body {name!r} is not finite at t = {data.time:.6g} s: the state "
+            f"has left reason; a time step below {self._options.timestep:g} s may keep it"
+        )

@@ -1,0 +1,69 @@
+"""Slender bodies as rods: one element for each capsule or cylinder, from pole to pole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.kernel.memory import records
+
+ROD_DTYPE = np.dtype(
+    [
+        ("geom", np.int64),
+        ("body", np.int64),
+        ("slot", np.int64),  # row of the body in the binding's table of bodies
+        ("center", np.float64, (3,)),  # midpoint [m], body frame
+        ("axis", np.float64, (3,)),  # unit vector along the rod, body frame
+        ("half_length", np.float64),  # [m], round ends included
+        ("diameter", np.float64),  # [m]
+    ]
+)
+
+rod_records = records(ROD_DTYPE)
+
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+
+
+def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
+    """Makes one rod for each geom.
+
+    A capsule's rod reaches from pole to pole, so a capsule of total length L is the link of length
+    L of the paper.
+
+    Args:
+        model: the model.
+        geoms: geom ids.
+
+    Returns:
+        Rods, shape (n,), dtype `ROD_DTYPE`.
+
+    Raises:
+        InputError: a geom is neither a capsule nor a cylinder.
+    """
+    rods = np.zeros(len(geoms), ROD_DTYPE)
+    slots: dict[int, int] = {}
+    for rod, geom in zip(rods, geoms, strict=True):
+        kind = int(model.geom_type[geom])
+        if kind not in (_CAPSULE, _CYLINDER):
+            shape = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
+            name = model.geom(geom).name or f"number {geom}"
+            raise InputError(
+                f"geom {name!r} is a {shape}: the link law acts on slender bodies, "
+                "capsules and cylinders; choose them with geoms=[...] or bodies=[...]"
+            )
+        radius, half = model.geom_size[geom][:2]
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        body = int(model.geom_bodyid[geom])
+        rod["geom"] = geom
+        rod["body"] = body
+        rod["slot"] = slots.setdefault(body, len(slots))
+        rod["center"] = model.geom_pos[geom]
+        rod["axis"] = rotation.reshape(3, 3)[:, 2]
+        rod["half_length"] = half + (radius if kind == _CAPSULE else 0.0)
+        rod["diameter"] = 2 * radius
+    return rods

@@ -1,0 +1,69 @@
+"""An endless plane of sand, level or sloping."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import compiled
+from mjgranular.surface.surface import Surface
+
+PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])
+
+
+@compiled
+def plane_probe(plane, x, y, z):
+    """Depth of a point below the plane along its normal [m], negative above it; the normal."""
+    nx, ny, nz = plane.normal[0], plane.normal[1], plane.normal[2]
+    return plane.offset - (nx * x + ny * y + nz * z), nx, ny, nz
+
+
+@dataclass(frozen=True)
+class Plane(Surface):
+    """An endless plane of sand.
+
+    Attributes:
+        height: world z of the surface above the world's origin [m].
+        slope: angle against the horizontal [rad], below pi/2. Gravity is the model's own and does
+            not turn with it.
+        uphill: direction of steepest ascent, as an angle from the x axis about z [rad].
+
+    Raises:
+        InputError: a value that is not finite, or a slope outside (-pi/2, pi/2).
+    """
+
+    probe: ClassVar[Any] = plane_probe
+
+    height: float = 0.0
+    slope: float = 0.0
+    uphill: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("height", "slope", "uphill"):
+            value = getattr(self, name)
+            if not math.isfinite(value):
+                raise InputError(f"the plane's {name} must be finite, not {value}")
+        if abs(self.slope) >= math.pi / 2:
+            raise InputError(
+                f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), "
+                f"not {self.slope:.4f} rad"
+            )
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Unit normal out of the sand, world frame, shape (3,)."""
+        s = math.sin(self.slope)
+        return np.array(
+            [-s * math.cos(self.uphill), -s * math.sin(self.uphill), math.cos(self.slope)]
+        )
+
+    def record(self) -> np.ndarray:
+        """The plane as kernels read it, shape (1,), dtype `PLANE_DTYPE`."""
+        plane = np.zeros(1, PLANE_DTYPE)
+        plane["normal"] = self.normal
+        plane["offset"] = self.height * math.cos(self.slope)
+        return plane

@@ -1,0 +1,4 @@
+"""Models that come with the package, and builders for other sizes of them."""
+
+from mjgranular.models.link import Link as Link
+from mjgranular.models.link import model_path as model_path
