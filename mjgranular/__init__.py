@@ -20,6 +20,7 @@ from mjgranular.errors import OutputError as OutputError
 from mjgranular.errors import RenderError as RenderError
 from mjgranular.errors import UnknownNameError as UnknownNameError
 from mjgranular.errors import UnstableError as UnstableError
+from mjgranular.law import DistributedLinkLaw as DistributedLinkLaw
 from mjgranular.law import Law as Law
 from mjgranular.law import LinkLaw as LinkLaw
 from mjgranular.law import laws as laws

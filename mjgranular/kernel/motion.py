@@ -1,4 +1,8 @@
-"""The velocity of a body, now or half a step ahead."""
+"""The velocity of a body now, and its change within the time a scheme looks ahead.
+
+MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) about the centre of
+mass of the kinematic tree, world axes; sums of them need no Jacobian.
+"""
 
 from __future__ import annotations
 
@@ -7,42 +11,58 @@ from mjgranular.kernel.memory import CDOF, CVEL, DOF_PARENT, NBODY, NV, WARMSTAR
 
 
 @compiled
-def body_velocity(table, body, last_dof, lead):
-    """Spatial velocity of a body, extrapolated by the time `lead` with the last acceleration.
-
-    MuJoCo's `cvel` and the columns of `cdof` are spatial vectors about the centre of mass of the
-    kinematic tree, so `v + lead * a` needs no Jacobian: one sum along the chain of the body's
-    degrees of freedom. `qacc_warmstart` is the acceleration of the last step; it is zero after a
-    reset and travels with MuJoCo's own integration state.
+def body_velocity(table, body):
+    """Spatial velocity of a body.
 
     Args:
         table: the simulation's (`kernel.memory`).
         body: body id.
-        last_dof: the body's last degree of freedom in its chain, -1 if it has none.
-        lead: time to extrapolate by [s]; 0 gives the current velocity.
 
     Returns:
-        (wx, wy, wz, vx, vy, vz): angular velocity [rad/s] and linear velocity [m/s] of the point
-        that coincides with the tree's centre of mass, world axes.
+        (wx, wy, wz, vx, vy, vz): angular velocity [rad/s], and linear velocity [m/s] of the point
+        that coincides with the tree's centre of mass.
     """
     cvel = floats(table[CVEL], 6 * table[NBODY])
     i = 6 * body
-    wx, wy, wz = cvel[i], cvel[i + 1], cvel[i + 2]
-    vx, vy, vz = cvel[i + 3], cvel[i + 4], cvel[i + 5]
-    if lead != 0.0:
-        nv = table[NV]
-        cdof = floats(table[CDOF], 6 * nv)
-        acceleration = floats(table[WARMSTART], nv)
-        parent = ints(table[DOF_PARENT], nv)
-        dof = last_dof
-        while dof >= 0:
-            gain = lead * acceleration[dof]
-            j = 6 * dof
-            wx += gain * cdof[j]
-            wy += gain * cdof[j + 1]
-            wz += gain * cdof[j + 2]
-            vx += gain * cdof[j + 3]
-            vy += gain * cdof[j + 4]
-            vz += gain * cdof[j + 5]
-            dof = parent[dof]
+    return cvel[i], cvel[i + 1], cvel[i + 2], cvel[i + 3], cvel[i + 4], cvel[i + 5]
+
+
+@compiled
+def velocity_change(table, last_dof, lead):
+    """Change of a body's spatial velocity within `lead` at the acceleration of the last step.
+
+    That acceleration is `qacc_warmstart`: zero after a reset, and part of MuJoCo's own integration
+    state, so that a copied simulation goes on as the original does.
+
+    Args:
+        table: the simulation's.
+        last_dof: the last degree of freedom in the body's chain, -1 if it has none.
+        lead: time [s].
+
+    Returns:
+        (wx, wy, wz, vx, vy, vz) as `body_velocity` does.
+    """
+    nv = table[NV]
+    cdof = floats(table[CDOF], 6 * nv)
+    acceleration = floats(table[WARMSTART], nv)
+    parent = ints(table[DOF_PARENT], nv)
+    wx, wy, wz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    dof = last_dof
+    while dof >= 0:
+        gain = lead * acceleration[dof]
+        j = 6 * dof
+        wx += gain * cdof[j]
+        wy += gain * cdof[j + 1]
+        wz += gain * cdof[j + 2]
+        vx += gain * cdof[j + 3]
+        vy += gain * cdof[j + 4]
+        vz += gain * cdof[j + 5]
+        dof = parent[dof]
     return wx, wy, wz, vx, vy, vz
+
+
+@compiled
+def velocity_at(motion, x, y, z):
+    """Linear velocity [m/s] at (x, y, z) from the centre of a spatial velocity."""
+    wx, wy, wz, vx, vy, vz = motion
+    return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x

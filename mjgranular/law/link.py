@@ -5,13 +5,16 @@ the surface: "vertical" is along n; "horizontal" is along the surface, and the h
 force opposes the direction of the tangential velocity of E, the centroid of the immersed part; the
 angle in the reference area is that between the rod's axis and the velocity of E; the immersed
 length never exceeds the rod; the deeper end of the rod is its end T. In the plane nothing changes.
+
+Two forms: lumped, the paper's own, one force on the whole rod; and distributed, the same totals in
+pure translation spread along the axis, which also resists rotation.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, Self
 
@@ -36,16 +39,21 @@ from mjgranular.kernel.memory import (
     floats,
     records,
 )
-from mjgranular.kernel.motion import body_velocity
+from mjgranular.kernel.motion import body_velocity, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.law import Law, register_law
 from mjgranular.medium import Medium
 from mjgranular.shape import rods_from_model
-from mjgranular.shape.rods import rod_records
+from mjgranular.shape.rods import cut_rods, rod_records
 from mjgranular.surface import Surface
 
-LINK_DTYPE = np.dtype(
-    [(name, np.float64) for name in ("eta_d", "eta_h", "eta_v", "exponent", "density")]
+LINK_KEYS = ("eta_d", "eta_h", "eta_v", "exponent")
+LINK_DTYPE = np.dtype([(name, np.float64) for name in (*LINK_KEYS, "density")])
+
+
+_LINK_PAPER = (
+    "S. Lee, D. B. Marghitu, Stopping Time for a Planar Link in Contact with a Granular Material, "
+    "eqs. (2), (5)-(11)"
 )
 
 
@@ -54,14 +62,16 @@ def _scene_dtype(surface: Surface) -> np.dtype:
 
 
 @compiled
-def link_resistance(depth, length, diameter, cross, normal_v, tangent_v, law, g):
-    """The lumped link law for one rod: what multiplies velocity, normal and tangent.
+def lumped_resistance(depth, cos_q, length, diameter, cross, normal_v, tangent_v, law, g):
+    """The paper's law for one rod: what multiplies velocity, normal and tangent.
 
     Args:
         depth: depth of the end T, y_T > 0 [m].
-        length: immersed length [m].
+        cos_q: cosine of the angle between the axis and the normal.
+        length: immersed length l [m].
         diameter: of the rod [m].
-        cross: |axis x v_E|, the speed across the axis [m/s]; its ratio to |v_E| is the sine in A_r.
+        cross: |axis x v_E|, the speed across the axis [m/s]; its ratio to |v_E| is the sine in
+            A_r.
         normal_v: component of v_E along the normal, out of the sand [m/s].
         tangent_v: size of the component of v_E along the surface [m/s].
         law: record of the coefficients, `LINK_DTYPE`.
@@ -87,9 +97,29 @@ def link_resistance(depth, length, diameter, cross, normal_v, tangent_v, law, g)
     return drag, static_normal, static_tangent
 
 
+@compiled
+def distributed_resistance(depth, cos_q, length, diameter, cross, normal_v, tangent_v, law, g):
+    """The distributed law for one short piece of a rod; arguments as for `lumped_resistance`.
+
+    The static limits are the derivatives of the lumped ones along the axis (dy = cos q ds), taken
+    at the middle of the piece's immersed part.
+    """
+    middle = max(depth - 0.5 * length * cos_q, 0.0)
+    drag = law.eta_d * law.density * diameter * length * cross
+    weight = g * law.density * diameter * length
+    static_normal = 0.0
+    if normal_v != 0.0:
+        slope = (1.0 + law.exponent) * law.eta_v * (middle / diameter) ** law.exponent
+        static_normal = -math.copysign(slope * weight * 0.25 * math.pi * diameter, normal_v)
+    static_tangent = 0.0
+    if tangent_v > 0.0:
+        static_tangent = 2.0 * law.eta_h * weight * middle * cos_q / tangent_v
+    return drag, static_normal, static_tangent
+
+
 @cache
-def link_kernel(probe: Any, scene_dtype: np.dtype) -> Any:
-    """The law's kernel for surfaces with that `probe`, as `Law.kernel` describes it."""
+def link_kernel(resistance: Any, probe: Any, scene_dtype: np.dtype) -> Any:
+    """The kernel of one form of the law for surfaces with that `probe` (see `Law.kernel`)."""
     scene_records = records(scene_dtype)
 
     @compiled
@@ -152,29 +182,32 @@ def link_kernel(probe: Any, scene_dtype: np.dtype) -> Any:
             ex, ey, ez = cx + arm * ux, cy + arm * uy, cz + arm * uz
 
             body = bodies[rod.slot]
-            wx, wy, wz, vx, vy, vz = body_velocity(table, b, body.last_dof, lead)
             root = 3 * body.root
             px, py, pz = (
                 ex - subtree_com[root],
                 ey - subtree_com[root + 1],
                 ez - subtree_com[root + 2],
             )
-            vx += wy * pz - wz * py
-            vy += wz * px - wx * pz
-            vz += wx * py - wy * px
+            vx, vy, vz = velocity_at(body_velocity(table, b), px, py, pz)
+            # Drag takes the velocity ahead, static resistance the direction of the velocity now:
+            # led as well, it creeps five times faster under load.
+            dx, dy, dz = vx, vy, vz
+            if lead != 0.0:
+                change = velocity_at(velocity_change(table, body.last_dof, lead), px, py, pz)
+                dx, dy, dz = vx + change[0], vy + change[1], vz + change[2]
 
             normal_v = vx * nx + vy * ny + vz * nz
             tx, ty, tz = vx - normal_v * nx, vy - normal_v * ny, vz - normal_v * nz
             tangent_v = math.sqrt(tx * tx + ty * ty + tz * tz)
-            sx, sy, sz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            sx, sy, sz = uy * dz - uz * dy, uz * dx - ux * dz, ux * dy - uy * dx
             cross = math.sqrt(sx * sx + sy * sy + sz * sz)
 
-            drag, static_normal, static_tangent = link_resistance(
-                depth, length, rod.diameter, cross, normal_v, tangent_v, law, g
+            drag, static_normal, static_tangent = resistance(
+                depth, cos_q, length, rod.diameter, cross, normal_v, tangent_v, law, g
             )
-            fx = -drag * vx + static_normal * nx - static_tangent * tx
-            fy = -drag * vy + static_normal * ny - static_tangent * ty
-            fz = -drag * vz + static_normal * nz - static_tangent * tz
+            fx = -drag * dx + static_normal * nx - static_tangent * tx
+            fy = -drag * dy + static_normal * ny - static_tangent * ty
+            fz = -drag * dz + static_normal * nz - static_tangent * tz
 
             px, py, pz = ex - xipos[3 * b], ey - xipos[3 * b + 1], ez - xipos[3 * b + 2]
             wrench = body.wrench
@@ -193,15 +226,46 @@ def link_kernel(probe: Any, scene_dtype: np.dtype) -> Any:
     return link_wrenches
 
 
+class _LinkForm(Law):
+    """What both forms of the law share: coefficients, and a kernel over rods."""
+
+    resistance: ClassVar[Any]
+
+    def __post_init__(self) -> None:
+        for key in LINK_KEYS:
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(
+                    f"{type(self).__name__}: {key} must be finite and not negative, not {value}"
+                )
+
+    @classmethod
+    def from_medium(cls, medium: Medium) -> Self:
+        return cls(**medium.constants_for(LinkLaw.name))
+
+    def scene(self, medium: Medium, surface: Surface) -> np.ndarray:
+        scene = np.zeros(1, _scene_dtype(surface))
+        for key in LINK_KEYS:
+            scene["law"][key] = getattr(self, key)
+        scene["law"]["density"] = medium.density.value
+        scene["surface"] = surface.record()
+        return scene
+
+    def kernel(self, surface: Surface) -> Any:
+        return link_kernel(type(self).resistance, surface.probe, _scene_dtype(surface))
+
+
 @register_law
 @dataclass(frozen=True)
-class LinkLaw(Law):
-    """The lumped link law: one force on each rod, at the centroid E of its immersed part.
+class LinkLaw(_LinkForm):
+    r"""The lumped link law: one force on each rod, at the centroid E of its immersed part.
 
     .. math::
-        F = -\\eta_d \\rho_g A_r |v_E| v_E
-            - \\operatorname{sign}(v_n)\\, \\eta_v (y_T/d)^\\lambda g \\rho_g V\\, n
-            - \\eta_h g \\rho_g y_T^2 d\\, v_t / |v_t|
+        F = -\eta_d \rho_g A_r |v_E| v_E
+            - \operatorname{sign}(v_n)\, \eta_v (y_T/d)^\lambda g \rho_g V\, n
+            - \eta_h g \rho_g y_T^2 d\, v_t / |v_t|
+
+    The force passes through E: turning about E is not resisted.
 
     Attributes:
         eta_d: dynamic (drag) coefficient, eq. (2).
@@ -215,35 +279,57 @@ class LinkLaw(Law):
 
     name: ClassVar[str] = "link"
     title: ClassVar[str] = "slender link, lumped: static force by depth, drag by speed squared"
-    citation: ClassVar[str] = (
-        "S. Lee, D. B. Marghitu, Stopping Time for a Planar Link in Contact with a Granular "
-        "Material, eqs. (2), (5)-(11)"
-    )
+    citation: ClassVar[str] = _LINK_PAPER
+    resistance: ClassVar[Any] = lumped_resistance
+
     eta_d: float
     eta_h: float
     eta_v: float
     exponent: float
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(f"LinkLaw: {field.name} must be finite and >= 0, not {value}")
-
-    @classmethod
-    def from_medium(cls, medium: Medium) -> Self:
-        return cls(**medium.constants_for(cls.name))
-
     def elements(self, model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         return rods_from_model(model, geoms)
 
-    def kernel(self, surface: Surface) -> Any:
-        return link_kernel(surface.probe, _scene_dtype(surface))
 
-    def scene(self, medium: Medium, surface: Surface) -> np.ndarray:
-        scene = np.zeros(1, _scene_dtype(surface))
-        for field in fields(self):
-            scene["law"][field.name] = getattr(self, field.name)
-        scene["law"]["density"] = medium.density.value
-        scene["surface"] = surface.record()
-        return scene
+@register_law
+@dataclass(frozen=True)
+class DistributedLinkLaw(_LinkForm):
+    r"""The link law spread along the axis: resists rotation too, and a link can come to rest.
+
+    .. math::
+        dF = -\eta_d \rho_g d\, |\sin| |v| v\, ds
+             - \operatorname{sign}(v_n) (1 + \lambda) \eta_v (y/d)^\lambda g \rho_g
+               \tfrac{\pi d^2}{4}\, n\, ds
+             - 2 \eta_h g \rho_g y\, d \cos q\, v_t / |v_t|\, ds
+
+    In pure translation its sum is that of `LinkLaw`.
+
+    Attributes:
+        eta_d: dynamic (drag) coefficient.
+        eta_h: horizontal static coefficient.
+        eta_v: vertical static coefficient.
+        exponent: exponent lambda of the vertical static force.
+        pieces: number of pieces each rod is cut into; 20 is chosen, not measured.
+
+    Raises:
+        InputError: a coefficient that is negative or not finite, or no piece.
+    """
+
+    name: ClassVar[str] = "link_distributed"
+    title: ClassVar[str] = "slender link, spread along its axis: resists rotation too"
+    citation: ClassVar[str] = f"{_LINK_PAPER}; differentiated along the axis"
+    resistance: ClassVar[Any] = distributed_resistance
+
+    eta_d: float
+    eta_h: float
+    eta_v: float
+    exponent: float
+    pieces: int = 20
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.pieces < 1:
+            raise InputError(f"DistributedLinkLaw: pieces must be at least 1, not {self.pieces}")
+
+    def elements(self, model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
+        return cut_rods(rods_from_model(model, geoms), self.pieces)

@@ -1,5 +1,6 @@
 """The body's form as the sand sees it: elements, made once from the model's geoms."""
 
 from mjgranular.shape.rods import ROD_DTYPE as ROD_DTYPE
+from mjgranular.shape.rods import cut_rods as cut_rods
 from mjgranular.shape.rods import rods_from_model as rods_from_model
 from mjgranular.shape.select import select_geoms as select_geoms

@@ -67,3 +67,22 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         rod["half_length"] = half + (radius if kind == _CAPSULE else 0.0)
         rod["diameter"] = 2 * radius
     return rods
+
+
+def cut_rods(rods: np.ndarray, pieces: int) -> np.ndarray:
+    """Cuts every rod into pieces of equal length, each a rod of its own.
+
+    Args:
+        rods: shape (n,), dtype `ROD_DTYPE`.
+        pieces: how many of each rod.
+
+    Returns:
+        Rods, shape (n * pieces,).
+    """
+    cut = np.repeat(rods, pieces)
+    # Middles of the pieces along the axis, in half-lengths: symmetric to the last bit.
+    index = np.arange(pieces)
+    along = np.tile((2 * index - (pieces - 1)) / pieces, len(rods))
+    cut["center"] += (along * cut["half_length"])[:, None] * cut["axis"]
+    cut["half_length"] /= pieces
+    return cut
