@@ -14,6 +14,7 @@ from mjgranular import headless as _headless
 # isort: split
 from mjgranular._version import __version__ as __version__
 from mjgranular.errors import GranularError as GranularError
+from mjgranular.errors import GranularWarning as GranularWarning
 from mjgranular.errors import InputError as InputError
 from mjgranular.errors import MissingExtraError as MissingExtraError
 from mjgranular.errors import OutputError as OutputError

@@ -64,3 +64,7 @@ class MissingExtraError(GranularError, ImportError):
         super().__init__(
             f"{purpose} needs {package}, which is not installed: pip install 'mjgranular[{extra}]'"
         )
+
+
+class GranularWarning(UserWarning):
+    """Something that may not be what the user wants, but can be computed."""

@@ -78,19 +78,15 @@ class Link:
         spec.site("T").pos[2] = -self.length / 2
 
         scale = self.length / _PAPER_LENGTH
-        for name in ("bed", "bed_front"):
+        for name in ("bed", "table"):
             geom = spec.geom(name)
             geom.pos = geom.pos * scale
             geom.size = geom.size * scale
-        gap = radius * 1.1  # the cut through the bed is just wider than the link
-        for name, side in (("bed", 1.0), ("bed_front", -1.0)):
-            geom = spec.geom(name)
-            far = side * geom.pos[1] + geom.size[1]
-            if far > gap:
-                geom.size[1] = (far - gap) / 2
-                geom.pos[1] = side * (far + gap) / 2
-        spec.material("sand").texrepeat = spec.material("sand").texrepeat / scale
-        spec.material("sand_cut").texrepeat = spec.material("sand_cut").texrepeat / scale
+        bed, gap = spec.geom("bed"), radius * 1.1  # the bed begins just behind the link
+        back = bed.pos[1] + bed.size[1]
+        bed.size[1], bed.pos[1] = (back - gap) / 2, (back + gap) / 2
+        sand = spec.material("sand")
+        sand.texrepeat = sand.texrepeat / scale
         for camera in spec.cameras:
             camera.pos = camera.pos * scale
         spec.visual.map.znear *= min(1.0, scale)

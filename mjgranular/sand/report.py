@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from mjgranular.errors import UnknownNameError
+from mjgranular.sand.binding import Binding
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,72 @@ class Report:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, as for JSON."""
         return _plain(asdict(self))
+
+
+def element_names(model: mujoco.MjModel, elements: np.ndarray) -> list[tuple[str, str]]:
+    """For each element, the names of its geom and body; numbers where they have none."""
+    return [
+        (
+            model.geom(element["geom"]).name or str(element["geom"]),
+            model.body(element["body"]).name or str(element["body"]),
+        )
+        for element in elements
+    ]
+
+
+def describe(
+    time: float,
+    *,
+    elements: np.ndarray,
+    names: list[tuple[str, str]],
+    binding: Binding,
+    gravity: float,
+) -> Report:
+    """Makes a report of what a kernel has just filled in.
+
+    Args:
+        time: of the simulation [s].
+        elements: the law's elements.
+        names: of each element's geom and body.
+        binding: with wrenches and contacts.
+        gravity: its size [m/s^2].
+    """
+    reports = []
+    for element, (geom, body), contact in zip(elements, names, binding.contacts, strict=True):
+        velocity, force = contact["velocity"].copy(), contact["force"].copy()
+        scale = math.sqrt(gravity * element["diameter"])
+        reports.append(
+            ElementReport(
+                geom=geom,
+                body=body,
+                depth=float(contact["depth"]),
+                immersed_length=float(contact["length"]),
+                point=contact["point"].copy(),
+                velocity=velocity,
+                force=force,
+                power=float(force @ velocity),
+                froude=math.sqrt(velocity @ velocity) / scale if scale > 0 else 0.0,
+            )
+        )
+    members: list[list[ElementReport]] = [[] for _ in binding.bodies]
+    for element, report in zip(elements, reports, strict=True):
+        members[element["slot"]].append(report)
+    bodies = []
+    for row, mine in zip(binding.bodies, members, strict=True):
+        deepest = max(mine, key=lambda report: report.depth)
+        bodies.append(
+            BodyReport(
+                body=deepest.body,
+                force=row["wrench"][:3].copy(),
+                moment=row["wrench"][3:].copy(),
+                point=deepest.point,
+                depth=deepest.depth,
+                immersed_length=sum(report.immersed_length for report in mine),
+                power=sum(report.power for report in mine),
+                froude=max(report.froude for report in mine),
+            )
+        )
+    return Report(time=time, bodies=tuple(bodies), elements=tuple(reports))
 
 
 def _plain(value: Any) -> Any:

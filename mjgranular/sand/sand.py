@@ -14,7 +14,7 @@ from mjgranular.kernel import entry
 from mjgranular.law import Law, get_law
 from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
-from mjgranular.sand.report import BodyReport, ElementReport, Report
+from mjgranular.sand.report import Report, describe, element_names
 from mjgranular.scheme import Scheme, get_scheme
 from mjgranular.scheme.explicit import take_back_wrenches
 from mjgranular.shape import select_geoms
@@ -72,6 +72,8 @@ class Sand:
         self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
             weakref.WeakKeyDictionary()
         )
+        self._names = element_names(model, self._elements)
+        self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: what a loop over one simulation needs.
         self._recent: tuple[Callable[[], mujoco.MjData | None], int] = (lambda: None, 0)
 
@@ -148,56 +150,30 @@ class Sand:
 
     def report(self, data: mujoco.MjData) -> Report:
         """What the sand does at the state in `data` (`qpos`, `qvel`), which is left untouched."""
-        probe = mujoco.MjData(self._model)
-        for name in ("qpos", "qvel", "mocap_pos", "mocap_quat"):
-            getattr(probe, name)[:] = getattr(data, name)
-        probe.time = data.time
-        mujoco.mj_kinematics(self._model, probe)
-        mujoco.mj_comPos(self._model, probe)
-        mujoco.mj_comVel(self._model, probe)
-        binding = bind(self._model, probe, self._elements, self._scene)
+        model = self._model
+        # Probes are kept for the next call; a list hands each to one thread at a time.
+        if self._probes:
+            probe, binding = self._probes.pop()
+        else:
+            probe = mujoco.MjData(model)
+            binding = bind(model, probe, self._elements, self._scene)
+        probe.qpos[:] = data.qpos
+        probe.qvel[:] = data.qvel
+        probe.mocap_pos[:] = data.mocap_pos
+        probe.mocap_quat[:] = data.mocap_quat
+        mujoco.mj_kinematics(model, probe)
+        mujoco.mj_comPos(model, probe)
+        mujoco.mj_comVel(model, probe)
         self._kernel(binding.table, 0.0)
-        return self._describe(data.time, binding)
-
-    def _describe(self, time: float, binding: Binding) -> Report:
-        gravity = float(np.linalg.norm(self._options.gravity))
-        elements = []
-        for element, contact in zip(self._elements, binding.contacts, strict=True):
-            velocity = contact["velocity"].copy()
-            force = contact["force"].copy()
-            weight_speed = np.sqrt(gravity * element["diameter"])
-            speed = np.linalg.norm(velocity)
-            elements.append(
-                ElementReport(
-                    geom=self._model.geom(element["geom"]).name or str(element["geom"]),
-                    body=self._model.body(element["body"]).name or str(element["body"]),
-                    depth=float(contact["depth"]),
-                    immersed_length=float(contact["length"]),
-                    point=contact["point"].copy(),
-                    velocity=velocity,
-                    force=force,
-                    power=float(force @ velocity),
-                    froude=float(speed / weight_speed) if weight_speed > 0 else 0.0,
-                )
-            )
-        bodies = []
-        for slot, row in enumerate(binding.bodies):
-            members = np.flatnonzero(self._elements["slot"] == slot)
-            mine = [elements[i] for i in members]
-            deepest = max(mine, key=lambda element: element.depth)
-            bodies.append(
-                BodyReport(
-                    body=deepest.body,
-                    force=row["wrench"][:3].copy(),
-                    moment=row["wrench"][3:].copy(),
-                    point=deepest.point,
-                    depth=deepest.depth,
-                    immersed_length=sum(element.immersed_length for element in mine),
-                    power=sum(element.power for element in mine),
-                    froude=max(element.froude for element in mine),
-                )
-            )
-        return Report(time=float(time), bodies=tuple(bodies), elements=tuple(elements))
+        report = describe(
+            float(data.time),
+            elements=self._elements,
+            names=self._names,
+            binding=binding,
+            gravity=float(np.linalg.norm(model.opt.gravity)),
+        )
+        self._probes.append((probe, binding))
+        return report
 
     def _bind(self, data: mujoco.MjData) -> int:
         binding = self._bindings.get(data)

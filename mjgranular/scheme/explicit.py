@@ -117,3 +117,15 @@ def explicit_program(kernel: Any) -> Any:
         return add_wrenches(table)
 
     return program
+
+
+def largest_step(rate: float) -> float:
+    """The largest step at which an explicit drag cannot overshoot [s].
+
+    Args:
+        rate: the drag's derivative by velocity over the mass it acts on [1/s].
+
+    Returns:
+        1 / rate: Adams-Bashforth of second order is stable for `h * rate <= 1`.
+    """
+    return math.inf if rate == 0 else 1 / rate

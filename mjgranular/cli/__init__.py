@@ -1,0 +1,3 @@
+"""The command `mjgranular`."""
+
+from mjgranular.cli.main import main as main

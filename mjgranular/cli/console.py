@@ -1,0 +1,86 @@
+"""What the command line says: results on standard output, everything else on standard error."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from mjgranular.errors import GranularWarning
+
+out = Console()
+err = Console(stderr=True)
+
+
+def print_json(content: Any) -> None:
+    """Writes one JSON value to standard output."""
+    json.dump(content, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def show_error(message: str) -> None:
+    """Says what was wrong."""
+    err.print("[bold red]error:[/] ", end="")
+    err.print(message, markup=False, highlight=False, soft_wrap=True)
+
+
+def show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Takes the place of `warnings.showwarning`."""
+    if issubclass(category, GranularWarning):
+        err.print("[bold yellow]warning:[/] ", end="")
+        err.print(str(message), markup=False, highlight=False, soft_wrap=True)
+
+
+class _Announcement(logging.Handler):
+    """Says once that kernels are being compiled."""
+
+    said = False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if not self.said:
+            self.said = True
+            err.print("compiling the sand's kernels: once on a machine, some seconds", style="dim")
+
+
+def show_compilation() -> None:
+    """Lets the first compilation of a kernel be announced."""
+    logger = logging.getLogger("mjgranular.kernel")
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    if not logger.handlers:
+        logger.addHandler(_Announcement())
+
+
+@contextmanager
+def progress_bar(what: str, total: float) -> Iterator[Callable[[float], None]]:
+    """A progress bar on standard error, where that is a terminal; gone when the work is done.
+
+    Args:
+        what: is being done.
+        total: amount of work.
+
+    Yields:
+        A function to be called with the amount of work done.
+    """
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=err, transient=True) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda done: progress.update(task, completed=done)

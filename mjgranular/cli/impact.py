@@ -1,0 +1,211 @@
+"""`mjgranular impact`: one drop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.table import Table
+
+from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli.options import LinkOptions
+from mjgranular.errors import GranularError, InputError, MissingExtraError
+from mjgranular.experiment import ImpactResult, run_impact
+from mjgranular.experiment.folder import IMPACT_FILES, ResultFolder, write_impact
+from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.models import Link
+
+FIGURES = ("motion.png", "forces.png")
+VIDEO = "impact.mp4"
+
+
+@dataclass(frozen=True)
+class ImpactCommand(LinkOptions):
+    """One drop: the link meets the sand, and its end T stops.
+
+    Prints stopping time and depth. With --out DIR, writes trajectory, summary, configuration and
+    figures there; with --video, a film too.
+    """
+
+    speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 10.0
+    """Velocity of the lower end T at release, down [m/s]."""
+    angle: Annotated[float, tyro.conf.arg(metavar="DEG")] = 45.0
+    """Angle of the link from the vertical [degrees]."""
+    until: Literal["stop", "rest"] = "stop"
+    """End when T stops, or when the whole link is at rest (try --law link_distributed)."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the results; nothing is written without it."""
+    video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Write a film of the impact into the folder."""
+    camera: Annotated[str, tyro.conf.arg(metavar="NAME")] = "side"
+    """Camera of the film: side, close or corner."""
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace a result that the folder holds already."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        impact = self.impact(speed=self.speed, angle_deg=self.angle, until=self.until)
+        if self.video and self.out is None:
+            raise InputError("--video needs a folder to write to: add --out DIR")
+        if self.out is None:
+            self._show(self._drop(impact))
+            return 0
+        if self.video:
+            from mjgranular.picture.video import Film
+
+            Film(camera=self.camera).check(impact.link)
+        names = (*IMPACT_FILES, *FIGURES, *((VIDEO,) if self.video else ()))
+        with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
+            result = self._drop(impact)
+            write_impact(folder, result)
+            self._show(result)
+            problems = draw_impact(folder, result.trajectory, result.summary())
+            if self.video:
+                problems += film_impact(
+                    folder,
+                    VIDEO,
+                    impact.link,
+                    result.trajectory,
+                    result.summary(),
+                    camera=self.camera,
+                )
+        if not self.json:
+            out.print(f"written to {self.out}", highlight=False)
+        for problem in problems:
+            show_error(f"{problem} (the numbers are in {self.out})")
+        return 2 if problems else 0
+
+    def _drop(self, impact: Any) -> ImpactResult:
+        with progress_bar("dropping the link", impact.duration) as progress:
+            return run_impact(impact, progress=progress)
+
+    def _show(self, result: ImpactResult) -> None:
+        if self.json:
+            print_json(result.summary())
+        else:
+            out.print(impact_table(result))
+            for line in remarks(result):
+                err.print(line, highlight=False)
+
+
+def impact_table(result: ImpactResult) -> Table:
+    """The result as a table for a person."""
+    summary = result.summary()
+    impact = result.impact
+    table = Table(title="Impact of a link on sand", show_header=False, title_justify="left")
+    table.add_column(style="dim")
+    table.add_column(justify="right")
+    table.add_column(style="dim")
+
+    def row(name: str, value: float | None, digits: str, unit: str) -> None:
+        if value is not None:
+            table.add_row(name, format(value, digits), unit)
+
+    table.add_row("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme}", "")
+    row("time step", impact.timestep, "g", "s")
+    row("speed of T", impact.speed, "g", "m/s")
+    row("angle from the vertical", summary["angle_deg"], "g", "deg")
+    row("tangential speed of T", impact.tangential_speed or None, "g", "m/s")
+    row("angular velocity", impact.angular_velocity or None, "g", "rad/s")
+    row("height of release", impact.height or None, "g", "m")
+    table.add_section()
+    if result.stop is None:
+        table.add_row("stopping time", f"not within {impact.duration:g}", "s")
+        row("greatest depth of T", summary["depth"] * 1e3, ".3f", "mm")
+    else:
+        row("stopping time", result.stop.time * 1e3, ".3f", "ms")
+        row("depth of T at the stop", result.stop.depth * 1e3, ".3f", "mm")
+        row("angle at the stop", math.degrees(result.stop.angle), ".2f", "deg")
+        row("angular velocity at the stop", result.stop.angular_velocity, ".2f", "rad/s")
+    row("greatest force of the sand", summary["greatest_force"], ".1f", "N")
+    if result.rest is not None:
+        row("at rest after", result.rest.time * 1e3, ".1f", "ms")
+        row("depth of the deeper end at rest", result.rest.depth * 1e3, ".3f", "mm")
+        row("angle at rest", math.degrees(result.rest.angle), ".2f", "deg")
+    return table
+
+
+def remarks(result: ImpactResult) -> list[str]:
+    """What a person should know beside the numbers."""
+    impact = result.impact
+    lines = []
+    if result.stop is None:
+        lines.append(
+            f"T did not stop within {impact.duration:g} s; a longer --duration may show it"
+        )
+    elif impact.until == "rest" and result.rest is None:
+        omega = float(result.trajectory.omega[-1])
+        line = f"not at rest after {impact.duration:g} s: it turns at {omega:.1f} rad/s"
+        if result.law == "link":
+            line += "; the lumped law does not resist turning about E, --law link_distributed does"
+        lines.append(line)
+    return lines
+
+
+def release_to_stop(summary: dict[str, Any]) -> float | None:
+    """Time from release to the stop [s], None if there was none."""
+    if summary["stopping_time"] is None:
+        return None
+    return summary["touchdown_time"] + summary["stopping_time"]
+
+
+def title(summary: dict[str, Any]) -> str:
+    """A line above figures."""
+    return (
+        f"{summary['speed']:g} m/s, {summary['angle_deg']:g} deg, {summary['medium']}, "
+        f"{summary['law']} law, {summary['scheme']}, {summary['timestep']:g} s"
+    )
+
+
+def draw_impact(
+    folder: ResultFolder, trajectory: Trajectory, summary: dict[str, Any]
+) -> list[GranularError]:
+    """Draws the figures of a drop; returns what kept it from doing so."""
+    from mjgranular.picture.figures import draw_forces, draw_motion
+
+    stop = release_to_stop(summary)
+    try:
+        for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
+            folder.write(
+                name,
+                lambda path, draw=draw: draw(path, trajectory, stop=stop, title=title(summary)),
+            )
+    except MissingExtraError as error:
+        return [error]
+    return []
+
+
+def film_impact(
+    folder: ResultFolder,
+    name: str,
+    link: Link,
+    trajectory: Trajectory,
+    summary: dict[str, Any],
+    **film: Any,
+) -> list[GranularError]:
+    """Films a drop; returns what kept it from doing so."""
+    from mjgranular.errors import RenderError
+    from mjgranular.picture.video import Film, write_video
+
+    stop = release_to_stop(summary)
+    try:
+        with progress_bar("filming", 1.0) as progress:
+            folder.write(
+                name,
+                lambda path: write_video(
+                    path,
+                    Film(**film),
+                    link,
+                    trajectory,
+                    stop=stop,
+                    progress=lambda done, count: progress(done / count),
+                ),
+            )
+    except (MissingExtraError, RenderError) as error:
+        return [error]
+    return []

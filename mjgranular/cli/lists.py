@@ -1,0 +1,81 @@
+"""`mjgranular media` and `mjgranular laws`: what there is, with sources."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+import tyro
+from rich.table import Table
+
+from mjgranular.cli.console import out, print_json
+from mjgranular.law import laws
+from mjgranular.medium import Medium, get_medium, media
+
+
+@dataclass(frozen=True)
+class MediaCommand:
+    """The media there are; with a name, every value of that medium with its source."""
+
+    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = None
+    """A medium."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        if self.name is not None:
+            _show_medium(get_medium(self.name), as_json=self.json)
+        elif self.json:
+            print_json([asdict(medium) for medium in media.values()])
+        else:
+            table = Table(title="Media", title_justify="left")
+            for heading in ("name", "what it is", "bulk density [kg/m^3]", "has constants for"):
+                table.add_column(heading)
+            for medium in media.values():
+                density = f"{medium.density.value:g}"
+                table.add_row(medium.name, medium.title, density, ", ".join(medium.constants))
+            out.print(table)
+        return 0
+
+
+def _show_medium(medium: Medium, *, as_json: bool) -> None:
+    if as_json:
+        print_json(asdict(medium))
+        return
+    table = Table(title=f"{medium.name}: {medium.title}", title_justify="left")
+    table.add_column("quantity", no_wrap=True)
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("source")
+    rows = {"density": medium.density}
+    for law, constants in medium.constants.items():
+        rows |= {f"{law}.{key}": quantity for key, quantity in constants.items()}
+    for key, quantity in rows.items():
+        table.add_row(key, f"{quantity.value:g} {quantity.unit}".strip(), quantity.source)
+    out.print(table)
+
+
+@dataclass(frozen=True)
+class LawsCommand:
+    """The force laws there are, with their sources."""
+
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        rows = [
+            {"name": law.name, "title": law.title, "citation": law.citation}
+            for law in laws.values()
+        ]
+        if self.json:
+            print_json(rows)
+            return 0
+        table = Table(title="Laws", title_justify="left")
+        table.add_column("name", no_wrap=True)
+        table.add_column("what it is")
+        table.add_column("source")
+        for row in rows:
+            table.add_row(*row.values())
+        out.print(table)
+        return 0

@@ -1,0 +1,67 @@
+"""Chooses the command, and turns a user's mistake into one line and exit status 2."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from mjgranular._version import __version__
+from mjgranular.cli.console import show_compilation, show_error, show_warning
+from mjgranular.cli.impact import ImpactCommand
+from mjgranular.cli.lists import LawsCommand, MediaCommand
+from mjgranular.cli.render import RenderCommand
+from mjgranular.cli.reproduce import ReproduceCommand
+from mjgranular.cli.sweep import SweepCommand
+from mjgranular.errors import GranularError, GranularWarning
+
+# What a shell expects of a program that was interrupted: 128 + SIGINT.
+INTERRUPTED = 130
+
+Command = (
+    Annotated[ImpactCommand, tyro.conf.subcommand("impact")]
+    | Annotated[SweepCommand, tyro.conf.subcommand("sweep")]
+    | Annotated[ReproduceCommand, tyro.conf.subcommand("reproduce")]
+    | Annotated[RenderCommand, tyro.conf.subcommand("render")]
+    | Annotated[MediaCommand, tyro.conf.subcommand("media")]
+    | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line.
+
+    Args:
+        arguments: without the program's name; None for those of the process.
+
+    Returns:
+        Exit status: 0 done; 2 for a mistake in what was asked for, told in one sentence; 130 when
+        interrupted.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given in (["--version"], ["-V"]):
+        print(f"mjgranular {__version__}")
+        return 0
+    command = tyro.cli(
+        Command,  # pyright: ignore[reportArgumentType]
+        prog="mjgranular",
+        description="Sand for MuJoCo: drops, sweeps, the paper's table, films. SI units; angles "
+        "in degrees.",
+        args=given,
+        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+    )
+    show_compilation()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("always", GranularWarning)
+            warnings.showwarning = show_warning
+            return command.run()
+    except GranularError as error:
+        show_error(str(error))
+        return 2
+    except KeyboardInterrupt:
+        show_error("interrupted")
+        return INTERRUPTED

@@ -1,0 +1,14 @@
+"""Experiments: one drop, many drops, the paper's table; each ends as plain data."""
+
+from mjgranular.experiment.impact import Impact as Impact
+from mjgranular.experiment.impact import ImpactResult as ImpactResult
+from mjgranular.experiment.impact import Rest as Rest
+from mjgranular.experiment.impact import Stop as Stop
+from mjgranular.experiment.impact import run_impact as run_impact
+from mjgranular.experiment.paper import CASES as CASES
+from mjgranular.experiment.paper import PaperCase as PaperCase
+from mjgranular.experiment.paper import reproduce as reproduce
+from mjgranular.experiment.sweep import Sweep as Sweep
+from mjgranular.experiment.sweep import SweepResult as SweepResult
+from mjgranular.experiment.sweep import run_sweep as run_sweep
+from mjgranular.experiment.trajectory import Trajectory as Trajectory

@@ -1,0 +1,68 @@
+"""The paper's table: six drops with the stopping times and depths that it prints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mjgranular.experiment.impact import Impact, ImpactResult, run_impact
+
+
+@dataclass(frozen=True)
+class PaperCase:
+    """One drop of the paper.
+
+    Attributes:
+        speed: v_Ty(0) [m/s].
+        angle_deg: q(0) [degrees].
+        stopping_time: as printed [s].
+        depth: y_T at the stop, as printed [m].
+        figure: number of the paper's figure that shows it.
+    """
+
+    speed: float
+    angle_deg: float
+    stopping_time: float
+    depth: float
+    figure: int
+
+
+# Lee and Marghitu, Stopping Time for a Planar Link in Contact with a Granular Material, section 4.
+CASES = (
+    PaperCase(10, 45, 0.007363, 0.032508, 2),
+    PaperCase(5, 45, 0.013261, 0.030973, 3),
+    PaperCase(1, 45, 0.032544, 0.021550, 4),
+    PaperCase(2, 60, 0.017698, 0.017961, 6),
+    PaperCase(2, 45, 0.023452, 0.026098, 7),
+    PaperCase(2, 30, 0.029802, 0.036668, 8),
+)
+
+
+def reproduce(
+    base: Impact, *, progress: Callable[[int], None] | None = None
+) -> list[tuple[PaperCase, ImpactResult]]:
+    """Runs the six cases.
+
+    Args:
+        base: time step, scheme and law; speed and angle are the cases'.
+        progress: called with the number of cases done.
+    """
+    results = []
+    for done, case in enumerate(CASES, start=1):
+        impact = replace(base, speed=case.speed, angle=math.radians(case.angle_deg))
+        results.append((case, run_impact(impact)))
+        if progress is not None:
+            progress(done)
+    return results
+
+
+def comparison(case: PaperCase, result: ImpactResult) -> dict[str, Any]:
+    """The summary of a run with the paper's values beside it."""
+    return {
+        **result.summary(),
+        "paper_stopping_time": case.stopping_time,
+        "paper_depth": case.depth,
+        "paper_figure": case.figure,
+    }

@@ -1,0 +1,161 @@
+"""Figures of runs, in the kind of the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjgranular.experiment.paper import CASES, PaperCase
+from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.extras import need
+
+_BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"
+_STYLE = {
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "figure.constrained_layout.use": True,
+    "font.size": 10,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+    "lines.linewidth": 1.8,
+    "savefig.dpi": 150,
+}
+
+
+def _figure(width: float, height: float) -> tuple[Any, Any]:
+    """An empty figure of that size in inches, made without pyplot's global state."""
+    matplotlib = need("matplotlib", extra="figures", purpose="Drawing figures")
+    need("matplotlib.figure", extra="figures", purpose="Drawing figures")
+    context = matplotlib.rc_context(_STYLE)
+    context.__enter__()
+    return matplotlib.figure.Figure(figsize=(width, height)), context
+
+
+def _save(figure: Any, context: Any, path: Path) -> None:
+    try:
+        figure.savefig(path)
+    finally:
+        context.__exit__(None, None, None)
+
+
+def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
+    """Depth and velocity of T and the link's angle against time, as in Figs. 2-4 and 6-8.
+
+    Args:
+        path: of the picture.
+        trajectory: the run.
+        stop: time of the stop since release [s], marked if there was one.
+        title: above the figure.
+    """
+    figure, context = _figure(6.4, 7.2)
+    axes = figure.subplots(3, 1, sharex=True)
+    t = trajectory.t * 1e3
+    axes[0].plot(t, trajectory.y_T * 1e3, color=_BLUE)
+    axes[0].set_ylabel("depth of T, $y_T$ [mm]")
+    axes[0].invert_yaxis()
+    axes[1].plot(t, trajectory.v_Ty, color=_BLUE)
+    axes[1].axhline(0, color=_GREY, linewidth=0.8)
+    axes[1].set_ylabel("velocity of T, $v_{Ty}$ [m/s]")
+    axes[2].plot(t, np.degrees(trajectory.q), color=_BLUE)
+    axes[2].set_ylabel("angle, $q$ [deg]")
+    axes[2].set_xlabel("time since release [ms]")
+    _mark_stop(axes, stop)
+    figure.suptitle(title)
+    _save(figure, context, path)
+
+
+def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
+    """Force, moment and power of the sand, and the link's energy, against time.
+
+    Args: as for `draw_motion`.
+    """
+    figure, context = _figure(6.4, 8.2)
+    axes = figure.subplots(4, 1, sharex=True)
+    t = trajectory.t * 1e3
+    axes[0].plot(t, -trajectory.F_y, color=_BLUE, label="up, $-F_y$")
+    axes[0].plot(t, trajectory.F_x, color=_OCHRE, label="along the surface, $F_x$")
+    axes[0].set_ylabel("force [N]")
+    axes[0].legend()
+    axes[1].plot(t, trajectory.M, color=_BLUE)
+    axes[1].set_ylabel("moment about C [N m]")
+    axes[2].plot(t, trajectory.power, color=_BLUE)
+    axes[2].set_ylabel("power of the sand [W]")
+    axes[3].plot(t, trajectory.energy, color=_BLUE)
+    axes[3].set_ylabel("energy of the link [J]")
+    axes[3].set_xlabel("time since release [ms]")
+    _mark_stop(axes, stop)
+    figure.suptitle(title)
+    _save(figure, context, path)
+
+
+def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
+    if stop is None:
+        return
+    for axis in axes:
+        axis.axvline(stop * 1e3, color=_RED, linewidth=1, linestyle="--")
+    axes[0].annotate(
+        f"T stops at {stop * 1e3:.3f} ms",
+        (stop * 1e3, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+        color=_RED,
+    )
+
+
+def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: str = "") -> None:
+    """Stopping time and depth against speed or angle, as in Figs. 5 and 9, paper's values beside.
+
+    Args:
+        path: of the picture.
+        rows: summaries of drops.
+        over: "speed" or "angle".
+        title: above the figure.
+    """
+    key, label = {
+        "speed": ("speed", "initial velocity of T, $v_{Ty}(0)$ [m/s]"),
+        "angle": ("angle_deg", "initial angle, $q(0)$ [deg]"),
+    }[over]
+    stopped = [row for row in rows if row["stopped"]]
+    x = [row[key] for row in stopped]
+    figure, context = _figure(6.4, 6.0)
+    axes = figure.subplots(2, 1, sharex=True)
+    ours = {"color": _BLUE, "marker": "o", "markersize": 3.5, "label": "mjgranular"}
+    axes[0].plot(x, [row["stopping_time"] * 1e3 for row in stopped], **ours)
+    axes[1].plot(x, [row["depth"] * 1e3 for row in stopped], **ours)
+    cases = [case for case in CASES if stopped and _comparable(case, stopped[0], over)]
+    if cases:
+        printed = {"color": _RED, "marker": "x", "s": 60, "zorder": 3, "label": "paper"}
+        at = [getattr(case, key) for case in cases]
+        axes[0].scatter(at, [case.stopping_time * 1e3 for case in cases], **printed)
+        axes[1].scatter(at, [case.depth * 1e3 for case in cases], **printed)
+    axes[0].set_ylabel("stopping time [ms]")
+    axes[1].set_ylabel("depth of T at the stop [mm]")
+    axes[1].set_xlabel(label)
+    axes[0].legend()
+    figure.suptitle(title)
+    _save(figure, context, path)
+
+
+def _comparable(case: PaperCase, row: dict[str, Any], over: str) -> bool:
+    """Whether a printed value belongs into a sweep: all but what is swept is the paper's."""
+    paper = {
+        "law": "link",
+        "medium": "play_sand",
+        "tangential_speed": 0.0,
+        "angular_velocity": 0.0,
+        "length": 0.2,
+        "diameter": 0.01,
+        "density": 7700.0,
+    }
+    if any(row[key] != value for key, value in paper.items()):
+        return False
+    if over == "speed":
+        return abs(case.angle_deg - row["angle_deg"]) < 1e-9
+    return abs(case.speed - row["speed"]) < 1e-9

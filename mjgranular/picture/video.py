@@ -1,0 +1,237 @@
+"""Films of a run in slow motion, with the sand's force as an arrow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError, RenderError, UnknownNameError
+from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.extras import need
+from mjgranular.models import Link
+
+_ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
+_PURPOSE = "Writing a video"
+
+
+@dataclass(frozen=True)
+class Film:
+    """How a run is filmed.
+
+    Attributes:
+        camera: name of a camera of the model.
+        width: of the picture [pixels]; even.
+        height: of the picture [pixels]; even.
+        fps: frames a second.
+        seconds: how long the film of the impact lasts, from release to the stop [s]; what follows
+            it, if the run goes on, takes as long again.
+        hold: how long the last frame stands [s].
+    """
+
+    camera: str = "side"
+    width: int = 800
+    height: int = 600
+    fps: int = 30
+    seconds: float = 5.0
+    hold: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, limit in (("width", 1920), ("height", 1080)):
+            value = getattr(self, name)
+            if not (16 <= value <= limit and value % 2 == 0):
+                raise InputError(
+                    f"the video's {name} must be an even number of pixels from 16 to {limit}, "
+                    f"not {value}"
+                )
+        if not 1 <= self.fps <= 240:
+            raise InputError(f"a video has 1 to 240 frames a second, not {self.fps}")
+        if not 0.1 <= self.seconds <= 600:
+            raise InputError(f"the film must last 0.1 to 600 seconds, not {self.seconds}")
+        if not 0 <= self.hold <= 60:
+            raise InputError(f"the last frame can stand for 0 to 60 seconds, not {self.hold}")
+
+    def check(self, link: Link) -> None:
+        """Refuses a camera that the model does not have, and a machine without the packages.
+
+        Raises:
+            UnknownNameError: lists the model's cameras.
+            MissingExtraError: gives the install line.
+        """
+        known = [camera.name for camera in link.spec().cameras]
+        if self.camera not in known:
+            raise UnknownNameError("camera", self.camera, known)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    time: float
+    slower: float  # how many times slower than life
+
+
+def _frames(film: Film, end: float, stop: float | None) -> list[_Frame]:
+    """The instants that are shown."""
+    goes_on = stop is not None and end > 1.05 * stop
+    phases = [(0.0, stop), (stop, end)] if stop is not None and goes_on else [(0.0, end)]
+    frames: list[_Frame] = []
+    count = max(2, round(film.seconds * film.fps))
+    for start, finish in phases:
+        slower = film.seconds / (finish - start)
+        times = np.linspace(start, finish, count)
+        frames += [_Frame(float(time), slower) for time in times]
+    return frames + [frames[-1]] * round(film.hold * film.fps)
+
+
+def frames_of_run(
+    film: Film, link: Link, trajectory: Trajectory, *, stop: float | None
+) -> tuple[int, Iterator[np.ndarray]]:
+    """The pictures of a run, one by one.
+
+    Args:
+        film: how it is filmed.
+        link: the link.
+        trajectory: the run.
+        stop: time of the stop since release [s], None if there was none.
+
+    Returns:
+        Their number, and the pictures, shape (height, width, 3), uint8.
+
+    Raises:
+        RenderError: MuJoCo cannot draw on this machine, says what to install.
+        UnknownNameError: no such camera.
+    """
+    film.check(link)
+    frames = _frames(film, float(trajectory.t[-1]), stop)
+    return len(frames), _draw(film, link, trajectory, frames)
+
+
+def _draw(
+    film: Film, link: Link, trajectory: Trajectory, frames: list[_Frame]
+) -> Iterator[np.ndarray]:
+    model = link.model(1e-3)
+    data = mujoco.MjData(model)
+    force = np.hypot(trajectory.F_x, trajectory.F_y)
+    # The greatest force is an arrow of seven tenths of a link's length.
+    scale = 0.7 * link.length / max(float(force.max()), 1e-300)
+    caption = _Captions(film)
+    renderer = _renderer(model, film)
+    try:
+        shown: tuple[_Frame, np.ndarray] | None = None
+        for frame in frames:
+            if shown is None or shown[0] != frame:
+                at = {
+                    name: float(np.interp(frame.time, trajectory.t, getattr(trajectory, name)))
+                    for name in ("x", "z", "q", "x_E", "y_E", "F_x", "F_y", "y_T", "v_Ty")
+                }
+                data.qpos[:] = at["x"], at["z"], at["q"]
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_camlight(model, data)
+                renderer.update_scene(data, camera=film.camera)
+                # Before the link, towards the viewer, lest the link hide it.
+                tail = np.array([at["x_E"], -0.8 * link.diameter, -at["y_E"]])
+                tip = tail + scale * np.array([at["F_x"], 0.0, -at["F_y"]])
+                if at["y_T"] > 0 and np.linalg.norm(tip - tail) > 1e-3 * link.length:
+                    _add_arrow(renderer.scene, tail, tip, link.length * 0.014)
+                shown = frame, caption.write(renderer.render(), frame, at)
+            yield shown[1]
+    finally:
+        renderer.close()
+
+
+def _renderer(model: mujoco.MjModel, film: Film) -> Any:
+    try:
+        return mujoco.Renderer(model, film.height, film.width)
+    except Exception as error:  # every platform's GL fails in a way of its own
+        raise RenderError(
+            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
+            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri) and set "
+            "MUJOCO_GL=egl, or install libosmesa6 and set MUJOCO_GL=osmesa"
+        ) from None
+
+
+def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> None:
+    """Adds an arrow to a scene."""
+    if scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(
+        geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _ARROW
+    )
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width, tail, tip)
+    scene.ngeom += 1
+
+
+class _Captions:
+    """Writes time, depth and slow motion into a corner of each picture."""
+
+    def __init__(self, film: Film) -> None:
+        self._image = need("PIL.Image", extra="video", purpose=_PURPOSE)
+        self._draw = need("PIL.ImageDraw", extra="video", purpose=_PURPOSE)
+        font = need("PIL.ImageFont", extra="video", purpose=_PURPOSE)
+        self._size = max(10, film.height // 30)
+        self._font = font.load_default(size=self._size)
+
+    def write(self, picture: np.ndarray, frame: _Frame, at: dict[str, float]) -> np.ndarray:
+        """A copy of the picture with the caption."""
+        image = self._image.fromarray(picture)
+        pen = self._draw.Draw(image)
+        lines = (
+            f"t = {frame.time * 1e3:.2f} ms",
+            f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
+            f"force = {np.hypot(at['F_x'], at['F_y']):.0f} N",
+            f"{_two_digits(frame.slower)} times slower than life",
+        )
+        pen.multiline_text(
+            (image.width - self._size, self._size),
+            "\n".join(lines),
+            fill=(40, 40, 40),
+            font=self._font,
+            anchor="ra",
+            align="right",
+        )
+        return np.asarray(image)
+
+
+def _two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def write_video(
+    path: Path,
+    film: Film,
+    link: Link,
+    trajectory: Trajectory,
+    *,
+    stop: float | None,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Writes an MP4 (H.264) of a run.
+
+    Args:
+        path: of the file.
+        film: how it is filmed.
+        link: the link.
+        trajectory: the run.
+        stop: time of the stop since release [s], None if there was none.
+        progress: called with the number of frames written, and that of all.
+
+    Raises:
+        MissingExtraError: a package for video is not installed; gives the install line.
+        RenderError: MuJoCo cannot draw on this machine.
+    """
+    mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
+    ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
+    mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
+    count, pictures = frames_of_run(film, link, trajectory, stop=stop)
+    first = next(pictures)  # a machine that cannot draw is found out before a file is begun
+    shape = (film.height, film.width)
+    with mediapy.VideoWriter(path, shape=shape, fps=film.fps, crf=20) as writer:
+        writer.add_image(first)
+        for done, picture in enumerate(pictures, start=2):
+            writer.add_image(picture)
+            if progress is not None:
+                progress(done, count)

@@ -1,0 +1,154 @@
+"""The paper's planar link, written from its equations and solved by SciPy's stiff solver.
+
+Nothing here comes from mjgranular: y points down, x to the side towards which the link leans, q is
+its angle from the vertical. `sign(v)` is replaced by `v / sqrt(v^2 + eps^2)`, so that the solver
+can follow solutions that slide along `v_Ex = 0` or `v_Ey = 0`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import cos, hypot, inf, pi, sin, sqrt
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+
+@dataclass(frozen=True)
+class Drop:
+    """A link whose end T touches the sand, and its constants; the paper's values by default."""
+
+    speed: float = 10.0  # v_Ty(0) [m/s]
+    angle: float = pi / 4  # q(0) [rad]
+    tangential_speed: float = 0.0  # v_Tx(0) [m/s]
+    angular_velocity: float = 0.0  # [rad/s]
+    length: float = 0.2  # L [m]
+    diameter: float = 0.01  # d [m]
+    density: float = 7700.0  # rho_link [kg/m^3]
+    sand_density: float = 2500.0  # rho_g [kg/m^3]
+    eta_d: float = 6.5
+    eta_h: float = 8.0
+    eta_v: float = 22.0
+    exponent: float = 1.1  # lambda
+    gravity: float = 9.81  # [m/s^2]
+
+    @property
+    def mass(self) -> float:
+        return self.density * pi * self.diameter**2 / 4 * self.length
+
+    @property
+    def inertia(self) -> float:
+        return self.mass * self.length**2 / 12
+
+    def start(self) -> np.ndarray:
+        """x_C, y_C, q and their rates, with T at the origin."""
+        half, q, omega = self.length / 2, self.angle, self.angular_velocity
+        return np.array(
+            [
+                -half * sin(q),
+                -half * cos(q),
+                q,
+                self.tangential_speed - half * omega * cos(q),
+                self.speed + half * omega * sin(q),
+                omega,
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class Sand:
+    """The sand's force on the link, in the plane."""
+
+    F_x: float
+    F_y: float
+    moment: float  # about C, in the sense of q
+    depth: float  # of the lower end
+    immersed: float
+    x_E: float
+    y_E: float
+    v_Ex: float
+    v_Ey: float
+
+
+def exact_sign(v: float) -> float:
+    return float((v > 0) - (v < 0))
+
+
+def smooth_sign(v: float, eps: float = 1e-5) -> float:
+    return v / sqrt(v * v + eps * eps)
+
+
+def sand_force(state: np.ndarray, drop: Drop, sign: Callable[[float], float] = exact_sign) -> Sand:
+    """The paper's eqs. (2), (5)-(11)."""
+    x, y, q, vx, vy, omega = (float(value) for value in state)
+    d, rho, g = drop.diameter, drop.sand_density, drop.gravity
+    side = 1.0 if cos(q) >= 0 else -1.0  # +1: the lower end is T
+    s, c = side * sin(q), side * cos(q)
+    depth = y + drop.length / 2 * c
+    if depth <= 0:
+        return Sand(0.0, 0.0, 0.0, depth, 0.0, x + drop.length / 2 * s, depth, 0.0, 0.0)
+    immersed = drop.length if depth >= drop.length * c else depth / c
+    arm = drop.length / 2 - immersed / 2
+    v_Ex, v_Ey = vx + omega * arm * c, vy - omega * arm * s
+    speed = hypot(v_Ex, v_Ey)
+    # |sin(q - q_m)| with q_m = atan2(v_Ex, v_Ey)
+    lean = abs(s * v_Ey - c * v_Ex) / speed if speed > 0 else 0.0
+    A_r = d * immersed * lean
+    drag = drop.eta_d * rho * A_r * speed
+    static_x = drop.eta_h * g * rho * depth**2 * d
+    static_y = drop.eta_v * (depth / d) ** drop.exponent * g * rho * pi * d**2 / 4 * immersed
+    F_x = -drag * v_Ex - sign(v_Ex) * static_x
+    F_y = -drag * v_Ey - sign(v_Ey) * static_y
+    moment = arm * (c * F_x - s * F_y)
+    return Sand(F_x, F_y, moment, depth, immersed, x + arm * s, y + arm * c, v_Ex, v_Ey)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """The state at which v_Ty is first zero; time is infinite if that was not reached."""
+
+    time: float
+    depth: float
+    sliding: float  # part of the time spent on v_Ex = 0 or v_Ey = 0
+
+
+def solve(drop: Drop, *, eps: float = 1e-5, rtol: float = 1e-9, duration: float = 2.0) -> Stop:
+    """Follows the link until v_Ty = 0."""
+    half = drop.length / 2
+
+    def sign(v: float) -> float:
+        return smooth_sign(v, eps)
+
+    def rates(_t: float, state: np.ndarray) -> list[float]:
+        sand = sand_force(state, drop, sign)
+        return [
+            *state[3:],
+            sand.F_x / drop.mass,
+            sand.F_y / drop.mass + drop.gravity,
+            sand.moment / drop.inertia,
+        ]
+
+    def tip_speed(_t: float, state: np.ndarray) -> float:
+        return state[4] - half * state[5] * sin(state[2])
+
+    tip_speed.terminal = True
+    tip_speed.direction = -1.0
+    solution = solve_ivp(
+        rates,
+        (0.0, duration),
+        drop.start(),
+        method="Radau",
+        rtol=rtol,
+        atol=1e-12,
+        events=tip_speed,
+    )
+    assert solution.success, solution.message
+    sands = [sand_force(state, drop, sign) for state in solution.y.T]
+    on_mode = np.array([min(abs(sand.v_Ex), abs(sand.v_Ey)) < 3 * eps for sand in sands])
+    lasting = (on_mode[1:] & on_mode[:-1]) @ np.diff(solution.t)
+    sliding = float(lasting / solution.t[-1])
+    if not solution.t_events[0].size:
+        return Stop(inf, float(solution.y[1].max()), sliding)
+    end = solution.y_events[0][0]
+    return Stop(float(solution.t_events[0][0]), float(end[1] + half * cos(end[2])), sliding)
