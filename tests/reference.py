@@ -41,6 +41,10 @@ class Drop:
     def inertia(self) -> float:
         return self.mass * self.length**2 / 12
 
+    @property
+    def weight(self) -> float:
+        return self.mass * self.gravity
+
     def start(self) -> np.ndarray:
         """x_C, y_C, q and their rates, with T at the origin."""
         half, q, omega = self.length / 2, self.angle, self.angular_velocity
@@ -110,7 +114,8 @@ class Stop:
 
     time: float
     depth: float
-    sliding: float  # part of the time spent on v_Ex = 0 or v_Ey = 0
+    slides_x: float  # part of the time spent on v_Ex = 0
+    slides_y: float  # part of the time spent on v_Ey = 0
 
 
 def solve(drop: Drop, *, eps: float = 1e-5, rtol: float = 1e-9, duration: float = 2.0) -> Stop:
@@ -120,35 +125,40 @@ def solve(drop: Drop, *, eps: float = 1e-5, rtol: float = 1e-9, duration: float 
     def sign(v: float) -> float:
         return smooth_sign(v, eps)
 
-    def rates(_t: float, state: np.ndarray) -> list[float]:
-        sand = sand_force(state, drop, sign)
+    # Nothing depends on x: without it the solver's Jacobian has no empty column.
+    def rates(_t: float, moving: np.ndarray) -> list[float]:
+        sand = sand_force(np.array([0.0, *moving]), drop, sign)
         return [
-            *state[3:],
+            moving[3],
+            moving[4],
             sand.F_x / drop.mass,
-            sand.F_y / drop.mass + drop.gravity,
+            (sand.F_y + drop.weight) / drop.mass,
             sand.moment / drop.inertia,
         ]
 
-    def tip_speed(_t: float, state: np.ndarray) -> float:
-        return state[4] - half * state[5] * sin(state[2])
+    def tip_speed(_t: float, moving: np.ndarray) -> float:
+        _y, q, _vx, vy, omega = moving
+        return vy - half * omega * sin(q)
 
     tip_speed.terminal = True
     tip_speed.direction = -1.0
     solution = solve_ivp(
         rates,
         (0.0, duration),
-        drop.start(),
+        drop.start()[1:],
         method="Radau",
         rtol=rtol,
         atol=1e-12,
         events=tip_speed,
     )
     assert solution.success, solution.message
-    sands = [sand_force(state, drop, sign) for state in solution.y.T]
-    on_mode = np.array([min(abs(sand.v_Ex), abs(sand.v_Ey)) < 3 * eps for sand in sands])
-    lasting = (on_mode[1:] & on_mode[:-1]) @ np.diff(solution.t)
-    sliding = float(lasting / solution.t[-1])
+    sands = [sand_force(np.array([0.0, *moving]), drop) for moving in solution.y.T]
+    velocities = np.array([(sand.v_Ex, sand.v_Ey) for sand in sands])
+    on_mode = np.abs(velocities) < 3 * eps
+    lasting = np.diff(solution.t) @ (on_mode[1:] & on_mode[:-1])
+    slides_x, slides_y = (lasting / solution.t[-1]).tolist()
     if not solution.t_events[0].size:
-        return Stop(inf, float(solution.y[1].max()), sliding)
+        return Stop(inf, float(max(sand.depth for sand in sands)), slides_x, slides_y)
     end = solution.y_events[0][0]
-    return Stop(float(solution.t_events[0][0]), float(end[1] + half * cos(end[2])), sliding)
+    depth = float(end[0] + half * cos(end[1]))
+    return Stop(float(solution.t_events[0][0]), depth, slides_x, slides_y)

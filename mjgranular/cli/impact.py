@@ -75,7 +75,7 @@ class ImpactCommand(LinkOptions):
                     camera=self.camera,
                 )
         if not self.json:
-            out.print(f"written to {self.out}", highlight=False)
+            out.print(f"written to {self.out}", highlight=False, markup=False)
         for problem in problems:
             show_error(f"{problem} (the numbers are in {self.out})")
         return 2 if problems else 0
@@ -90,7 +90,7 @@ class ImpactCommand(LinkOptions):
         else:
             out.print(impact_table(result))
             for line in remarks(result):
-                err.print(line, highlight=False)
+                err.print(line, highlight=False, markup=False)
 
 
 def impact_table(result: ImpactResult) -> Table:

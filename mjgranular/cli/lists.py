@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 from rich.table import Table
+from rich.text import Text
 
 from mjgranular.cli.console import out, print_json
 from mjgranular.law import laws
@@ -31,7 +32,7 @@ class MediaCommand:
         else:
             table = Table(title="Media", title_justify="left")
             for heading in ("name", "what it is", "bulk density [kg/m^3]", "has constants for"):
-                table.add_column(heading)
+                table.add_column(Text(heading))
             for medium in media.values():
                 density = f"{medium.density.value:g}"
                 table.add_row(medium.name, medium.title, density, ", ".join(medium.constants))

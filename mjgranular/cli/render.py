@@ -60,5 +60,5 @@ class RenderCommand:
             problems = film_impact(folder, target.name, impact.link, trajectory, summary, **film)
         if problems:
             raise problems[0]
-        out.print(f"written to {target}", highlight=False)
+        out.print(f"written to {target}", highlight=False, markup=False)
         return 0

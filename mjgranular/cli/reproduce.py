@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 from rich.table import Table
+from rich.text import Text
 
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
 from mjgranular.cli.impact import release_to_stop, title
@@ -61,7 +62,7 @@ class ReproduceCommand:
                 show_error(f"{error} (the numbers are in {self.out})")
                 return 2
         if not self.json:
-            out.print(f"written to {self.out}", highlight=False)
+            out.print(f"written to {self.out}", highlight=False, markup=False)
         return 0
 
     def _reproduce(self, base: Impact) -> list[tuple[PaperCase, ImpactResult]]:
@@ -109,26 +110,26 @@ class ReproduceCommand:
         headings = (
             "speed\n[m/s]",
             "angle\n[deg]",
-            "stopping time\n[s]",
-            "paper\n[s]",
-            "difference\n[s]",
-            "depth\n[m]",
-            "paper\n[m]",
-            "difference\n[m]",
+            "stopping\ntime [ms]",
+            "paper\n[ms]",
+            "diff.\n[us]",
+            "depth\n[mm]",
+            "paper\n[mm]",
+            "diff.\n[um]",
         )
         for heading in headings:
-            table.add_column(heading, justify="right")
+            table.add_column(Text(heading), justify="right", no_wrap=True)
         for row in rows:
             time, depth = row["stopping_time"], row["depth"]
             late = None if time is None else time - row["paper_stopping_time"]
             table.add_row(
                 f"{row['speed']:g}",
                 f"{row['angle_deg']:g}",
-                "not stopped" if time is None else f"{time:.6f}",
-                f"{row['paper_stopping_time']:.6f}",
-                "" if late is None else f"{late:+.1e}",
-                f"{depth:.6f}",
-                f"{row['paper_depth']:.6f}",
-                f"{depth - row['paper_depth']:+.1e}",
+                "not stopped" if time is None else f"{time * 1e3:.3f}",
+                f"{row['paper_stopping_time'] * 1e3:.3f}",
+                "" if late is None else f"{late * 1e6:+.1f}",
+                f"{depth * 1e3:.3f}",
+                f"{row['paper_depth'] * 1e3:.3f}",
+                f"{(depth - row['paper_depth']) * 1e6:+.1f}",
             )
         out.print(table)

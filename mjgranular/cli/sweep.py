@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 from rich.table import Table
+from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
 from mjgranular.cli.options import LinkOptions
@@ -64,7 +65,7 @@ class SweepCommand(LinkOptions):
             if result.rows:
                 self._write(folder, result)
                 if not self.json:
-                    out.print(f"written to {self.out}", highlight=False)
+                    out.print(f"written to {self.out}", highlight=False, markup=False)
             return self._status(result, kept=self.out if result.rows else None)
 
     def _sweep(self) -> Sweep:
@@ -98,7 +99,7 @@ class SweepCommand(LinkOptions):
         ]
         table = Table(title=f"Drops over the {self.over}", title_justify="left")
         for heading in (name, "stopping time [ms]", "depth of T [mm]"):
-            table.add_column(heading, justify="right")
+            table.add_column(Text(heading), justify="right")
         for row in result.rows:
             time = row["stopping_time"]
             table.add_row(
@@ -122,7 +123,7 @@ class SweepCommand(LinkOptions):
                 _FIGURE, lambda path: draw_sweep(path, result.rows, over=self.over, title=title)
             )
         except MissingExtraError as error:
-            err.print(f"no figure: {error}", highlight=False)
+            err.print(f"no figure: {error}", highlight=False, markup=False)
 
     def _status(self, result: SweepResult, *, kept: Path | None) -> int:
         for value, reason in result.failures:

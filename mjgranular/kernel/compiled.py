@@ -61,7 +61,7 @@ class _PackageCache(FunctionCache):
             source_stamp=_PACKAGE_STAMP,
         )
 
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[object, ...]:
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
         return sig, codegen.magic_tuple(), self._made_of
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -93,7 +93,7 @@ def compiled(function: Callable[..., Any]) -> Any:
         numba's dispatcher, called like `function`.
     """
     # IEEE arithmetic (no fastmath): both doors and all platforms are to give the same numbers.
-    dispatcher = numba.njit(error_model="numpy")(function)
+    dispatcher: Any = numba.njit(error_model="numpy")(function)
     with suppress(RuntimeError):  # numba: "no locator available", there is no folder to write to
         dispatcher._cache = _PackageCache(function)
     return dispatcher

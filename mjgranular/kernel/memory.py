@@ -12,7 +12,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import carray, from_dtype, types
+from numba import (
+    carray,  # pyright: ignore[reportPrivateImportUsage]
+    from_dtype,
+    types,
+)
 from numba.extending import intrinsic
 
 from mjgranular.kernel.compiled import compiled
@@ -71,12 +75,13 @@ def records(dtype: np.dtype) -> Any:
     """Makes a kernel `read(address, size)` that gives the array of such records at an address."""
     record = from_dtype(dtype)
 
-    @intrinsic
-    def pointer(typingctx: Any, address: Any) -> Any:
+    def cast(typingctx: Any, address: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
 
         return types.CPointer(record)(types.int64), codegen
+
+    pointer: Any = intrinsic(cast)
 
     @compiled
     def read(address, size):

@@ -26,7 +26,7 @@ def main() -> None:
     low = position.astype(int).clip(0, len(COLOURS) - 2)
     part = (position - low)[..., None]
     picture = (1 - part) * COLOURS[low] + part * COLOURS[low + 1]
-    image = Image.fromarray(picture.round().astype(np.uint8)).quantize(16, dither=0)
+    image = Image.fromarray(picture.round().astype(np.uint8)).quantize(16, dither=Image.Dither.NONE)
     image.convert("RGB").save(Path(__file__).with_name("sand.png"), optimize=True)
 
 

@@ -1,0 +1,53 @@
+"""What the tests share."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import hypothesis
+import mujoco
+import pytest
+
+from mjgranular.models import Link
+
+FOLDER = Path(__file__).resolve().parent
+
+# The same examples on every machine, and no limit to their time: a first call compiles.
+hypothesis.settings.register_profile("mjgranular", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("mjgranular")
+
+
+@pytest.fixture(scope="session")
+def reference() -> ModuleType:
+    """The paper's link, independent of mjgranular: `reference.py`."""
+    # `tests` is not on sys.path (import mode importlib), so the file is loaded by its place.
+    spec = importlib.util.spec_from_file_location("reference", FOLDER / "reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look themselves up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def paper() -> dict[str, Any]:
+    """Published numbers: `data/paper.json`."""
+    return json.loads((FOLDER / "data" / "paper.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def link_model() -> mujoco.MjModel:
+    """The paper's link at a time step of 1e-5 s."""
+    return Link().model(1e-5)
+
+
+@pytest.fixture
+def chain_model() -> mujoco.MjModel:
+    """A floating chain of rods: `data/chain.xml`."""
+    return mujoco.MjModel.from_xml_path(str(FOLDER / "data" / "chain.xml"))
