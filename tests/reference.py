@@ -8,7 +8,7 @@ can follow solutions that slide along `v_Ex = 0` or `v_Ey = 0`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, hypot, inf, pi, sin, sqrt
 
 import numpy as np
@@ -108,6 +108,36 @@ def sand_force(state: np.ndarray, drop: Drop, sign: Callable[[float], float] = e
     return Sand(F_x, F_y, moment, depth, immersed, x + arm * s, y + arm * c, v_Ex, v_Ey)
 
 
+def distributed_force(
+    state: np.ndarray, drop: Drop, sign: Callable[[float], float] = exact_sign
+) -> Sand:
+    """The law spread along the axis, by Gauss quadrature over the immersed part."""
+    _x, y, q, vx, vy, omega = (float(value) for value in state)
+    lumped = sand_force(state, drop, sign)
+    if lumped.depth <= 0:
+        return lumped
+    d, rho, g = drop.diameter, drop.sand_density, drop.gravity
+    side = 1.0 if cos(q) >= 0 else -1.0
+    s, c = side * sin(q), side * cos(q)
+    F_x = F_y = moment = 0.0
+    for node, weight in zip(*_GAUSS, strict=True):
+        arm = drop.length / 2 - lumped.immersed * (1 - node) / 2
+        ds = lumped.immersed / 2 * weight
+        depth = y + arm * c
+        v_x, v_y = vx + omega * arm * c, vy - omega * arm * s
+        drag = drop.eta_d * rho * d * abs(s * v_y - c * v_x)
+        static_x = 2 * drop.eta_h * g * rho * depth * d * c
+        slope = (1 + drop.exponent) * drop.eta_v * (depth / d) ** drop.exponent
+        f_x = (-drag * v_x - sign(v_x) * static_x) * ds
+        f_y = (-drag * v_y - sign(v_y) * slope * g * rho * pi * d**2 / 4) * ds
+        F_x, F_y = F_x + f_x, F_y + f_y
+        moment += arm * (c * f_x - s * f_y)
+    return replace(lumped, F_x=F_x, F_y=F_y, moment=moment)
+
+
+_GAUSS = [values.tolist() for values in np.polynomial.legendre.leggauss(16)]
+
+
 @dataclass(frozen=True)
 class Stop:
     """The state at which v_Ty is first zero; time is infinite if that was not reached."""
@@ -118,7 +148,14 @@ class Stop:
     slides_y: float  # part of the time spent on v_Ey = 0
 
 
-def solve(drop: Drop, *, eps: float = 1e-5, rtol: float = 1e-9, duration: float = 2.0) -> Stop:
+def solve(
+    drop: Drop,
+    *,
+    force: Callable[..., Sand] = sand_force,
+    eps: float = 1e-5,
+    rtol: float = 1e-9,
+    duration: float = 2.0,
+) -> Stop:
     """Follows the link until v_Ty = 0."""
     half = drop.length / 2
 
@@ -127,7 +164,7 @@ def solve(drop: Drop, *, eps: float = 1e-5, rtol: float = 1e-9, duration: float 
 
     # Nothing depends on x: without it the solver's Jacobian has no empty column.
     def rates(_t: float, moving: np.ndarray) -> list[float]:
-        sand = sand_force(np.array([0.0, *moving]), drop, sign)
+        sand = force(np.array([0.0, *moving]), drop, sign)
         return [
             moving[3],
             moving[4],

@@ -1,10 +1,10 @@
 """Experiments: one drop, many drops, the paper's table; each ends as plain data."""
 
+from mjgranular.experiment.drop import run_impact as run_impact
 from mjgranular.experiment.impact import Impact as Impact
 from mjgranular.experiment.impact import ImpactResult as ImpactResult
 from mjgranular.experiment.impact import Rest as Rest
 from mjgranular.experiment.impact import Stop as Stop
-from mjgranular.experiment.impact import run_impact as run_impact
 from mjgranular.experiment.paper import CASES as CASES
 from mjgranular.experiment.paper import PaperCase as PaperCase
 from mjgranular.experiment.paper import reproduce as reproduce

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mjgranular.experiment.impact import Impact, ImpactResult, run_impact
+from mjgranular.experiment.drop import run_impact
+from mjgranular.experiment.impact import Impact, ImpactResult
 
 
 @dataclass(frozen=True)

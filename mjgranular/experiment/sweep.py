@@ -15,7 +15,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mjgranular.errors import GranularError, GranularWarning, InputError
-from mjgranular.experiment.impact import Impact, run_impact
+from mjgranular.experiment.drop import run_impact
+from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.trajectory import degrees
 
 Over = Literal["speed", "angle"]

@@ -148,8 +148,9 @@ def _renderer(model: mujoco.MjModel, film: Film) -> Any:
     except Exception as error:  # every platform's GL fails in a way of its own
         raise RenderError(
             f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
-            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri) and set "
-            "MUJOCO_GL=egl, or install libosmesa6 and set MUJOCO_GL=osmesa"
+            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri) and import "
+            "mjgranular before mujoco, or set MUJOCO_GL=egl yourself; MUJOCO_GL=osmesa with "
+            "libosmesa6 works too"
         ) from None
 
 

@@ -1,0 +1,102 @@
+"""The stopping state converges to that of the stiff solution, and with which order.
+
+Here T stops where its depth is greatest, found from positions alone: in MuJoCo's Euler integrator
+velocities lie half a step before positions.
+"""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import DistributedLinkLaw, Explicit, Sand
+from mjgranular.experiment import Impact, run_impact
+from mjgranular.models import Link
+
+STEPS = [1e-4, 5e-5, 2.5e-5, 1.25e-5, 6.25e-6]
+CASES = [(10, 45), (5, 45), (1, 45), (2, 60), (2, 45), (2, 30)]
+
+
+def stop(timestep, speed, angle_deg, *, integrator="EULER", **sand):
+    """Time and depth at which T is deepest, by a parabola through three positions."""
+    link, q = Link(), math.radians(angle_deg)
+    model = link.model(timestep)
+    model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
+    sand, data = Sand(model, **sand), mujoco.MjData(model)
+    data.qpos[:] = link.touching(q)
+    data.qvel[:] = link.moving(q, speed, 0.0, 0.0)
+    depths = [0.0]
+    while len(depths) < 3 or depths[-1] > depths[-2]:
+        sand.step(data)
+        depths.append(link.tip(data.qpos, data.qvel)[1])
+    before, top, after = depths[-3:]
+    part = (before - after) / (2 * (before - 2 * top + after))
+    time = (len(depths) - 2 + part) * timestep
+    return time, top - (before - after) * part / 4
+
+
+def orders(errors):
+    return np.log2(errors[:-1] / errors[1:])
+
+
+def errors(solved, **options):
+    """Deviations in time and depth for each of `STEPS`, shape (5, 2)."""
+    found = np.array([stop(timestep, **options) for timestep in STEPS])
+    return np.abs(found - [solved.time, solved.depth])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("speed", "angle"), CASES)
+def test_second_order_with_velocities_led(reference, speed, angle):
+    solved = reference.solve(reference.Drop(speed=speed, angle=math.radians(angle)))
+    deviation = errors(solved, speed=speed, angle_deg=angle)
+    assert (np.diff(deviation, axis=0) < 0).all()
+    print("led", speed, angle, deviation.tolist(), orders(deviation).tolist())
+    assert (orders(deviation) > 1.5).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("speed", "angle"), CASES)
+def test_first_order_without(reference, speed, angle):
+    solved = reference.solve(reference.Drop(speed=speed, angle=math.radians(angle)))
+    deviation = errors(solved, speed=speed, angle_deg=angle, scheme=Explicit(half_step=False))
+    assert (np.diff(deviation, axis=0) < 0).all()
+    print("notled", speed, angle, deviation.tolist(), orders(deviation).tolist())
+    assert orders(deviation) == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.parametrize(("speed", "angle"), CASES)
+def test_result_of_a_drop_converges(reference, speed, angle):
+    solved = reference.solve(reference.Drop(speed=speed, angle=math.radians(angle)))
+    found = []
+    for timestep in STEPS:
+        stop = run_impact(Impact(speed=speed, angle=math.radians(angle), timestep=timestep)).stop
+        found.append((stop.time, stop.depth))
+    deviation = np.abs(np.array(found) - [solved.time, solved.depth])
+    assert (np.diff(deviation, axis=0) < 0).all()
+    print("impact", speed, angle, deviation.tolist(), orders(deviation).tolist())
+    time, depth = orders(deviation).T
+    assert (time > 0.9).all()
+    assert (depth > 1.5).all()
+
+
+@pytest.mark.parametrize("integrator", ["IMPLICIT", "IMPLICITFAST"])
+def test_other_integrators_are_the_same(integrator):
+    # The link's joints are undamped: there is nothing to treat implicitly.
+    assert stop(5e-5, 5, 45, integrator=integrator) == stop(5e-5, 5, 45)
+
+
+@pytest.mark.slow
+def test_distributed_law_converges_with_its_pieces(reference):
+    drop = reference.Drop(speed=1.0)
+    solved = reference.solve(drop, force=reference.distributed_force, rtol=1e-7)
+    play_sand = (drop.eta_d, drop.eta_h, drop.eta_v, drop.exponent)
+    found = [
+        stop(1e-5, 1, 45, law=DistributedLinkLaw(*play_sand, pieces=pieces))
+        for pieces in (10, 20, 40, 80, 160)
+    ]
+    deviation = np.abs(np.array(found) / [solved.time, solved.depth] - 1)
+    print("dist", deviation.tolist())
+    assert (np.diff(deviation, axis=0) < 0).all()
+    assert deviation[1] < 3e-3

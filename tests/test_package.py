@@ -1,0 +1,138 @@
+"""The package as a user gets it: built, installed in a fresh environment, run."""
+
+import json
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = (
+    "mjgranular/py.typed",
+    "mjgranular/models/link.xml",
+    "mjgranular/models/assets/sand.png",
+    "mjgranular/envs/__init__.py",
+    "mjgranular/cli/main.py",
+    "mjgranular/kernel/memory.py",
+)
+
+
+def python(code: str) -> str:
+    """What a fresh interpreter prints."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dist")
+    # The sdist from the checkout, the wheel from the sdist.
+    command = [sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder
+
+
+@pytest.mark.slow
+def test_sdist_and_wheel_are_complete(built):
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    for file in FILES:
+        assert file in names
+    tops = {
+        name.partition("/")[0] for name in names if not name.split("/")[0].endswith(".dist-info")
+    }
+    assert tops == {"mjgranular"}  # no top-level `envs` or `models`
+    (sdist,) = built.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        inside = {name.partition("/")[2] for name in archive.getnames()}
+    assert {"LICENSE", "README.md", "CHANGELOG.md", "models/link.xml"} <= inside
+    modules = {
+        str(path.relative_to(ROOT / "mjgranular")) for path in (ROOT / "mjgranular").rglob("*.py")
+    }
+    assert {f"mjgranular/{module}" for module in modules} <= names
+
+
+@pytest.mark.slow
+def test_the_wheel_works_in_a_fresh_environment(built, tmp_path):
+    (wheel,) = built.glob("*.whl")
+    home = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
+    scripts = home / ("Scripts" if sys.platform == "win32" else "bin")
+    subprocess.run([scripts / "python", "-m", "pip", "install", "-q", wheel], check=True)
+    done = subprocess.run(
+        [scripts / "mjgranular", "impact", "--json"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+    )
+    assert json.loads(done.stdout)["stopped"] is True
+    # Without extras: the numbers are written, and the install line for the figures is named.
+    done = subprocess.run(
+        [scripts / "mjgranular", "impact", "--out", "run"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 2
+    assert "pip install 'mjgranular[figures]'" in done.stderr
+    assert (tmp_path / "run" / "summary.json").exists()
+
+
+def test_import_is_light():
+    loaded = python("import mjgranular, sys; print(*sys.modules)").split()
+    for package in ("gymnasium", "torch", "matplotlib", "mediapy", "scipy", "tyro", "rich"):
+        assert package not in loaded
+
+
+def test_public_names_exist_and_are_documented():
+    import mjgranular
+
+    public = [name for name in vars(mjgranular) if not name.startswith("_")]
+    for name in ("Sand", "Medium", "LinkLaw", "Plane", "Explicit", "InputError"):
+        assert name in public
+        assert getattr(mjgranular, name).__doc__
+
+
+def test_the_renderer_is_chosen_only_where_nobody_has():
+    code = "import os; {before}; import mjgranular; print(os.environ.get('MUJOCO_GL'))"
+    assert python(code.format(before="os.environ['MUJOCO_GL'] = 'osmesa'")).strip() == "osmesa"
+    shown = python(
+        code.format(before="os.environ.pop('MUJOCO_GL', 0); os.environ['DISPLAY'] = ':0'")
+    )
+    assert shown.strip() == "None"
+
+
+def test_a_cache_that_cannot_be_written_costs_a_compilation_only(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    code = (
+        "import os; os.environ['NUMBA_CACHE_DIR'] = {folder!r}\n"
+        "import mujoco, mjgranular; from mjgranular.models import Link\n"
+        "m = Link().model(1e-5); d = mujoco.MjData(m); mjgranular.Sand(m).step(d); print(d.time)"
+    )
+    assert python(code.format(folder=str(blocked / "cache"))).strip() == "1e-05"
+
+
+def test_kernels_come_from_the_cache_in_a_second_process(tmp_path):
+    code = (
+        f"import os; os.environ['NUMBA_CACHE_DIR'] = {str(tmp_path)!r}\n"
+        "import logging, sys; logging.basicConfig(stream=sys.stdout, format='%(message)s')\n"
+        "logging.getLogger('mjgranular').setLevel('INFO')\n"
+        "import mujoco, mjgranular; from mjgranular.models import Link\n"
+        "m = Link().model(1e-5)\n"
+        "for law in ('link', 'link_distributed'):\n"
+        "    d = mujoco.MjData(m); d.qpos[1] = -0.2; d.qvel[1] = -1\n"
+        "    mjgranular.Sand(m, law=law).step(d); print(d.qvel)"
+    )
+    first, second = python(code).splitlines(), python(code).splitlines()
+    assert any("compiling" in line for line in first)
+    assert not any("compiling" in line for line in second)
+    assert [line for line in first if "compiling" not in line] == second
+    assert second[0] != second[1]  # the two laws do not share machine code

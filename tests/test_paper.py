@@ -1,0 +1,54 @@
+"""The paper's six drops, run through MuJoCo, against the numbers it prints."""
+
+import pytest
+
+from mjgranular.experiment import CASES, Impact, reproduce
+
+
+def test_cases_are_the_papers(paper):
+    assert [(c.speed, c.angle_deg, c.stopping_time, c.depth, c.figure) for c in CASES] == [
+        (c["speed"], c["angle"], c["time"], c["depth"], c["figure"]) for c in paper["cases"]
+    ]
+
+
+def test_constants_are_the_papers(paper):
+    constants, impact = paper["constants"], Impact()
+    model = impact.link.model(1e-5)
+    sand = impact.sand(model)
+    assert impact.length == constants["length"]
+    assert impact.diameter == constants["diameter"]
+    assert impact.density == constants["link_density"]
+    assert sand.medium.density.value == constants["sand_density"]
+    assert sand.law.eta_d == constants["eta_d"]
+    assert sand.law.eta_h == constants["eta_h"]
+    assert sand.law.eta_v == constants["eta_v"]
+    assert sand.law.exponent == constants["lambda"]
+    assert model.opt.gravity.tolist() == [0, 0, -constants["gravity"]]
+
+
+def test_link_is_the_papers_slender_rod(paper, reference):
+    model, drop = Impact().link.model(1e-5), reference.Drop()
+    body = model.body("link")
+    assert body.mass[0] == pytest.approx(drop.mass, rel=1e-12)
+    assert body.inertia[:2] == pytest.approx([drop.inertia] * 2, rel=1e-12)
+    (rod,) = Impact().sand(model).elements
+    assert 2 * rod["half_length"] == pytest.approx(paper["constants"]["length"], rel=1e-12)
+    assert rod["diameter"] == pytest.approx(paper["constants"]["diameter"], rel=1e-12)
+
+
+def test_six_cases_at_a_microsecond(paper):
+    printed, solved = paper["tolerance"]["printed"], paper["tolerance"]["solved"]
+    for (_, result), case in zip(reproduce(Impact(timestep=1e-6)), paper["cases"], strict=True):
+        assert result.stop.time == pytest.approx(case["time"], abs=printed["time"])
+        assert result.stop.depth == pytest.approx(case["depth"], abs=printed["depth"])
+        assert result.stop.time == pytest.approx(case["solved_time"], abs=2 * solved["time"])
+        assert result.stop.depth == pytest.approx(case["solved_depth"], abs=solved["depth"])
+
+
+@pytest.mark.parametrize("timestep", [1e-4, 1e-5])
+def test_six_cases_within_a_hundredth(paper, timestep):
+    bar = paper["tolerance"]["coarse"]["relative"]
+    for (_, result), case in zip(reproduce(Impact(timestep=timestep)), paper["cases"], strict=True):
+        assert result.stop.time == pytest.approx(case["time"], rel=bar)
+        assert result.stop.depth == pytest.approx(case["depth"], rel=bar)
+

@@ -1,0 +1,38 @@
+"""Figs 5 and 9 of the paper: how stopping time and depth go with speed and with angle."""
+
+import math
+
+import numpy as np
+
+from mjgranular.experiment import Impact, Sweep, run_sweep
+
+POINTS = 21
+
+
+def sweep(over, first, last, **impact):
+    impact = Impact(timestep=2e-5, **impact)
+    result = run_sweep(Sweep(over, first, last, POINTS, impact), workers=1)
+    assert not result.failures
+    assert [row["stopped"] for row in result.rows] == [True] * POINTS
+    return (np.array([row[name] for row in result.rows]) for name in ("stopping_time", "depth"))
+
+
+def test_faster_stops_sooner_and_deeper():
+    for angle in (30, 45, 60):
+        time, depth = sweep("speed", 1.0, 10.0, angle=math.radians(angle))
+        assert (np.diff(time) < 0).all()
+        assert (np.diff(depth) > 0).all()
+
+
+def test_flatter_stops_sooner_and_shallower():
+    for speed in (1.0, 2.0, 5.0):
+        time, depth = sweep("angle", math.radians(30), math.radians(60), speed=speed)
+        assert (np.diff(time) < 0).all()
+        assert (np.diff(depth) < 0).all()
+
+
+def test_faster_sinks_less_than_in_proportion():
+    # Fig. 5: ten times the speed, not twice the depth.
+    _, depth = sweep("speed", 1.0, 10.0)
+    assert (np.diff(depth, 2) < 0).all()
+    assert depth[-1] < 2 * depth[0]
