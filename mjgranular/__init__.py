@@ -21,9 +21,12 @@ from mjgranular.errors import OutputError as OutputError
 from mjgranular.errors import RenderError as RenderError
 from mjgranular.errors import UnknownNameError as UnknownNameError
 from mjgranular.errors import UnstableError as UnstableError
+from mjgranular.law import DepthVelocityLaw as DepthVelocityLaw
 from mjgranular.law import DistributedLinkLaw as DistributedLinkLaw
 from mjgranular.law import Law as Law
 from mjgranular.law import LinkLaw as LinkLaw
+from mjgranular.law import Rft2dLaw as Rft2dLaw
+from mjgranular.law import Rft3dLaw as Rft3dLaw
 from mjgranular.law import laws as laws
 from mjgranular.law import register_law as register_law
 from mjgranular.medium import Medium as Medium
@@ -37,5 +40,7 @@ from mjgranular.sand import Sand as Sand
 from mjgranular.scheme import Explicit as Explicit
 from mjgranular.scheme import Scheme as Scheme
 from mjgranular.scheme import schemes as schemes
+from mjgranular.surface import Bed as Bed
+from mjgranular.surface import HeightField as HeightField
 from mjgranular.surface import Plane as Plane
 from mjgranular.surface import Surface as Surface

@@ -51,4 +51,3 @@ def test_six_cases_within_a_hundredth(paper, timestep):
     for (_, result), case in zip(reproduce(Impact(timestep=timestep)), paper["cases"], strict=True):
         assert result.stop.time == pytest.approx(case["time"], rel=bar)
         assert result.stop.depth == pytest.approx(case["depth"], rel=bar)
-

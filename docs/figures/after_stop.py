@@ -35,8 +35,8 @@ def main() -> None:
     axes[1].set(ylabel="angular velocity $\\dot q$ [rad/s]")
     for axis in axes:
         axis.set_xlabel("time since touch-down $t$ [ms]")
-    axes[0].legend(loc="upper left")
-    axes[0].text(10, 20, "$T$ stops", color=GREY, fontsize=9)
+    axes[1].legend(loc="upper right")
+    axes[0].text(10, 690, "$T$ stops", color=GREY, fontsize=9, va="center")
     save(figure, "after_stop")
 
 

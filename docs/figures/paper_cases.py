@@ -35,7 +35,7 @@ def main() -> None:
             axis.plot(1e3 * case.stopping_time, 1e3 * case.depth, "x", color="black", ms=7, mew=1.5)
         axis.plot([], [], "kx", ms=7, mew=1.5, label="stop, as printed")
         axis.set(title=title, xlabel="time since touch-down $t$ [ms]")
-        axis.legend(loc="lower right", fontsize=9)
+        axis.legend(loc="upper right", fontsize=9)
     axes[0].set(ylabel="depth of the end $T$, $y_T$ [mm]", ylim=(40, 0))
     save(figure, "paper_cases")
 

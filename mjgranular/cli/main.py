@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from mjgranular.errors import GranularError, GranularWarning
 
 # What a shell expects of a program that was interrupted: 128 + SIGINT.
 INTERRUPTED = 130
+PIPE_CLOSED = 141  # the same of a reader that went away: 128 + SIGPIPE
 
 Command = (
     Annotated[ImpactCommand, tyro.conf.subcommand("impact")]
@@ -39,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         Exit status: 0 done; 2 for a mistake in what was asked for, told in one sentence; 130 when
-        interrupted.
+        interrupted, 141 when nobody reads the output any more.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given in (["--version"], ["-V"]):
@@ -65,3 +67,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         show_error("interrupted")
         return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone: `mjgranular ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED

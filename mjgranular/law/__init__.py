@@ -1,8 +1,12 @@
 """How sand resists: force laws, each with its parameters, its kernel and its citation."""
 
+from mjgranular.law.depth_velocity import DepthVelocityLaw as DepthVelocityLaw
 from mjgranular.law.law import Law as Law
 from mjgranular.law.law import get_law as get_law
 from mjgranular.law.law import laws as laws
+from mjgranular.law.law import make_scene as make_scene
 from mjgranular.law.law import register_law as register_law
 from mjgranular.law.link import DistributedLinkLaw as DistributedLinkLaw
 from mjgranular.law.link import LinkLaw as LinkLaw
+from mjgranular.law.rft2d import Rft2dLaw as Rft2dLaw
+from mjgranular.law.rft3d import Rft3dLaw as Rft3dLaw

@@ -43,21 +43,37 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def elements(self, model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
-        """The elements that the law acts on, a structured array with a field `body` and `slot`."""
+    def elements(
+        self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
+    ) -> np.ndarray:
+        """The elements that the law acts on.
+
+        Args:
+            model: the model.
+            geoms: ids of the geoms that meet the sand.
+            resolution: how finely they are cut, in the law's own measure; None for its default.
+
+        Returns:
+            A structured array, body by body, with fields `geom`, `body`, `slot` (the row of the
+            body among those in the sand) and `width` (for Froude numbers [m]).
+
+        Raises:
+            InputError: geoms that the law has no elements for.
+        """
 
     @abstractmethod
-    def scene(self, medium: Medium, surface: Surface) -> np.ndarray:
-        """Parameters of law, medium and surface as the kernel reads them, shape (1,)."""
+    def parameters(self, medium: Medium) -> np.ndarray:
+        """Parameters of law and medium as the kernel reads them: structured, shape (1,)."""
 
     @abstractmethod
-    def kernel(self, surface: Surface) -> Any:
+    def kernel(self, surface: Surface, scene: np.dtype) -> Any:
         """The compiled law under that kind of surface; fills the wrench of every body.
 
+        `scene` is a record of two: `law`, made by `parameters`, and `surface`.
+
         Called as `kernel(table, lead)`, with the simulation's table (`kernel.memory`) and the time
-        by which velocities are extrapolated [s]. It reads the elements and the scene made by the
-        methods above, and writes the `wrench` of every body and every element's contact
-        (`kernel.records`).
+        by which velocities are extrapolated [s]. It reads the elements and the scene, and writes
+        the `wrench` of every body and every element's contact (`kernel.records`).
         """
 
 
@@ -72,6 +88,14 @@ def register_law(law: LawClass) -> LawClass:
     """
     laws.add(law.name, law)
     return law
+
+
+def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel) -> np.ndarray:
+    """What a kernel reads of law, medium and surface: fields `law` and `surface`, shape (1,)."""
+    parameters, place = law.parameters(medium), surface.record(model)
+    scene = np.zeros(1, np.dtype([("law", parameters.dtype), ("surface", place.dtype)]))
+    scene["law"], scene["surface"] = parameters, place
+    return scene
 
 
 def get_law(law: str | Law | None, medium: Medium) -> Law:

@@ -39,10 +39,6 @@ _LINK_PAPER = (
 )
 
 
-def _scene_dtype(surface: Surface) -> np.dtype:
-    return np.dtype([("law", LINK_DTYPE), ("surface", surface.record().dtype)])
-
-
 class _LinkForm(Law):
     """What both forms of the law share: coefficients, and a kernel over rods."""
 
@@ -60,16 +56,15 @@ class _LinkForm(Law):
     def from_medium(cls, medium: Medium) -> Self:
         return cls(**medium.constants_for(LinkLaw.name))
 
-    def scene(self, medium: Medium, surface: Surface) -> np.ndarray:
-        scene = np.zeros(1, _scene_dtype(surface))
+    def parameters(self, medium: Medium) -> np.ndarray:
+        parameters = np.zeros(1, LINK_DTYPE)
         for key in LINK_KEYS:
-            scene["law"][key] = getattr(self, key)
-        scene["law"]["density"] = medium.density.value
-        scene["surface"] = surface.record()
-        return scene
+            parameters[key] = getattr(self, key)
+        parameters["density"] = medium.density.value
+        return parameters
 
-    def kernel(self, surface: Surface) -> Any:
-        return link_kernel(type(self).resistance, surface.probe, _scene_dtype(surface))
+    def kernel(self, surface: Surface, scene: np.dtype) -> Any:
+        return link_kernel(type(self).resistance, surface.probe, scene)
 
 
 @register_law
@@ -104,7 +99,9 @@ class LinkLaw(_LinkForm):
     eta_v: float
     exponent: float
 
-    def elements(self, model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
+    def elements(
+        self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
+    ) -> np.ndarray:
         return rods_from_model(model, geoms)
 
 
@@ -148,5 +145,8 @@ class DistributedLinkLaw(_LinkForm):
         if self.pieces < 1:
             raise InputError(f"DistributedLinkLaw: pieces must be at least 1, not {self.pieces}")
 
-    def elements(self, model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
-        return cut_rods(rods_from_model(model, geoms), self.pieces)
+    def elements(
+        self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
+    ) -> np.ndarray:
+        pieces = self.pieces if resolution is None else resolution
+        return cut_rods(rods_from_model(model, geoms), pieces)

@@ -175,7 +175,7 @@ def link_kernel(resistance: Any, probe: Any, scene_dtype: np.dtype) -> Any:
             cross = math.sqrt(sx * sx + sy * sy + sz * sz)
 
             drag, static_normal, static_tangent = resistance(
-                depth, cos_q, length, rod.diameter, cross, normal_v, tangent_v, law, g
+                depth, cos_q, length, rod.width, cross, normal_v, tangent_v, law, g
             )
             fx = -drag * dx + static_normal * nx - static_tangent * tx
             fy = -drag * dy + static_normal * ny - static_tangent * ty

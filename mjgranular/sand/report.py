@@ -126,7 +126,7 @@ def describe(
     reports = []
     for element, (geom, body), contact in zip(elements, names, binding.contacts, strict=True):
         velocity, force = contact["velocity"].copy(), contact["force"].copy()
-        scale = math.sqrt(gravity * element["diameter"])
+        scale = math.sqrt(gravity * element["width"])
         reports.append(
             ElementReport(
                 geom=geom,

@@ -11,7 +11,7 @@ from numba import types
 
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.kernel import entry
-from mjgranular.law import Law, get_law
+from mjgranular.law import Law, get_law, make_scene
 from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.report import Report, describe, element_names
@@ -39,6 +39,8 @@ class Sand:
         bodies: names of the bodies that meet the sand.
         geoms: names of the geoms that meet the sand. With neither, every collision geom of every
             body that can move.
+        resolution: how finely geoms are cut into elements, in the law's own measure; None for its
+            default.
 
     Raises:
         UnknownNameError: a name that does not exist; lists those that do.
@@ -55,6 +57,7 @@ class Sand:
         scheme: str | Scheme = "explicit",
         bodies: Sequence[str] | str | None = None,
         geoms: Sequence[str] | str | None = None,
+        resolution: int | None = None,
     ) -> None:
         self._model = model
         self._medium = get_medium(medium)
@@ -62,9 +65,12 @@ class Sand:
         self._surface = Plane() if surface is None else surface
         self._scheme = get_scheme(scheme)
         self._scheme.check(model)
-        self._elements = self._law.elements(model, select_geoms(model, bodies=bodies, geoms=geoms))
-        self._scene = self._law.scene(self._medium, self._surface)
-        self._kernel = self._law.kernel(self._surface)
+        chosen = select_geoms(
+            model, bodies=bodies, geoms=geoms, leave_out=self._surface.geoms(model)
+        )
+        self._elements = self._law.elements(model, chosen, resolution)
+        self._scene = make_scene(self._law, self._medium, self._surface, model)
+        self._kernel = self._law.kernel(self._surface, self._scene.dtype)
         self._program = entry(self._scheme.program(self._kernel), types.int64, types.float64)
         self._take_back = entry(take_back_wrenches, types.int64)
         self._lead = self._scheme.lead

@@ -18,7 +18,7 @@ ROD_DTYPE = np.dtype(
         ("center", np.float64, (3,)),  # midpoint [m], body frame
         ("axis", np.float64, (3,)),  # unit vector along the rod, body frame
         ("half_length", np.float64),  # [m], round ends included
-        ("diameter", np.float64),  # [m]
+        ("width", np.float64),  # diameter [m]
     ]
 )
 
@@ -65,7 +65,7 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         rod["center"] = model.geom_pos[geom]
         rod["axis"] = rotation.reshape(3, 3)[:, 2]
         rod["half_length"] = half + (radius if kind == _CAPSULE else 0.0)
-        rod["diameter"] = 2 * radius
+        rod["width"] = 2 * radius
     return rods
 
 

@@ -14,6 +14,7 @@ def select_geoms(
     *,
     bodies: Sequence[str] | str | None = None,
     geoms: Sequence[str] | str | None = None,
+    leave_out: Sequence[int] = (),
 ) -> list[int]:
     """The ids of the geoms that meet the sand, in the order of the model.
 
@@ -25,6 +26,7 @@ def select_geoms(
         model: the model.
         bodies: a body's name, or several.
         geoms: a geom's name, or several.
+        leave_out: ids of geoms that are the sand itself.
 
     Raises:
         UnknownNameError: a name that the model does not have; lists those it has.
@@ -40,6 +42,7 @@ def select_geoms(
         collides = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
         if collides and (body in wanted_bodies or (everything and moves(model, body))):
             chosen.add(geom)
+    chosen.difference_update(leave_out)
     for body in {*wanted_bodies, *(int(model.geom_bodyid[g]) for g in wanted_geoms)}:
         if not moves(model, body):
             raise InputError(

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
@@ -61,9 +62,11 @@ class Plane(Surface):
             [-s * math.cos(self.uphill), -s * math.sin(self.uphill), math.cos(self.slope)]
         )
 
-    def record(self) -> np.ndarray:
-        """The plane as kernels read it, shape (1,), dtype `PLANE_DTYPE`."""
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
         plane = np.zeros(1, PLANE_DTYPE)
         plane["normal"] = self.normal
         plane["offset"] = self.height * math.cos(self.slope)
         return plane
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        return abs(self.slope)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
 
@@ -20,5 +21,18 @@ class Surface(ABC):
     probe: ClassVar[Any]
 
     @abstractmethod
-    def record(self) -> np.ndarray:
-        """The surface as its `probe` reads it: structured, shape (1,)."""
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        """The surface in a model as its `probe` reads it: structured, shape (1,).
+
+        Raises:
+            UnknownNameError: the model has no geom of the name; lists those it has.
+            InputError: the geom cannot be that kind of surface.
+        """
+
+    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        """Ids of the geoms that are the sand and so do not meet it."""
+        return ()
+
+    @abstractmethod
+    def tilt(self, model: mujoco.MjModel) -> float:
+        """The steepest angle of the surface against the horizontal [rad]."""

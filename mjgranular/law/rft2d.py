@@ -1,0 +1,183 @@
+"""Two-dimensional resistive force theory of Li, Zhang and Goldman, with an out-of-plane part."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import compiled
+from mjgranular.law.law import register_law
+from mjgranular.law.rft import RftLaw
+from mjgranular.medium import Medium
+
+FOURIER_KEYS = ("A00", "A10", "B11", "B01", "Bm11", "C11", "C01", "Cm11", "D10")
+RFT2D_DTYPE = np.dtype(
+    [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "rise")]
+)
+_PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
+
+
+@compiled
+def planar_response(law, sin_b, cos_b, sin_g, cos_g):
+    """(alpha_x, alpha_z) of Li et al. [N/cm^3] for tilt b and attack g.
+
+    The Fourier terms of 2b and g, written in products of their sines and cosines.
+    """
+    cos_2b, sin_2b = cos_b * cos_b - sin_b * sin_b, 2.0 * sin_b * cos_b
+    s, c = sin_2b * cos_g, cos_2b * sin_g
+    alpha_z = law.A00 + law.A10 * cos_2b + law.B11 * (s + c) + law.B01 * sin_g + law.Bm11 * (c - s)
+    s, c = sin_2b * sin_g, cos_2b * cos_g
+    alpha_x = law.C11 * (c - s) + law.C01 * cos_g + law.Cm11 * (c + s) + law.D10 * sin_2b
+    return alpha_x, alpha_z
+
+
+@compiled
+def in_plane_share(v):
+    """Treers et al.: scale of the in-plane response with the in-plane part of the velocity."""
+    bend = min(1.61146827229181 * v - 0.973746396532650, 0.9999999)
+    return 1.99392673405210 * (math.atanh(bend) + math.atanh(0.973746396532650)) / 5.81083560370960
+
+
+@compiled
+def sideways_share(v):
+    """Treers et al.: scale of the sideways response with the sideways part of the velocity."""
+    return (
+        0.440850096954369
+        * (math.tanh(3.62263982880971 * v - 1.60910808139526) + math.tanh(1.60910808139526))
+        / 0.832324700111401
+    )
+
+
+@compiled
+def rft2d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
+    """Resistance for an area and a depth of one [N/m^3].
+
+    The plane is that of the element's normal n and the vertical z, as in Treers et al. 2021, with
+    e along the horizontal part of n; a horizontal element has none and takes the plane of its
+    motion. The velocity splits into its part in the plane, which is resisted as in two dimensions,
+    and its part sideways, which meets the resistance of a plate drawn along itself.
+    """
+    n_up = nx * zx + ny * zy + nz * zz
+    v_up = vx * zx + vy * zy + vz * zz
+    ex, ey, ez = nx - n_up * zx, ny - n_up * zy, nz - n_up * zz
+    size = math.sqrt(ex * ex + ey * ey + ez * ez)
+    if size < 1e-3:  # the tolerance of Treers et al.
+        ex, ey, ez = vx - v_up * zx, vy - v_up * zy, vz - v_up * zz
+        size_v = math.sqrt(ex * ex + ey * ey + ez * ez)
+        if size_v > 0.0:
+            ex, ey, ez = ex / size_v, ey / size_v, ez / size_v
+        size = 0.0
+    else:
+        ex, ey, ez = ex / size, ey / size, ez / size
+    v_e = vx * ex + vy * ey + vz * ez
+    sx, sy, sz = vx - v_up * zx - v_e * ex, vy - v_up * zy - v_e * ey, vz - v_up * zz - v_e * ez
+    sideways = math.sqrt(sx * sx + sy * sy + sz * sz)
+    in_plane = math.sqrt(v_e * v_e + v_up * v_up)
+
+    fx, fy, fz = 0.0, 0.0, 0.0
+    if in_plane > 1e-12:
+        # In (e, z): n = (sin b, -cos b), v = (cos g, -sin g), response (-alpha_x, alpha_z).
+        alpha_x, alpha_z = planar_response(law, size, -n_up, -v_up / in_plane, v_e / in_plane)
+        gain = law.scale * in_plane_share(in_plane)
+        fx = gain * (alpha_z * zx - alpha_x * ex)
+        fy = gain * (alpha_z * zy - alpha_x * ey)
+        fz = gain * (alpha_z * zz - alpha_x * ez)
+    if sideways > 1e-12:
+        gain = law.scale * law.side * sideways_share(sideways) / sideways
+        fx -= gain * sx
+        fy -= gain * sy
+        fz -= gain * sz
+    return fx, fy, fz
+
+
+@register_law
+@dataclass(frozen=True)
+class Rft2dLaw(RftLaw):
+    r"""Two-dimensional resistive force theory; out of the plane by the split of Treers et al.
+
+    .. math::
+        \\alpha_z = A_{00} + A_{10} \\cos 2\\beta + B_{11} \\sin(2\\beta + \\gamma)
+                    + B_{01} \\sin \\gamma + B_{-11} \\sin(-2\\beta + \\gamma)
+
+        \\alpha_x = C_{11} \\cos(2\\beta + \\gamma) + C_{01} \\cos \\gamma
+                    + C_{-11} \\cos(-2\\beta + \\gamma) + D_{10} \\sin 2\\beta
+
+    on leading elements below the surface, dF = alpha |z| dA.
+
+    Attributes:
+        A00, A10, B11, B01, Bm11, C11, C01, Cm11, D10: Fourier coefficients [N/cm^3], as printed.
+        density: bulk density, for the inertial term [kg/m^3].
+        scale: factor zeta on the coefficients; for the generic set, the medium's.
+        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
+        rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
+
+    Raises:
+        InputError: a value that is not finite, or a negative scale, density or inertia.
+    """
+
+    name: ClassVar[str] = "rft2d"
+    title: ClassVar[str] = "resistive force theory of 2D plates, split for 3D"
+    citation: ClassVar[str] = (
+        "C. Li, T. Zhang, D. I. Goldman, A terradynamics of legged locomotion on granular media, "
+        "Science 339, 1408 (2013); out of the plane: L. K. Treers, C. Cao, H. S. Stuart, IEEE "
+        "Robotics and Automation Letters 6 (2021), doi 10.1109/LRA.2021.3057052"
+    )
+    stress: ClassVar[Any] = rft2d_stress
+
+    A00: float
+    A10: float
+    B11: float
+    B01: float
+    Bm11: float
+    C11: float
+    C01: float
+    Cm11: float
+    D10: float
+    density: float = 0.0
+    scale: float = 1.0
+    inertia: float = 0.0
+    rise: bool = False
+
+    def __post_init__(self) -> None:
+        self.check_options()
+        for key in FOURIER_KEYS:
+            if not math.isfinite(getattr(self, key)):
+                raise InputError(f"Rft2dLaw: {key} must be finite, not {getattr(self, key)}")
+        for key in ("density", "scale"):
+            value = getattr(self, key)
+            if not (math.isfinite(value) and value >= 0):
+                raise InputError(f"Rft2dLaw: {key} must be finite and not negative, not {value}")
+
+    @classmethod
+    def from_medium(cls, medium: Medium) -> Self:
+        return cls(density=medium.density.value, **medium.constants_for(cls.name))
+
+    @classmethod
+    def generic(cls, scale: float, **options: Any) -> Self:
+        """The generic coefficients of Li et al., times `scale`."""
+        return cls(**GENERIC, scale=scale, **options)
+
+    def parameters(self, medium: Medium) -> np.ndarray:
+        parameters = np.zeros(1, RFT2D_DTYPE)
+        for key in FOURIER_KEYS:
+            parameters[key] = getattr(self, key)
+        # A plate drawn along itself: alpha_x at tilt 0, attack 0.
+        parameters["side"] = self.C11 + self.C01 + self.Cm11
+        parameters["scale"] = self.scale * _PER_CUBIC_CENTIMETRE
+        parameters["inertia"] = self.inertia * self.density
+        parameters["rise"] = self.rise
+        return parameters
+
+
+# Li et al. 2013, supplementary table S1 [N/cm^3].
+GENERIC = dict(
+    zip(
+        FOURIER_KEYS,
+        (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088),
+        strict=True,
+    )
+)

@@ -1,0 +1,100 @@
+"""Bodies as wholes: centre and support function of each geom, for laws of one force a body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import records
+from mjgranular.shape.facets import geom_name, geom_width, half_extents
+
+BLOB_DTYPE = np.dtype(
+    [
+        ("geom", np.int64),
+        ("body", np.int64),
+        ("slot", np.int64),  # row of the body in the binding's table of bodies
+        ("center", np.float64, (3,)),  # [m], body frame
+        ("axes", np.float64, (9,)),  # rotation matrix of the geom in the body frame, row by row
+        ("radii", np.float64, (3,)),  # of the ellipsoidal part [m]
+        ("halves", np.float64, (3,)),  # of the box that it is swept along [m]
+        ("disc", np.float64),  # radius of a disc across z [m]
+        ("width", np.float64),  # of the geom, for Froude numbers [m]
+    ]
+)
+blob_records = records(BLOB_DTYPE)
+
+_GEOM = mujoco.mjtGeom
+
+
+def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
+    """Makes one blob for each geom; a mesh counts as the box around it.
+
+    Args:
+        model: the model.
+        geoms: geom ids.
+
+    Returns:
+        Blobs, ordered by body, shape (n,), dtype `BLOB_DTYPE`.
+
+    Raises:
+        InputError: a geom of a type that has no volume, or of size zero.
+    """
+    blobs = np.zeros(len(geoms), BLOB_DTYPE)
+    slots: dict[int, int] = {}
+    ordered = sorted(geoms, key=lambda g: (int(model.geom_bodyid[g]), g))
+    for blob, geom in zip(blobs, ordered, strict=True):
+        body = int(model.geom_bodyid[geom])
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+        blob["geom"] = geom
+        blob["body"] = body
+        blob["slot"] = slots.setdefault(body, len(slots))
+        blob["center"] = model.geom_pos[geom]
+        blob["axes"] = rotation
+        blob["width"] = geom_width(model, geom)
+        _set_support(model, geom, blob)
+    return blobs
+
+
+def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
+    kind = _GEOM(int(model.geom_type[geom]))
+    half = half_extents(model, geom)
+    if not (half > 0).all():
+        raise InputError(f"geom {geom_name(model, geom)} has a size of zero: it needs a volume")
+    if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
+        blob["radii"] = half
+    elif kind == _GEOM.mjGEOM_CAPSULE:
+        blob["radii"] = half[0]
+        blob["halves"] = 0.0, 0.0, half[2] - half[0]
+    elif kind == _GEOM.mjGEOM_CYLINDER:
+        blob["disc"] = half[0]
+        blob["halves"] = 0.0, 0.0, half[2]
+    elif kind in (_GEOM.mjGEOM_BOX, _GEOM.mjGEOM_MESH):
+        blob["halves"] = half
+        if kind == _GEOM.mjGEOM_MESH:
+            rotation = blob["axes"].reshape(3, 3)
+            blob["center"] += rotation @ model.geom_aabb[geom, :3]
+    else:
+        word = kind.name.removeprefix("mjGEOM_").lower()
+        raise InputError(
+            f"geom {geom_name(model, geom)} is a {word}: sand acts on capsules, spheres, "
+            "cylinders, ellipsoids, boxes and meshes"
+        )
+
+
+@compiled
+def support(blob, x, y, z):
+    """How far a blob reaches from its centre in a direction given in the body frame [m]."""
+    a = blob.axes
+    gx = a[0] * x + a[3] * y + a[6] * z
+    gy = a[1] * x + a[4] * y + a[7] * z
+    gz = a[2] * x + a[5] * y + a[8] * z
+    rx, ry, rz = blob.radii[0] * gx, blob.radii[1] * gy, blob.radii[2] * gz
+    reach = math.sqrt(rx * rx + ry * ry + rz * rz) + blob.disc * math.sqrt(gx * gx + gy * gy)
+    halves = blob.halves
+    return reach + halves[0] * abs(gx) + halves[1] * abs(gy) + halves[2] * abs(gz)

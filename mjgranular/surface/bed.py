@@ -1,0 +1,70 @@
+"""A bed of sand of finite size, taken from a box geom of the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.surface.place import find_geom, tilt_of, world_pose
+from mjgranular.surface.surface import Surface
+
+BED_DTYPE = np.dtype(
+    [
+        ("top", np.float64, (3,)),  # middle of the upper face [m], world
+        ("along", np.float64, (3,)),  # unit vectors of the face and its normal, world
+        ("across", np.float64, (3,)),
+        ("normal", np.float64, (3,)),
+        ("half_along", np.float64),  # [m]
+        ("half_across", np.float64),
+    ]
+)
+
+
+@compiled
+def bed_probe(bed, x, y, z):
+    """Depth below the upper face [m]; beside the bed, minus the distance to its side."""
+    rx, ry, rz = x - bed.top[0], y - bed.top[1], z - bed.top[2]
+    nx, ny, nz = bed.normal[0], bed.normal[1], bed.normal[2]
+    along = abs(rx * bed.along[0] + ry * bed.along[1] + rz * bed.along[2]) - bed.half_along
+    across = abs(rx * bed.across[0] + ry * bed.across[1] + rz * bed.across[2]) - bed.half_across
+    beside = max(along, across)
+    if beside > 0.0:
+        return -beside, nx, ny, nz
+    return -(nx * rx + ny * ry + nz * rz), nx, ny, nz
+
+
+@dataclass(frozen=True)
+class Bed(Surface):
+    """The sand in a box geom: its upper face (+z of the geom) is the surface.
+
+    Beside the box there is no sand. Its lower face is no floor by itself: put an ordinary geom
+    there (a plane, or another box), which bodies meet by MuJoCo's own contact. The box's own
+    contacts are switched off in the model when the sand is bound.
+
+    Attributes:
+        geom: name of the box geom; it must be fixed to the world.
+    """
+
+    probe: ClassVar[Any] = bed_probe
+
+    geom: str
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed")
+        position, axes = world_pose(model, geom)
+        half = model.geom_size[geom]
+        bed = np.zeros(1, BED_DTYPE)
+        bed["top"] = position + half[2] * axes[:, 2]
+        bed["along"], bed["across"], bed["normal"] = axes.T
+        bed["half_along"], bed["half_across"] = half[:2]
+        return bed
+
+    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed"),)
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        return tilt_of(self.record(model)["normal"][0])

@@ -1,0 +1,117 @@
+"""Dunes: a surface taken from an hfield geom of the model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import records
+from mjgranular.surface.place import find_geom, tilt_of, world_pose
+from mjgranular.surface.surface import Surface
+
+HEIGHT_FIELD_DTYPE = np.dtype(
+    [
+        ("position", np.float64, (3,)),  # of the geom [m], world
+        ("axes", np.float64, (9,)),  # its rotation matrix, row by row
+        ("half_x", np.float64),  # [m]
+        ("half_y", np.float64),
+        ("elevation", np.float64),  # height of the datum 1 [m]
+        ("rows", np.int64),
+        ("columns", np.int64),
+        ("data", np.int64),  # address of MuJoCo's float32 heights, rows over y, columns over x
+    ]
+)
+
+_heights = records(np.dtype(np.float32))
+
+
+@compiled
+def height_field_probe(field, x, y, z):
+    """Depth along the normal of the bilinear surface above or below the point; the normal."""
+    rx, ry, rz = x - field.position[0], y - field.position[1], z - field.position[2]
+    a = field.axes
+    lx = a[0] * rx + a[3] * ry + a[6] * rz
+    ly = a[1] * rx + a[4] * ry + a[7] * rz
+    lz = a[2] * rx + a[5] * ry + a[8] * rz
+    beside = max(abs(lx) - field.half_x, abs(ly) - field.half_y)
+    if beside > 0.0:
+        return -beside, a[2], a[5], a[8]
+    heights = _heights(field.data, field.rows * field.columns)
+    step_x = 2.0 * field.half_x / (field.columns - 1)
+    step_y = 2.0 * field.half_y / (field.rows - 1)
+    u = (lx + field.half_x) / step_x
+    v = (ly + field.half_y) / step_y
+    column = min(int(u), field.columns - 2)
+    row = min(int(v), field.rows - 2)
+    u -= column
+    v -= row
+    k = row * field.columns + column
+    h00, h10 = heights[k] * field.elevation, heights[k + 1] * field.elevation
+    k += field.columns
+    h01, h11 = heights[k] * field.elevation, heights[k + 1] * field.elevation
+    height = (1 - v) * ((1 - u) * h00 + u * h10) + v * ((1 - u) * h01 + u * h11)
+    slope_x = ((1 - v) * (h10 - h00) + v * (h11 - h01)) / step_x
+    slope_y = ((1 - u) * (h01 - h00) + u * (h11 - h10)) / step_y
+    scale = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    sx, sy = -slope_x * scale, -slope_y * scale
+    nx = a[0] * sx + a[1] * sy + a[2] * scale
+    ny = a[3] * sx + a[4] * sy + a[5] * scale
+    nz = a[6] * sx + a[7] * sy + a[8] * scale
+    return (height - lz) * scale, nx, ny, nz
+
+
+@dataclass(frozen=True)
+class HeightField(Surface):
+    """The surface of an hfield geom, bilinear between its data; outside it there is no sand.
+
+    The data may change while the simulation runs. The geom's own contacts are switched off in the
+    model when the sand is bound.
+
+    Attributes:
+        geom: name of the hfield geom; it must be fixed to the world.
+    """
+
+    probe: ClassVar[Any] = height_field_probe
+
+    geom: str
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field")
+        number = int(model.geom_dataid[geom])
+        rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+        if rows < 2 or columns < 2:
+            raise InputError(
+                f"the height field of geom {self.geom!r} has {rows} rows and {columns} columns: "
+                "at least 2 of each make a surface"
+            )
+        position, axes = world_pose(model, geom)
+        half_x, half_y, elevation, _ = model.hfield_size[number]
+        start = int(model.hfield_adr[number])
+        field = np.zeros(1, HEIGHT_FIELD_DTYPE)
+        field["position"] = position
+        field["axes"] = axes.ravel()
+        field["half_x"], field["half_y"], field["elevation"] = half_x, half_y, elevation
+        field["rows"], field["columns"] = rows, columns
+        field["data"] = model.hfield_data[start:].ctypes.data
+        return field
+
+    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field"),)
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        field = self.record(model)[0]
+        number = int(model.geom_dataid[self.geoms(model)[0]])
+        start = int(model.hfield_adr[number])
+        count = field["rows"] * field["columns"]
+        heights = model.hfield_data[start : start + count].reshape(field["rows"], field["columns"])
+        heights = heights * field["elevation"]
+        dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
+        dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
+        steepest = math.atan(math.hypot(np.abs(dx).max(), np.abs(dy).max()))
+        return steepest + tilt_of(field["axes"].reshape(3, 3)[:, 2])

@@ -1,0 +1,54 @@
+"""Where a geom that is sand lies: fixed in the world, and no obstacle of its own."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError, UnknownNameError
+
+
+def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str) -> int:
+    """The id of a geom of that name and type that is fixed to the world.
+
+    Its contacts are switched off in the model: sand is met through its law alone.
+
+    Args:
+        model: the model.
+        name: of the geom.
+        kind: the type it has to have.
+        word: what it is wanted for, for messages: "bed", "height field".
+
+    Raises:
+        UnknownNameError: no such geom; lists those of the type.
+        InputError: a geom of another type, or on a body that moves.
+    """
+    geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
+    shape = kind.name.removeprefix("mjGEOM_").lower()
+    if geom < 0:
+        known = [model.geom(g).name for g in range(model.ngeom) if model.geom_type[g] == kind]
+        raise UnknownNameError(f"{shape} geom of the model", name, [k for k in known if k])
+    if model.geom_type[geom] != kind:
+        found = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+        raise InputError(f"geom {name!r} is a {found}: a {word} is made of a {shape} geom")
+    body = int(model.geom_bodyid[geom])
+    if model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0:
+        raise InputError(
+            f"geom {name!r} is on body {model.body(body).name!r}, which can move: a {word} must "
+            "be fixed to the world"
+        )
+    model.geom_contype[geom] = 0
+    model.geom_conaffinity[geom] = 0
+    return geom
+
+
+def world_pose(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and axes in columns (3, 3) of a geom that is fixed to the world."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy()
+
+
+def tilt_of(normal: np.ndarray) -> float:
+    """Angle of a unit normal against the vertical [rad]."""
+    return float(np.arccos(np.clip(normal[2], -1.0, 1.0)))
