@@ -49,6 +49,8 @@ def _show_medium(medium: Medium, *, as_json: bool) -> None:
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("source")
     rows = {"density": medium.density}
+    if medium.grain is not None:
+        rows["grain"] = medium.grain
     for law, constants in medium.constants.items():
         rows |= {f"{law}.{key}": quantity for key, quantity in constants.items()}
     for key, quantity in rows.items():

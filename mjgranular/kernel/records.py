@@ -16,10 +16,11 @@ BODY_DTYPE = np.dtype(
         ("written", np.float64, (6,)),  # that row as last written by the sand
     ]
 )
+# Above the sand only the depth is written.
 CONTACT_DTYPE = np.dtype(
     [
         ("depth", np.float64),  # of the element's deepest point [m], negative above the sand
-        ("length", np.float64),  # immersed length [m]
+        ("length", np.float64),  # immersed length of a rod [m], 0 for other elements
         ("point", np.float64, (3,)),  # where the force acts [m], world
         ("velocity", np.float64, (3,)),  # of that point [m/s], world
         ("force", np.float64, (3,)),  # on the element [N], world

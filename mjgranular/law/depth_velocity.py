@@ -31,6 +31,7 @@ from mjgranular.kernel.memory import (
 from mjgranular.kernel.motion import body_velocity, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.law import Law, register_law
+from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
 from mjgranular.shape.blobs import blob_records, blobs_from_model, support
 from mjgranular.surface import Surface
@@ -79,11 +80,9 @@ def depth_velocity_kernel(probe: Any, scene_dtype: np.dtype) -> Any:
                 xmat[m + 2] * zx + xmat[m + 5] * zy + xmat[m + 8] * zz,
             )
             contact.depth = depth
-            contact.length = 0.0
-            contact.force[:] = 0.0
             if depth <= 0.0:
                 continue
-            contact.length = 1.0
+            contact.length = 0.0
             root = 3 * body.root
             tx, ty, tz = (
                 px - subtree_com[root],
@@ -147,8 +146,12 @@ class DepthVelocityLaw(Law):
     citation: ClassVar[str] = (
         "cases of C + k z^n + B v + A v^2: Bingham (J. R. de Bruyn, A. M. Walsh, Can. J. Phys. 82 "
         "(2004)), Poncelet, Allen-Mayfield-Morrison (J. Appl. Phys. 28 (1957)), Lohse et al. "
-        "(Nature 432 (2004)), Tsimring and Volfson (Powders and Grains 2005), H. Katsuragi, D. J. Durian "
-        "(Nature Physics 3 (2007))"
+        "(Nature 432 (2004)), Tsimring and Volfson (Powders and Grains 2005), H. Katsuragi, "
+        "D. J. Durian (Nature Physics 3 (2007))"
+    )
+
+    validity: ClassVar[tuple[Limit, ...]] = (
+        Limit("slope", math.radians(10), "measured on level surfaces; 10 degrees is chosen"),
     )
 
     constant: float = 0.0

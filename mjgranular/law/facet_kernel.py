@@ -92,9 +92,8 @@ def facet_kernel(stress: Any, probe: Any, scene_dtype: np.dtype) -> Any:
             contact = contacts[i]
             contact.depth = depth
             if depth <= 0.0:
-                contact.length = 0.0
                 continue
-            contact.length = 1.0
+            contact.length = 0.0
 
             lx, ly, lz = facet.normal[0], facet.normal[1], facet.normal[2]
             nx = r0 * lx + r1 * ly + r2 * lz

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import mujoco
 import numpy as np
 
+from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
 from mjgranular.registry import Registry
 from mjgranular.surface import Surface
@@ -27,11 +28,13 @@ class Law(ABC):
         name: the name it is known by.
         title: one line for lists.
         citation: where it was published.
+        validity: limits within which it holds; `Sand.report` says how a body stands against them.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     citation: ClassVar[str]
+    validity: ClassVar[tuple[Limit, ...]] = ()
 
     @classmethod
     @abstractmethod

@@ -29,6 +29,7 @@ from mjgranular.law.link_kernel import (
     link_kernel,
     lumped_resistance,
 )
+from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
 from mjgranular.shape import cut_rods, rods_from_model
 from mjgranular.surface import Surface
@@ -43,6 +44,9 @@ class _LinkForm(Law):
     """What both forms of the law share: coefficients, and a kernel over rods."""
 
     resistance: ClassVar[Any]
+    validity: ClassVar[tuple[Limit, ...]] = (
+        Limit("slope", math.radians(10), "written for a level surface; 10 degrees is chosen"),
+    )
 
     def __post_init__(self) -> None:
         for key in LINK_KEYS:

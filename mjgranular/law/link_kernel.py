@@ -138,12 +138,6 @@ def link_kernel(resistance: Any, probe: Any, scene_dtype: np.dtype) -> Any:
                 ux, uy, uz = -ux, -uy, -uz
             contact.depth = depth
             if depth <= 0.0:
-                contact.length = 0.0
-                contact.force[:] = 0.0
-                contact.point[0] = cx + half * ux
-                contact.point[1] = cy + half * uy
-                contact.point[2] = cz + half * uz
-                contact.velocity[:] = 0.0
                 continue
 
             length = 2.0 * half

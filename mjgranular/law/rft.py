@@ -12,6 +12,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.law.facet_kernel import facet_kernel
 from mjgranular.law.law import Law
+from mjgranular.law.validity import Limit
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
 
@@ -20,6 +21,14 @@ class RftLaw(Law):
     """Resistive force theory: a stress on every leading facet, linear in its depth."""
 
     stress: ClassVar[Any]
+    validity: ClassVar[tuple[Limit, ...]] = (
+        Limit("froude", 0.4, "quasi-static RFT, Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),
+        Limit("inertial_number", 0.1, "Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),
+        Limit(
+            "depth_over_width", 5.0, "depth of the order of the width; 5 is chosen, not measured"
+        ),
+        Limit("slope", math.radians(10), "20 degrees change drag by half; 10 is chosen"),
+    )
 
     inertia: float
     rise: bool

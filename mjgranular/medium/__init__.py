@@ -1,6 +1,7 @@
 """What the sand is: densities, grain sizes and, law by law, published constants with sources."""
 
 from mjgranular.medium import presets as presets
+from mjgranular.medium.file import read_medium as read_medium
 from mjgranular.medium.medium import Medium as Medium
 from mjgranular.medium.medium import Quantity as Quantity
 from mjgranular.medium.medium import get_medium as get_medium

@@ -5,11 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.registry import Registry
 
 media: Registry[Medium] = Registry("medium")
+
+# From snow to tungsten powder, from dust to gravel: what lies outside is a slip of units.
+_DENSITIES = (10.0, 25000.0)
+_GRAINS = (1e-6, 0.1)
 
 
 @dataclass(frozen=True)
@@ -35,12 +40,13 @@ class Medium:
         name: the name it is known by.
         title: what it is, in a few words.
         density: bulk density [kg/m^3].
-        constants: for each law by its name, that law's constants by their names.
         default_law: the law to use when none is asked for.
+        constants: for each law by its name, that law's constants by their names.
+        grain: diameter of a grain [m], None if it is not known.
 
     Raises:
-        InputError: a density that is not positive, a constant that is not finite, or a default law
-            without constants.
+        InputError: a density or grain size outside its range, a constant that is not finite, or a
+            default law without constants.
     """
 
     name: str
@@ -48,12 +54,20 @@ class Medium:
     density: Quantity
     default_law: str
     constants: Mapping[str, Mapping[str, Quantity]] = field(default_factory=dict)
+    grain: Quantity | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.density.value) and self.density.value > 0):
+        low, high = _DENSITIES
+        if not (math.isfinite(self.density.value) and low <= self.density.value <= high):
             raise InputError(
-                f"medium {self.name!r}: the bulk density must be positive [kg/m^3], "
+                f"medium {self.name!r}: the bulk density must be from {low:g} to {high:g} kg/m^3, "
                 f"not {self.density.value}"
+            )
+        low, high = _GRAINS
+        if self.grain is not None and not low <= self.grain.value <= high:
+            raise InputError(
+                f"medium {self.name!r}: the grain size must be from {low:g} to {high:g} m, "
+                f"not {self.grain.value}"
             )
         for law, constants in self.constants.items():
             for key, quantity in constants.items():
@@ -95,7 +109,16 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
 def get_medium(medium: str | Medium) -> Medium:
     """The medium of that name, or `medium` itself if it is one.
 
+    A name that ends in .yaml or .yml is that of a file (`medium.file`).
+
     Raises:
         UnknownNameError: no such name; lists those that exist.
+        InputError: a file that does not describe a medium.
     """
-    return medium if isinstance(medium, Medium) else media[medium]
+    if isinstance(medium, Medium):
+        return medium
+    if isinstance(medium, str) and medium.endswith((".yaml", ".yml")):
+        from mjgranular.medium.file import read_medium
+
+        return read_medium(Path(medium))
+    return media[medium]

@@ -78,6 +78,7 @@ class Sand:
         self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
             weakref.WeakKeyDictionary()
         )
+        self._slope = self._surface.tilt(model)
         self._names = element_names(model, self._elements)
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: what a loop over one simulation needs.
@@ -171,12 +172,16 @@ class Sand:
         mujoco.mj_comPos(model, probe)
         mujoco.mj_comVel(model, probe)
         self._kernel(binding.table, 0.0)
+        probe.time = data.time
         report = describe(
-            float(data.time),
+            probe,
             elements=self._elements,
             names=self._names,
             binding=binding,
             gravity=float(np.linalg.norm(model.opt.gravity)),
+            limits=self._law.validity,
+            slope=self._slope,
+            grain=None if self._medium.grain is None else self._medium.grain.value,
         )
         self._probes.append((probe, binding))
         return report
