@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from mjgranular.experiment import Impact, run_impact
-from mjgranular.picture.video import Film, write_video
+from mjgranular.picture.video import Film, frames_of_run, write_video
 
 
 def main(path: Path, seconds: float) -> None:
@@ -18,7 +18,8 @@ def main(path: Path, seconds: float) -> None:
         raise SystemExit("T did not stop: nothing to film")
     film = Film(camera="side", seconds=seconds)
     link = result.impact.link
-    write_video(path, film, link, result.trajectory, stop=result.stop.time)
+    count, pictures = frames_of_run(film, link, result.trajectory, stop=result.stop.time)
+    write_video(path, film, count, pictures)
     print(f"{path}: {result.stop.time * 1e3:.1f} ms in {seconds:g} s")
 
 

@@ -208,7 +208,7 @@ def test_which_end_of_the_geom_comes_first(law, pose, motion):
 
 
 @given(pose=POSES, motion=MOTIONS)
-def test_deeper_end_is_T_and_no_more_than_the_rod_is_immersed(pose, motion):
+def test_deeper_end_counts_and_no_more_than_the_rod_is_immersed(pose, motion):
     pose, motion = drawn(pose, motion)
     pose[0][2] -= 0.3 * (motion[0][2] > 0)  # half of them buried
     _, _, report = sanded(level_sand(LEVEL, "link"), pose, motion)

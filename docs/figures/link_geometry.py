@@ -25,6 +25,11 @@ def arrow(axis: Axes, start: np.ndarray, end: np.ndarray, colour: str, style: st
     )  # fmt: skip
 
 
+def shifted(point: np.ndarray, x: float, z: float) -> np.ndarray:
+    """A point a little way off."""
+    return point + np.array([x, z])
+
+
 def main() -> None:
     """Draws the figure. Depth is drawn downward, in units of half the link's length."""
     along = np.array([math.sin(Q), -math.cos(Q)])  # from C to T, z up
@@ -82,16 +87,16 @@ def main() -> None:
     v = np.array([0.13, -0.5])
     unit = v / np.linalg.norm(v)
     arrow(axis, E, E + v, GREEN)
-    axis.text(*(E + v + (0.02, -0.13)), "$v_E$", color=GREEN, fontsize=14, ha="center")
+    axis.text(*shifted(E + v, 0.02, -0.13), "$v_E$", color=GREEN, fontsize=14, ha="center")
     arrow(axis, E, E - 0.74 * unit, BLUE)
-    axis.text(*(E - 0.74 * unit + (0.03, 0.04)), "$F_d$", color=BLUE, fontsize=14)
-    arrow(axis, E, E + (-0.52, 0), ORANGE)
-    axis.text(*(E + (-0.72, -0.05)), "$F_{sx}$", color=ORANGE, fontsize=14)
+    axis.text(*shifted(E - 0.74 * unit, 0.03, 0.04), "$F_d$", color=BLUE, fontsize=14)
+    arrow(axis, E, shifted(E, -0.52, 0), ORANGE)
+    axis.text(*shifted(E, -0.72, -0.05), "$F_{sx}$", color=ORANGE, fontsize=14)
     up = E + np.array([0.0, 0.46])
     arrow(axis, E, up, ORANGE)
-    axis.text(*(up + (0.05, -0.08)), "$F_{sy}$", color=ORANGE, fontsize=14)
-    arrow(axis, C, C + (0, -0.4), PURPLE)
-    axis.text(*(C + (-0.18, -0.38)), "$G$", color=PURPLE, fontsize=14)
+    axis.text(*shifted(up, 0.05, -0.08), "$F_{sy}$", color=ORANGE, fontsize=14)
+    arrow(axis, C, shifted(C, 0, -0.4), PURPLE)
+    axis.text(*shifted(C, -0.18, -0.38), "$G$", color=PURPLE, fontsize=14)
 
     # Axes of the paper and of MuJoCo.
     origin = np.array([-1.55, 0.95])

@@ -48,11 +48,11 @@ def stop(speed: float, angle: float, eps: float = 0.0) -> tuple[float, float]:
         eps: speed over which the sign of a velocity is smoothed [m/s].
     """
 
-    def v_Ty(t: float, state: np.ndarray, eps: float) -> float:
+    def tip_speed(t: float, state: np.ndarray, eps: float) -> float:
         return state[4] - state[5] * L / 2 * math.sin(state[2])
 
-    v_Ty.terminal = True
-    v_Ty.direction = -1
+    tip_speed.terminal = True
+    tip_speed.direction = -1
     start = [-L / 2 * math.sin(angle), -L / 2 * math.cos(angle), angle, 0.0, speed, 0.0]
     solution = solve_ivp(
         rates,
@@ -62,7 +62,7 @@ def stop(speed: float, angle: float, eps: float = 0.0) -> tuple[float, float]:
         rtol=1e-12,
         atol=1e-14,
         max_step=1e-4,
-        events=v_Ty,
+        events=tip_speed,
         args=(eps,),
     )
     state = solution.y_events[0][0]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.table import Table
@@ -14,9 +15,12 @@ from mjgranular.cli.console import err, out, print_json, progress_bar, show_erro
 from mjgranular.cli.options import LinkOptions
 from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment import ImpactResult, run_impact
-from mjgranular.experiment.folder import IMPACT_FILES, ResultFolder, write_impact
+from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_impact
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
+
+if TYPE_CHECKING:
+    from mjgranular.picture.video import Film
 
 FIGURES = ("motion.png", "forces.png")
 VIDEO = "impact.mp4"
@@ -55,30 +59,29 @@ class ImpactCommand(LinkOptions):
         if self.out is None:
             self._show(self._drop(impact))
             return 0
-        if self.video:
-            from mjgranular.picture.video import Film
-
-            Film(camera=self.camera).check(impact.link)
-        names = (*IMPACT_FILES, *FIGURES, *((VIDEO,) if self.video else ()))
+        film = self._film(impact.link) if self.video else None
+        names = (*RUN_FILES, *FIGURES, *((VIDEO,) if self.video else ()))
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             result = self._drop(impact)
             write_impact(folder, result)
             self._show(result)
             problems = draw_impact(folder, result.trajectory, result.summary())
-            if self.video:
+            if film is not None:
                 problems += film_impact(
-                    folder,
-                    VIDEO,
-                    impact.link,
-                    result.trajectory,
-                    result.summary(),
-                    camera=self.camera,
+                    folder, VIDEO, impact.link, result.trajectory, result.summary(), film
                 )
         if not self.json:
             out.print(f"written to {self.out}", highlight=False, markup=False)
         for problem in problems:
             show_error(f"{problem} (the numbers are in {self.out})")
         return 2 if problems else 0
+
+    def _film(self, link: Link) -> Film:
+        from mjgranular.picture.video import Film
+
+        film = Film(camera=self.camera)
+        film.check(link)
+        return film
 
     def _drop(self, impact: Any) -> ImpactResult:
         with progress_bar("dropping the link", impact.duration) as progress:
@@ -186,24 +189,31 @@ def film_impact(
     link: Link,
     trajectory: Trajectory,
     summary: dict[str, Any],
-    **film: Any,
+    film: Film,
 ) -> list[GranularError]:
     """Films a drop; returns what kept it from doing so."""
-    from mjgranular.errors import RenderError
-    from mjgranular.picture.video import Film, write_video
+    from mjgranular.picture.video import frames_of_run
 
     stop = release_to_stop(summary)
+    return write_film(folder, name, film, lambda: frames_of_run(film, link, trajectory, stop=stop))
+
+
+def write_film(
+    folder: ResultFolder,
+    name: str,
+    film: Film,
+    pictures: Callable[[], tuple[int, Iterator[Any]]],
+) -> list[GranularError]:
+    """Writes a film with a progress bar; returns what kept it from doing so."""
+    from mjgranular.errors import RenderError
+    from mjgranular.picture.video import write_video
+
     try:
         with progress_bar("filming", 1.0) as progress:
             folder.write(
                 name,
                 lambda path: write_video(
-                    path,
-                    Film(**film),
-                    link,
-                    trajectory,
-                    stop=stop,
-                    progress=lambda done, count: progress(done / count),
+                    path, film, *pictures(), progress=lambda done, count: progress(done / count)
                 ),
             )
     except (MissingExtraError, RenderError) as error:

@@ -12,7 +12,9 @@ import tyro
 
 from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning
+from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.impact import ImpactCommand
+from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
@@ -27,6 +29,8 @@ Command = (
     Annotated[ImpactCommand, tyro.conf.subcommand("impact")]
     | Annotated[SweepCommand, tyro.conf.subcommand("sweep")]
     | Annotated[ReproduceCommand, tyro.conf.subcommand("reproduce")]
+    | Annotated[DropCommand, tyro.conf.subcommand("drop")]
+    | Annotated[IntrudeCommand, tyro.conf.subcommand("intrude")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]

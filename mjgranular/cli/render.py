@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from mjgranular.cli.console import out
-from mjgranular.cli.impact import VIDEO, film_impact
-from mjgranular.errors import InputError
-from mjgranular.experiment.folder import ResultFolder, read_impact
+from mjgranular.cli.impact import VIDEO, film_impact, write_film
+from mjgranular.errors import GranularError, InputError
+from mjgranular.experiment.drop import load
+from mjgranular.experiment.folder import ResultFolder, read_drop, read_impact, saved_command
+
+if TYPE_CHECKING:
+    from mjgranular.picture.video import Film
+
+Draw = Callable[[ResultFolder, str], list[GranularError]]
 
 
 @dataclass(frozen=True)
 class RenderCommand:
-    """A film of a drop that was saved with `mjgranular impact --out DIR`.
+    """A film of a run that was saved with `mjgranular impact --out DIR` or `mjgranular drop --out`.
 
     The sand's force is drawn as an arrow. The film is slowed so that the impact, however short,
     takes --seconds.
@@ -24,8 +31,8 @@ class RenderCommand:
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", name="run")]
     """Folder of the saved drop."""
-    camera: Annotated[str, tyro.conf.arg(metavar="NAME")] = "side"
-    """Camera: side, close or corner."""
+    camera: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Camera: of the link side, close or corner; of other models theirs, or free."""
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 5.0
     """Length of the film from release to the stop [s]; what follows takes as long again."""
     width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 800
@@ -46,19 +53,37 @@ class RenderCommand:
         target = self.run_folder / VIDEO if self.out is None else self.out
         if target.suffix != ".mp4":
             raise InputError(f"a film is written as .mp4, not {target.suffix or target.name!r}")
-        film = {
-            "camera": self.camera,
-            "seconds": self.seconds,
-            "width": self.width,
-            "height": self.height,
-            "fps": self.fps,
-        }
-        impact, summary, trajectory = read_impact(self.run_folder)
-        Film(**film).check(impact.link)
+        command = saved_command(self.run_folder)
+        film = Film(
+            camera=self.camera or ("side" if command == "impact" else "free"),
+            seconds=self.seconds,
+            width=self.width,
+            height=self.height,
+            fps=self.fps,
+        )
+        draw = self._impact(film) if command == "impact" else self._model(film)
         folder = ResultFolder(target.parent, (target.name,))
         with folder.claimed(overwrite=self.overwrite):
-            problems = film_impact(folder, target.name, impact.link, trajectory, summary, **film)
+            problems = draw(folder, target.name)
         if problems:
             raise problems[0]
         out.print(f"written to {target}", highlight=False, markup=False)
         return 0
+
+    def _impact(self, film: Film) -> Draw:
+        """How to film a drop of the link."""
+        impact, summary, trajectory = read_impact(self.run_folder)
+        film.check(impact.link)
+        return lambda folder, name: film_impact(
+            folder, name, impact.link, trajectory, summary, film
+        )
+
+    def _model(self, film: Film) -> Draw:
+        """How to film a run of a user's model."""
+        from mjgranular.picture.video import Motion, frames_of_model
+
+        drop, arrays = read_drop(self.run_folder)
+        model, _ = load(drop)
+        motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
+        count, pictures = frames_of_model(film, model, motion)
+        return lambda folder, name: write_film(folder, name, film, lambda: (count, pictures))

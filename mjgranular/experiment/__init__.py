@@ -1,6 +1,9 @@
 """Experiments: one drop, many drops, the paper's table; each ends as plain data."""
 
-from mjgranular.experiment.drop import run_impact as run_impact
+from mjgranular.experiment.drop import Drop as Drop
+from mjgranular.experiment.drop import DropResult as DropResult
+from mjgranular.experiment.drop import run_drop as run_drop
+from mjgranular.experiment.fall import run_impact as run_impact
 from mjgranular.experiment.impact import Impact as Impact
 from mjgranular.experiment.impact import ImpactResult as ImpactResult
 from mjgranular.experiment.impact import Rest as Rest

@@ -1,200 +1,383 @@
-"""The run itself: the link meets the sand, its end T stops, and it may be followed on to rest."""
+"""A user's model dropped on, dragged through or stood upon sand."""
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import GranularWarning, UnstableError
-from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
-from mjgranular.experiment.trajectory import Recorder, Trajectory
+from mjgranular.errors import InputError, UnknownNameError, UnstableError
+from mjgranular.experiment.trajectory import Recorder
+from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.sand import Sand
+from mjgranular.surface import Bed, HeightField, Plane, Surface
 
-# Rest: both ends stay within this distance for this long, 1 mm/s. Chosen, not measured; the
-# explicit scheme creeps and trembles at a speed that grows with the time step.
-_REST_WINDOW = 0.02
-_REST_DISTANCE = 2e-5
-# Energy that the sand may seem to give before the run is ended, over the energy there was to
-# begin with. A passive medium gives none; the explicit sign of the static force a little.
-_ENERGY_MARGIN = 0.05
-_PROGRESS_STEPS = 5000  # between two calls of `progress`
+_LARGEST_STEP = 1e-4  # of a run whose time step is left to us [s]; chosen, not measured
+_PROGRESS_STEPS = 1000  # between two calls of `progress`
+_BED = "mjgranular_bed"
 
 
-def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = None) -> ImpactResult:
-    """Drops the link.
+@dataclass(frozen=True)
+class Drop:
+    """A run of a user's model on sand, SI units and radians.
+
+    Attributes:
+        model: the MJCF file.
+        medium: name of the sand, or a YAML file.
+        law: name of the force law; None for the medium's own.
+        scheme: name of the scheme.
+        surface_height: world z of a level or sloping surface [m].
+        slope: of that surface [rad].
+        uphill: direction of steepest ascent from the x axis [rad].
+        bed: name of a box geom that is the sand; overrides height and slope.
+        height_field: name of an hfield geom that is the sand; overrides height and slope.
+        bodies: names of the bodies that meet the sand; all if neither these nor `geoms` are given.
+        geoms: names of the geoms that meet the sand.
+        keyframe: name of the keyframe to start from.
+        height: of the model's lowest point above the surface at the start [m]; None to start as
+            the model stands.
+        velocity: downward, at the start [m/s].
+        duration: [s].
+        timestep: [s]; None for the model's own, but at most 1e-4 s with the explicit scheme.
+        resolution: how finely geoms are cut; None for the law's default.
+    """
+
+    model: Path
+    medium: str = "play_sand"
+    law: str | None = None
+    scheme: str = "explicit"
+    surface_height: float = 0.0
+    slope: float = 0.0
+    uphill: float = 0.0
+    bed: str | None = None
+    height_field: str | None = None
+    bodies: tuple[str, ...] = ()
+    geoms: tuple[str, ...] = ()
+    keyframe: str | None = None
+    height: float | None = None
+    velocity: float = 0.0
+    duration: float = 1.0
+    timestep: float | None = None
+    resolution: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.bed is not None and self.height_field is not None:
+            raise InputError("the sand is either a bed or a height field, not both")
+        if self.height is not None and not (math.isfinite(self.height) and self.height >= 0):
+            raise InputError(f"the height must be finite and not negative, not {self.height} m")
+        if not math.isfinite(self.velocity):
+            raise InputError(f"the velocity must be finite, not {self.velocity} m/s")
+        for name, value in (("duration", self.duration), ("time step", self.timestep)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise InputError(f"the {name} must be positive and finite, not {value} s")
+        _ = self.surface
+
+    @property
+    def surface(self) -> Surface:
+        """Where the sand is."""
+        if self.bed is not None:
+            return Bed(self.bed)
+        if self.height_field is not None:
+            return HeightField(self.height_field)
+        return Plane(self.surface_height, self.slope, self.uphill)
+
+    def config(self) -> dict[str, Any]:
+        """The drop in plain values."""
+        return {**asdict(self), "model": str(self.model)}
+
+
+@dataclass(frozen=True)
+class BodySummary:
+    """What the sand did to one body.
+
+    Attributes:
+        body: its name.
+        greatest_depth: [m]; negative if it never met the sand.
+        greatest_force: size [N].
+        energy_into_sand: work of the body on the sand [J].
+        within_validity: share of the samples in the sand at which the law held, 0 to 1; None if it
+            never met the sand.
+        exceeded: measures of validity whose limits it passed, with the greatest values.
+    """
+
+    body: str
+    greatest_depth: float
+    greatest_force: float
+    energy_into_sand: float
+    within_validity: float | None
+    exceeded: dict[str, float]
+
+
+@dataclass(frozen=True)
+class DropResult:
+    """A finished run.
+
+    Attributes:
+        drop: what was asked for.
+        xml: the model as it ran, with its bed of sand.
+        law: name of the law that acted.
+        timestep: [s].
+        elements: number of elements.
+        rest: time from which every body stays where it is [s]; None if they still move.
+        bodies: one summary a body.
+        t: times of the samples [s], shape (n,).
+        qpos: shape (n, nq).
+        qvel: shape (n, nv).
+        depth: of each body [m], shape (n, bodies).
+        point: where it acts on each body's deepest element [m], shape (n, bodies, 3).
+        force: of the sand on each body [N], shape (n, bodies, 3).
+        power: of the sand on each body [W], shape (n, bodies).
+    """
+
+    drop: Drop
+    xml: str
+    law: str
+    timestep: float
+    elements: int
+    rest: float | None
+    bodies: tuple[BodySummary, ...]
+    t: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    depth: np.ndarray
+    point: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+
+    def summary(self) -> dict[str, Any]:
+        """The result in plain numbers, SI units."""
+        return {
+            "model": str(self.drop.model),
+            "law": self.law,
+            "medium": self.drop.medium,
+            "scheme": self.drop.scheme,
+            "timestep": self.timestep,
+            "elements": self.elements,
+            "duration": float(self.t[-1]),
+            "at_rest": self.rest is not None,
+            "rest_time": self.rest,
+            "bodies": [asdict(body) for body in self.bodies],
+        }
+
+
+def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> DropResult:
+    """Runs a user's model on sand.
 
     Args:
-        impact: the drop.
+        drop: the run.
         progress: called now and then with the simulated time [s].
 
-    Returns:
-        The result. That T did not stop, or the link did not come to rest, within the duration is
-        a result too.
-
     Raises:
-        UnstableError: the state left reason, because the time step is too large for the scheme.
-
-    Warns:
-        GranularWarning: the time step is above the bound of the explicit scheme.
+        InputError: the model cannot be read, or cannot be lifted or thrown.
+        UnknownNameError: a name that the model does not have.
+        UnstableError: the state left reason.
     """
-    bound = impact.largest_step()
-    if impact.scheme == "explicit" and impact.timestep > bound:
-        warnings.warn(
-            f"the time step {impact.timestep:g} s is above {bound:.2g} s, the bound below which "
-            f"the explicit scheme is sure to be stable for this impact",
-            GranularWarning,
-            stacklevel=2,
+    model, xml = load(drop)
+    sand = Sand(
+        model,
+        medium=drop.medium,
+        law=drop.law,
+        scheme=drop.scheme,
+        surface=drop.surface,
+        bodies=drop.bodies or None,
+        geoms=drop.geoms or None,
+        resolution=drop.resolution,
+    )
+    data = mujoco.MjData(model)
+    _place(drop, model, data, sand)
+
+    recorder = Recorder(1 + model.nq + model.nv, keep=2048)
+    watch, rest = RestWatch(), None
+    check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
+    moving = sorted({int(body) for body in sand.elements["body"]})
+    begin = data.time
+    total = math.ceil(drop.duration / model.opt.timestep - 1e-9)
+    recorder.due()
+    recorder.take(0.0, data.qpos, data.qvel)
+    for step in range(1, total + 1):
+        sand.step(data)
+        if recorder.due() or step == total:
+            recorder.take(data.time - begin, data.qpos, data.qvel)
+        if step % check_every == 0:
+            _check(model, data)
+            still = watch.still(data.time - begin, data.xpos[moving])
+            rest = watch.since if still else None
+        if progress is not None and step % _PROGRESS_STEPS == 0:
+            progress(data.time - begin)
+    _check(model, data)
+    return _result(drop, xml, sand, recorder.rows(), rest)
+
+
+def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
+    """The compiled model, with a visible bed under it if it has none, and its XML."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(drop.model))
+        _add_bed(spec, drop)
+        model = spec.compile()
+        if drop.timestep is not None:
+            model.opt.timestep = drop.timestep
+        elif drop.scheme == "explicit":
+            model.opt.timestep = min(model.opt.timestep, _LARGEST_STEP)
+        return model, spec.to_xml()
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = " ".join(str(error).split())
+        raise InputError(f"MuJoCo cannot load {drop.model}: {reason}") from None
+
+
+def _add_bed(spec: mujoco.MjSpec, drop: Drop) -> None:
+    """Adds a sand-coloured slab below a plane surface, to be seen and not to be touched."""
+    if not isinstance(drop.surface, Plane):
+        return
+    surface = drop.surface
+    if all(t.type != mujoco.mjtTexture.mjTEXTURE_SKYBOX for t in spec.textures):
+        spec.add_texture(
+            name="mjgranular_sky",
+            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=[0.95, 0.96, 0.97],
+            rgb2=[0.76, 0.82, 0.88],
+            width=128,
+            height=128,
         )
-    return _Run(impact).follow(progress)
+    spec.add_texture(
+        name=_BED,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        mark=mujoco.mjtMark.mjMARK_RANDOM,
+        rgb1=[0.80, 0.69, 0.50],
+        markrgb=[0.58, 0.46, 0.30],
+        random=0.3,
+        width=512,
+        height=512,
+    )
+    material = spec.add_material(name=_BED)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _BED
+    material.texrepeat = [4, 4]
+    material.texuniform = True
+    half, thick = 3.0, 0.05
+    position = -thick * surface.normal
+    position[2] += surface.height
+    spec.worldbody.add_geom(
+        name=_BED,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[half, half, thick],
+        pos=position,
+        # From z to the normal: a turn about the horizontal axis across the slope.
+        axisangle=[math.sin(surface.uphill), -math.cos(surface.uphill), 0.0, surface.slope],
+        material=_BED,
+        contype=0,
+        conaffinity=0,
+        group=1,
+    )
 
 
-class _Run:
-    """A run under way."""
-
-    def __init__(self, impact: Impact) -> None:
-        self.impact = impact
-        self.link = impact.link
-        self.model = self.link.model(impact.timestep)
-        self.sand = impact.sand(self.model)
-        self.data = mujoco.MjData(self.model)
-        self.data.qpos[:] = self.link.touching(impact.angle)
-        self.data.qpos[1] += impact.height
-        self.data.qvel[:] = self.link.moving(
-            impact.angle, impact.speed, impact.tangential_speed, impact.angular_velocity
+def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
+    """Starts from the keyframe, lifts and throws the model as asked."""
+    if drop.keyframe is not None:
+        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, drop.keyframe)
+        if key < 0:
+            known = [model.key(k).name for k in range(model.nkey)]
+            raise UnknownNameError("keyframe of the model", drop.keyframe, known)
+        mujoco.mj_resetDataKeyframe(model, data, key)
+    if drop.height is None and drop.velocity == 0.0:
+        return
+    roots = _vertical_dofs(model)
+    if not roots:
+        raise InputError(
+            "the model has no free joint and no vertical slide at its root: it can be neither "
+            "lifted (--height) nor thrown (--velocity); start from a keyframe instead"
         )
-        self.touchdown: float | None = 0.0 if impact.height == 0 else None
-        self.stop: Stop | None = None
-        self.rest: Rest | None = None
-        self.steps = 0
-        self.before_stop = Recorder(7)
-        self.after_stop = Recorder(7)
-        self.gravity = float(np.linalg.norm(self.model.opt.gravity))
-        # Energy is counted from the least that the link can have in reach: a drop by its length.
-        scale = self.energy() + self.link.mass * self.gravity * self.link.length
-        self.most_energy = self.energy() + _ENERGY_MARGIN * scale
+    for position, velocity, sign in roots:
+        data.qvel[velocity] -= sign * drop.velocity
+        if drop.height is not None:
+            # Once is exact for a level surface; along a slope depth grows with its cosine.
+            for _ in range(8):
+                depth = max(body.depth for body in sand.report(data).bodies)
+                data.qpos[position] += sign * (drop.height + depth)
 
-    def energy(self) -> float:
-        """Kinetic and potential energy [J]."""
-        link = self.link
-        vx, vz, omega = self.data.qvel.tolist()
-        kinetic = link.mass * (vx * vx + vz * vz) + link.inertia * omega * omega
-        return kinetic / 2 + link.mass * self.gravity * float(self.data.qpos[1])
 
-    def follow(self, progress: Callable[[float], None] | None) -> ImpactResult:
-        """Steps until the end."""
-        impact, data, link = self.impact, self.data, self.link
-        step, qpos, qvel, tip = self.sand.step, data.qpos, data.qvel, link.tip
-        timestep = impact.timestep
-        total = math.ceil(impact.duration / timestep - 1e-9)
-        check_every = max(1, round(_REST_WINDOW / timestep / 50))
-        watch = _RestWatch()
+def _vertical_dofs(model: mujoco.MjModel) -> list[tuple[int, int, float]]:
+    """For each root body that can go up and down: index in qpos, in qvel, and the sense of up."""
+    found = []
+    for joint in range(model.njnt):
+        body = int(model.jnt_bodyid[joint])
+        if model.body_parentid[body] != 0:
+            continue
+        position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            found.append((position + 2, velocity + 2, 1.0))
+        elif model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+            up = float(model.jnt_axis[joint][2])
+            if abs(up) > 0.999:
+                found.append((position, velocity, math.copysign(1.0, up)))
+    return found
 
-        self.sample(self.before_stop)
-        old = tip(qpos, qvel)
-        for index in range(total):
-            step(data)
-            self.steps = index + 1
-            new = tip(qpos, qvel)
-            if self.stop is None:
-                if self.touchdown is None and new[1] >= 0:
-                    self.touchdown = self.steps * timestep - timestep * new[1] / (new[1] - old[1])
-                if self.touchdown is not None and old[3] > 0 >= new[3]:
-                    self.stop = self.locate_stop(index, old, new)
-                    self.check_energy()
-                    self.sample(self.before_stop)
-                    if impact.until == "stop":
-                        break
-                elif self.before_stop.due():
-                    self.check_energy()
-                    self.sample(self.before_stop)
-            else:
-                if self.after_stop.due():
-                    self.check_energy()
-                    self.sample(self.after_stop)
-                if index % check_every == 0 and watch.still(self.steps * timestep, self.ends()):
-                    self.rest = self.settled(watch.since)
-                    self.sample(self.after_stop)
-                    break
-            old = new
-            if progress is not None and index % _PROGRESS_STEPS == 0:
-                progress(self.steps * timestep)
-        self.check_energy()
-        rows = np.vstack([self.before_stop.rows(), self.after_stop.rows()])
-        rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
-        return ImpactResult(
-            impact=impact,
-            law=self.sand.law.name,
-            touchdown=self.touchdown,
-            stop=self.stop,
-            rest=self.rest,
-            trajectory=Trajectory.from_states(rows, link, self.sand),
-            steps=self.steps,
-        )
 
-    def sample(self, recorder: Recorder) -> None:
-        """Takes a sample of the state."""
-        recorder.take(self.steps * self.impact.timestep, self.data.qpos, self.data.qvel)
-
-    def locate_stop(self, index: int, old: tuple[float, ...], new: tuple[float, ...]) -> Stop:
-        """The stop within the last step: velocities are linear in time there."""
-        h = self.impact.timestep
-        part = old[3] / (old[3] - new[3])
-        q, omega = float(self.data.qpos[2]), float(self.data.qvel[2])
-        assert self.touchdown is not None
-        return Stop(
-            time=(index + part) * h - self.touchdown,
-            depth=old[1] + h * part * old[3] / 2,
-            x=old[0] + part * (new[0] - old[0]),
-            angle=q - (1 - part) * h * omega,
-            angular_velocity=omega,
-            step=index,
-        )
-
-    def ends(self) -> np.ndarray:
-        """Both ends of the link, x and z of each [m], shape (4,)."""
-        x, z, q = self.data.qpos.tolist()
-        half = self.link.length / 2
-        s, c = half * math.sin(q), half * math.cos(q)
-        return np.array([x + s, z - c, x - s, z + c])
-
-    def settled(self, since: float) -> Rest:
-        """The state of rest."""
-        assert self.touchdown is not None
-        ends = self.ends()
-        q = float(self.data.qpos[2])
-        lean = math.atan(math.tan(q)) if abs(math.cos(q)) > 1e-12 else math.pi / 2
-        return Rest(time=since - self.touchdown, depth=-float(ends[1::2].min()), angle=lean)
-
-    def check_energy(self) -> None:
-        """Ends the run when the state has left reason."""
-        energy = self.energy()
-        if not energy <= self.most_energy:  # also when it is not a number
+def _check(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Ends the run when MuJoCo has found the state bad (and reset it)."""
+    for kind in ("BADQPOS", "BADQVEL", "BADQACC"):
+        warning = data.warning[getattr(mujoco.mjtWarning, f"mjWARN_{kind}")]
+        if warning.number:
+            dof = int(warning.lastinfo)
             raise UnstableError(
-                f"the run was stopped at t = {self.steps * self.impact.timestep:.4g} s: the link "
-                f"has more energy than it began with, so the time step "
-                f"{self.impact.timestep:g} s is too large for the {self.impact.scheme} scheme; "
-                f"below {self.impact.largest_step():.2g} s it is sure to be stable"
+                f"the simulation left reason: MuJoCo found a bad value at degree of freedom {dof}; "
+                f"a time step below {model.opt.timestep:g} s may keep it"
             )
 
 
-class _RestWatch:
-    """Tells when points have stayed in one place for long enough."""
-
-    def __init__(self) -> None:
-        self.since = 0.0
-        self._low = np.zeros(0)
-        self._high = np.zeros(0)
-
-    def still(self, time: float, points: np.ndarray) -> bool:
-        """Whether the points have stayed where they are for the window of rest."""
-        if self._low.size:
-            low, high = np.minimum(self._low, points), np.maximum(self._high, points)
-            if (high - low).max() <= _REST_DISTANCE:
-                self._low, self._high = low, high
-                return time - self.since >= _REST_WINDOW
-        self._low = self._high = points
-        self.since = time
-        return False
+def _result(drop: Drop, xml: str, sand: Sand, rows: np.ndarray, rest: float | None) -> DropResult:
+    """Works out from samples of the state what the sand did."""
+    model = sand.model
+    data = mujoco.MjData(model)
+    t, qpos, qvel = rows[:, 0], rows[:, 1 : 1 + model.nq], rows[:, 1 + model.nq :]
+    reports = []
+    for row in rows:
+        data.qpos[:] = row[1 : 1 + model.nq]
+        data.qvel[:] = row[1 + model.nq :]
+        reports.append(sand.report(data).bodies)
+    depth = np.array([[body.depth for body in bodies] for bodies in reports])
+    point = np.array([[body.point for body in bodies] for bodies in reports])
+    force = np.array([[body.force for body in bodies] for bodies in reports])
+    power = np.array([[body.power for body in bodies] for bodies in reports])
+    summaries = []
+    for k, body in enumerate(reports[0]):
+        mine = [bodies[k] for bodies in reports if bodies[k].depth > 0]
+        exceeded: dict[str, float] = {}
+        for report in mine:
+            for standing in report.validity:
+                if not standing.holds and standing.value is not None:
+                    measure = standing.limit.measure
+                    exceeded[measure] = max(exceeded.get(measure, 0.0), standing.value)
+        summaries.append(
+            BodySummary(
+                body=body.body,
+                greatest_depth=float(depth[:, k].max()),
+                greatest_force=float(np.linalg.norm(force[:, k], axis=1).max()),
+                energy_into_sand=float(-np.trapezoid(power[:, k], t)),
+                within_validity=sum(r.valid for r in mine) / len(mine) if mine else None,
+                exceeded=exceeded,
+            )
+        )
+    return DropResult(
+        drop=drop,
+        xml=xml,
+        law=sand.law.name,
+        timestep=float(model.opt.timestep),
+        elements=len(sand.elements),
+        rest=rest,
+        bodies=tuple(summaries),
+        t=t,
+        qpos=qpos,
+        qvel=qvel,
+        depth=depth,
+        point=point,
+        force=force,
+        power=power,
+    )

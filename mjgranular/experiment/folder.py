@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import tempfile
@@ -12,7 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mjgranular.errors import OutputError
+from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.provenance import versions
 from mjgranular.experiment.trajectory import Trajectory
@@ -120,7 +124,7 @@ class ResultFolder:
         )
 
 
-IMPACT_FILES = (CONFIG, SUMMARY, _CSV, _NPZ)
+RUN_FILES = (CONFIG, SUMMARY, _CSV, _NPZ)
 
 
 def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
@@ -129,6 +133,64 @@ def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
     folder.write(_CSV, result.trajectory.write_csv)
     folder.write(_NPZ, result.trajectory.write_npz)
     folder.write_json(SUMMARY, result.summary())
+
+
+_DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
+
+
+def write_drop(folder: ResultFolder, result: DropResult) -> None:
+    """Writes a run of a model: configuration, samples and, last, the summary."""
+    folder.write_config("drop", result.drop.config())
+    folder.write(_CSV, lambda path: _write_drop_csv(path, result))
+    arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
+    folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
+    folder.write_json(SUMMARY, result.summary())
+
+
+def _write_drop_csv(path: Path, result: DropResult) -> None:
+    header = ["t [s]"]
+    columns = [result.t[:, None]]
+    for k, body in enumerate(result.bodies):
+        header += [
+            f"{body.body}: {name}" for name in ("depth [m]", "F_x [N]", "F_y [N]", "F_z [N]")
+        ]
+        header.append(f"{body.body}: power [W]")
+        columns += [result.depth[:, k, None], result.force[:, k], result.power[:, k, None]]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([[repr(float(v)) for v in row] for row in np.hstack(columns)])
+
+
+def saved_command(path: Path) -> str:
+    """The command whose result a folder holds.
+
+    Raises:
+        OutputError: it holds none.
+    """
+    try:
+        return str(json.loads((path / CONFIG).read_text(encoding="utf-8"))["command"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OutputError(
+            f"{path} holds no saved run ({error}); make one with mjgranular impact --out {path}"
+        ) from None
+
+
+def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
+    """Reads a run of a model that was written before: what was asked for, and the samples.
+
+    Raises:
+        OutputError: the folder holds no such result.
+    """
+    try:
+        config = json.loads((path / CONFIG).read_text(encoding="utf-8"))["config"]
+        config["model"] = Path(config["model"])
+        for key in ("bodies", "geoms"):
+            config[key] = tuple(config[key])
+        with np.load(path / _NPZ) as arrays:
+            return Drop(**config), {name: arrays[name] for name in _DROP_ARRAYS}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise OutputError(f"{path} holds no saved drop ({error})") from None
 
 
 def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mjgranular.experiment.drop import run_impact
+from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact, ImpactResult
 
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mjgranular.errors import GranularError, GranularWarning, InputError
-from mjgranular.experiment.drop import run_impact
+from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.trajectory import degrees
 

@@ -32,6 +32,9 @@ from mjgranular.shape.facets import facet_records
 # Below this speed [m/s] an element has no direction of motion. Chosen: far below any motion, far
 # above the square root of the smallest number.
 _STILL = 1e-150
+# A face leads when its normal's share of the motion is above this. Chosen: a face that slides along
+# itself has a finite response in RFT, so rounding must not decide whether it leads.
+_EDGE = 1e-9
 
 
 @cache
@@ -104,7 +107,7 @@ def facet_kernel(stress: Any, probe: Any, scene_dtype: np.dtype) -> Any:
             contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
             fx, fy, fz = 0.0, 0.0, 0.0
             speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-            if speed > _STILL and vx * nx + vy * ny + vz * nz > 0.0:  # a leading face
+            if speed > _STILL and vx * nx + vy * ny + vz * nz > _EDGE * speed:  # a leading face
                 if law.rise != 0.0:
                     depth = lowered(depth, motion, px - ix, py - iy, pz - iz, vx, vy, vz, g)
                 s = 1.0 / speed

@@ -13,6 +13,7 @@ from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
 
 _BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"
+_MOST_CURVES = 8
 _STYLE = {
     "axes.grid": True,
     "axes.spines.right": False,
@@ -107,6 +108,77 @@ def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
         va="bottom",
         color=_RED,
     )
+
+
+def draw_drop(
+    path: Path,
+    t: np.ndarray,
+    names: Sequence[str],
+    depth: np.ndarray,
+    force: np.ndarray,
+    power: np.ndarray,
+    *,
+    title: str = "",
+) -> None:
+    """Depth, force and power of each body that met the sand, against time.
+
+    Args:
+        path: of the picture.
+        t: times [s], shape (n,).
+        names: of the bodies.
+        depth: [m], shape (n, bodies).
+        force: [N], shape (n, bodies, 3).
+        power: of the sand [W], shape (n, bodies).
+        title: above the figure.
+    """
+    figure, context = _figure(6.8, 7.2)
+    axes = figure.subplots(3, 1, sharex=True)
+    met = [k for k in range(len(names)) if depth[:, k].max() > 0] or list(range(len(names)))
+    for k in met[:_MOST_CURVES]:
+        axes[0].plot(t, depth[:, k] * 1e3, label=names[k], linewidth=1.2)
+        axes[1].plot(t, np.linalg.norm(force[:, k], axis=1), linewidth=1.0)
+        axes[2].plot(t, power[:, k], linewidth=1.0)
+    axes[0].axhline(0, color=_OCHRE, linewidth=1.2)
+    axes[0].invert_yaxis()
+    axes[0].set_ylabel("greatest depth [mm]")
+    axes[1].set_ylabel("force of the sand [N]")
+    axes[2].set_ylabel("power of the sand [W]")
+    axes[2].set_xlabel("time [s]")
+    axes[0].legend(fontsize=8, ncols=2)
+    if len(met) > _MOST_CURVES:
+        title += f" (the first {_MOST_CURVES} of {len(met)} bodies)"
+    figure.suptitle(title)
+    _save(figure, context, path)
+
+
+def draw_intrusion(
+    path: Path, depth: np.ndarray, force: np.ndarray, moment: np.ndarray, *, title: str = ""
+) -> None:
+    """Force and moment against depth.
+
+    Args:
+        path: of the picture.
+        depth: of the intruder's deepest point [m], shape (n,).
+        force: along the path, across it and sideways [N], shape (n, 3).
+        moment: about the intruder's centre [N m], shape (n, 3).
+        title: above the figure.
+    """
+    figure, context = _figure(6.4, 6.4)
+    axes = figure.subplots(2, 1, sharex=True)
+    labels = ("against the motion", "lift, up across the motion", "sideways")
+    for k, (label, colour) in enumerate(zip(labels, (_BLUE, _OCHRE, _GREY), strict=True)):
+        axes[0].plot(depth * 1e3, force[:, k], color=colour, label=label)
+    axes[0].set_ylabel("force of the sand [N]")
+    axes[0].legend()
+    for k, (label, colour) in enumerate(zip("xyz", (_OCHRE, _BLUE, _GREY), strict=True)):
+        axes[1].plot(depth * 1e3, moment[:, k], color=colour, label=f"about {label}")
+    if np.abs(moment).max() < 1e-9 * max(np.abs(force).max(), 1e-300):
+        axes[1].set_ylim(-1, 1)  # nothing but rounding
+    axes[1].set_ylabel("moment about the centre [N m]")
+    axes[1].set_xlabel("depth of the deepest point [mm]")
+    axes[1].legend()
+    figure.suptitle(title)
+    _save(figure, context, path)
 
 
 def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: str = "") -> None:

@@ -142,6 +142,124 @@ def _draw(
         renderer.close()
 
 
+@dataclass(frozen=True)
+class Motion:
+    """A run of any model as a film needs it.
+
+    Attributes:
+        t: times [s], shape (n,).
+        qpos: shape (n, nq).
+        point: where forces act [m], shape (n, bodies, 3).
+        force: [N], shape (n, bodies, 3).
+    """
+
+    t: np.ndarray
+    qpos: np.ndarray
+    point: np.ndarray
+    force: np.ndarray
+
+
+def frames_of_model(
+    film: Film, model: mujoco.MjModel, motion: Motion
+) -> tuple[int, Iterator[np.ndarray]]:
+    """The pictures of a run of any model, at the speed of life or slower to fill the film.
+
+    Args:
+        film: how it is filmed; `camera` may be "free", which frames the whole model.
+        model: the model.
+        motion: the run.
+
+    Returns:
+        Their number, and the pictures, shape (height, width, 3), uint8.
+
+    Raises:
+        UnknownNameError: no such camera.
+        RenderError: MuJoCo cannot draw on this machine, says what to install.
+    """
+    known = [model.camera(c).name for c in range(model.ncam)]
+    if film.camera != "free" and film.camera not in known:
+        raise UnknownNameError("camera", film.camera, ["free", *known])
+    span = float(motion.t[-1] - motion.t[0])
+    seconds = max(film.seconds, span)
+    count = max(2, round(seconds * film.fps))
+    return count, _draw_model(film, model, motion, count, seconds / span if span else 1.0)
+
+
+def _draw_model(
+    film: Film, model: mujoco.MjModel, motion: Motion, count: int, slower: float
+) -> Iterator[np.ndarray]:
+    model.vis.global_.offwidth = max(model.vis.global_.offwidth, film.width)
+    model.vis.global_.offheight = max(model.vis.global_.offheight, film.height)
+    data = mujoco.MjData(model)
+    camera = film.camera if film.camera != "free" else _framing(model, data, motion)
+    greatest = float(np.linalg.norm(motion.force, axis=2).max())
+    reach = _reach(model, data, motion)
+    scale = 0.35 * reach / max(greatest, 1e-300)
+    caption = _Captions(film)
+    renderer = _renderer(model, film)
+    try:
+        for time in np.linspace(motion.t[0], motion.t[-1], count):
+            k = int(np.searchsorted(motion.t, time, side="right")) - 1
+            data.qpos[:] = _between(model, motion, k, float(time))
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_camlight(model, data)
+            renderer.update_scene(data, camera=camera)
+            total = np.zeros(3)
+            for point, force in zip(motion.point[k], motion.force[k], strict=True):
+                total += force
+                if scale * np.linalg.norm(force) > 0.01 * reach:
+                    _add_arrow(renderer.scene, point, point + scale * force, 0.012 * reach)
+            lines = (
+                f"t = {time:.3f} s",
+                f"force of the sand = {np.linalg.norm(total):.0f} N",
+                "at the speed of life"
+                if slower <= 1.0
+                else f"{_two_digits(slower)} times slower than life",
+            )
+            yield caption.put(renderer.render(), lines)
+    finally:
+        renderer.close()
+
+
+def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.ndarray:
+    """`qpos` at a time after sample k, turned and moved evenly towards the next."""
+    qpos = motion.qpos[k].copy()
+    if k + 1 < len(motion.t):
+        span = motion.t[k + 1] - motion.t[k]
+        change = np.zeros(model.nv)
+        mujoco.mj_differentiatePos(model, change, span, qpos, motion.qpos[k + 1])
+        mujoco.mj_integratePos(model, qpos, change, time - motion.t[k])
+    return qpos
+
+
+def _bodies_seen(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> np.ndarray:
+    """Positions of the moving bodies at some instants of the run [m], shape (n, 3)."""
+    seen = []
+    for qpos in motion.qpos[:: max(1, len(motion.qpos) // 8)]:
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        seen.append(data.xpos[1:].copy())
+    return np.concatenate(seen)
+
+
+def _reach(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> float:
+    """Size of what moves [m]: spread of the bodies and of their geoms."""
+    seen = _bodies_seen(model, data, motion)
+    moving = model.geom_bodyid != 0
+    bounds = model.geom_rbound[moving]
+    return float(np.ptp(seen, axis=0).max() / 2 + (bounds.max() if len(bounds) else 0.1))
+
+
+def _framing(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> mujoco.MjvCamera:
+    """A free camera that has the whole run in view, a little from above."""
+    seen = _bodies_seen(model, data, motion)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    camera.distance = 4.0 * _reach(model, data, motion)
+    camera.azimuth, camera.elevation = 120.0, -18.0
+    return camera
+
+
 def _renderer(model: mujoco.MjModel, film: Film) -> Any:
     try:
         return mujoco.Renderer(model, film.height, film.width)
@@ -177,19 +295,25 @@ class _Captions:
         self._font = font.load_default(size=self._size)
 
     def write(self, picture: np.ndarray, frame: _Frame, at: dict[str, float]) -> np.ndarray:
-        """A copy of the picture with the caption."""
-        image = self._image.fromarray(picture)
-        pen = self._draw.Draw(image)
+        """A copy of the picture with the figures of a link's impact."""
         lines = (
             f"t = {frame.time * 1e3:.2f} ms",
             f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
             f"force = {np.hypot(at['F_x'], at['F_y']):.0f} N",
             f"{_two_digits(frame.slower)} times slower than life",
         )
+        return self.put(picture, lines)
+
+    def put(self, picture: np.ndarray, lines: tuple[str, ...]) -> np.ndarray:
+        """A copy of the picture with these lines in a corner."""
+        image = self._image.fromarray(picture)
+        pen = self._draw.Draw(image)
         pen.multiline_text(
             (image.width - self._size, self._size),
             "\n".join(lines),
-            fill=(40, 40, 40),
+            fill=(30, 30, 30),
+            stroke_width=max(1, self._size // 10),
+            stroke_fill=(240, 240, 240),
             font=self._font,
             anchor="ra",
             align="right",
@@ -204,20 +328,18 @@ def _two_digits(value: float) -> str:
 def write_video(
     path: Path,
     film: Film,
-    link: Link,
-    trajectory: Trajectory,
+    count: int,
+    pictures: Iterator[np.ndarray],
     *,
-    stop: float | None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Writes an MP4 (H.264) of a run.
+    """Writes pictures as an MP4 (H.264).
 
     Args:
         path: of the file.
         film: how it is filmed.
-        link: the link.
-        trajectory: the run.
-        stop: time of the stop since release [s], None if there was none.
+        count: number of pictures.
+        pictures: from `frames_of_run` or `frames_of_model`.
         progress: called with the number of frames written, and that of all.
 
     Raises:
@@ -227,7 +349,6 @@ def write_video(
     mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
     ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
-    count, pictures = frames_of_run(film, link, trajectory, stop=stop)
     first = next(pictures)  # a machine that cannot draw is found out before a file is begun
     shape = (film.height, film.width)
     with mediapy.VideoWriter(path, shape=shape, fps=film.fps, crf=20) as writer:

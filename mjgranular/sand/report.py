@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -21,8 +21,8 @@ class ElementReport:
     Attributes:
         geom: name of the geom that the element was made from, or its number.
         body: name of the body, or its number.
-        depth: of the element's deepest point below the surface [m], negative above it.
-        immersed_length: length of the element's axis in the sand [m].
+        depth: of the element below the surface, of a rod's deeper end [m]; negative above it.
+        immersed_length: length of a rod in the sand [m]; 0 for other elements.
         point: E, where the force acts [m], shape (3,); the element's middle above the sand.
         velocity: of that point [m/s], shape (3,); zero above the sand.
         force: of the sand on the element [N], shape (3,).
@@ -54,7 +54,7 @@ class BodyReport:
         moment: about the body's centre of mass [N m], shape (3,).
         point: E, where the force of the body's deepest element acts [m], shape (3,).
         depth: greatest depth of its elements [m], negative above the sand.
-        immersed_length: sum over its elements [m].
+        immersed_length: sum over its rods [m].
         power: sum over its elements [W].
         froude: greatest of its elements in the sand.
         validity: how the body stands against the law's limits.
@@ -77,18 +77,49 @@ class BodyReport:
 
 
 @dataclass(frozen=True)
+class ElementTable:
+    """The sand on all elements, as arrays; see `ElementReport` for their meaning.
+
+    Attributes:
+        geom: ids, shape (n,).
+        body: ids, shape (n,).
+        depth: [m], shape (n,).
+        immersed_length: [m], shape (n,).
+        point: [m], shape (n, 3).
+        velocity: [m/s], shape (n, 3).
+        force: [N], shape (n, 3).
+        power: [W], shape (n,).
+        froude: shape (n,).
+        width: [m], shape (n,).
+    """
+
+    geom: np.ndarray
+    body: np.ndarray
+    depth: np.ndarray
+    immersed_length: np.ndarray
+    point: np.ndarray
+    velocity: np.ndarray
+    force: np.ndarray
+    power: np.ndarray
+    froude: np.ndarray
+    width: np.ndarray
+
+
+@dataclass(frozen=True)
 class Report:
     """The sand on a model at one instant.
 
     Attributes:
         time: of the simulation [s].
         bodies: one report a body, in the order of the model.
-        elements: one report an element.
+        table: all elements, as arrays.
+        names: of geoms and bodies by their ids.
     """
 
     time: float
     bodies: tuple[BodyReport, ...]
-    elements: tuple[ElementReport, ...]
+    table: ElementTable
+    names: Names
 
     def __getitem__(self, body: str) -> BodyReport:
         """The report of the body of that name.
@@ -101,27 +132,47 @@ class Report:
                 return report
         raise UnknownNameError("body with sand on it", body, [r.body for r in self.bodies])
 
+    @cached_property
+    def elements(self) -> tuple[ElementReport, ...]:
+        """One report an element, made when first asked for."""
+        columns = [getattr(self.table, field.name) for field in fields(ElementReport)]
+        return tuple(
+            ElementReport(self.names.geoms[geom], self.names.bodies[body], *_numbers(rest))
+            for geom, body, *rest in zip(*columns, strict=True)
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, as for JSON."""
-        return _plain(asdict(self))
+        return {
+            "time": self.time,
+            "bodies": [_plain(body) for body in self.bodies],
+            "elements": [_plain(element) for element in self.elements],
+        }
 
 
-def element_names(model: mujoco.MjModel, elements: np.ndarray) -> list[tuple[str, str]]:
-    """For each element, the names of its geom and body; numbers where they have none."""
-    return [
-        (
-            model.geom(element["geom"]).name or str(element["geom"]),
-            model.body(element["body"]).name or str(element["body"]),
+@dataclass(frozen=True)
+class Names:
+    """Names of a model's geoms and bodies by their ids; numbers for those without one."""
+
+    geoms: dict[int, str]
+    bodies: dict[int, str]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, elements: np.ndarray) -> Names:
+        """The names of what elements belong to."""
+        geoms, bodies = np.unique(elements["geom"]), np.unique(elements["body"])
+        return cls(
+            {int(g): model.geom(g).name or str(g) for g in geoms},
+            {int(b): model.body(b).name or str(b) for b in bodies},
         )
-        for element in elements
-    ]
 
 
 def describe(
     data: mujoco.MjData,
     *,
     elements: np.ndarray,
-    names: list[tuple[str, str]],
+    members: list[np.ndarray],
+    names: Names,
     binding: Binding,
     gravity: float,
     limits: tuple[Limit, ...] = (),
@@ -133,96 +184,100 @@ def describe(
     Args:
         data: the simulation.
         elements: the law's elements.
-        names: of each element's geom and body.
+        members: for each body in the sand, the rows of its elements.
+        names: of geoms and bodies.
         binding: with wrenches and contacts.
         gravity: its size [m/s^2].
         limits: of the law.
         slope: of the surface [rad].
         grain: diameter of a grain [m], None if it is not known.
     """
-    reports = []
-    for element, (geom, body), contact in zip(elements, names, binding.contacts, strict=True):
-        if contact["depth"] > 0:
-            point = contact["point"].copy()
-            velocity, force = contact["velocity"].copy(), contact["force"].copy()
-        else:  # kernels leave the rest of a dry element's contact as it was
-            axes = data.xmat[element["body"]].reshape(3, 3)
-            local = element["point" if "point" in elements.dtype.names else "center"]
-            point = data.xpos[element["body"]] + axes @ local
-            velocity, force = np.zeros(3), np.zeros(3)
-        scale = math.sqrt(gravity * element["width"])
-        reports.append(
-            ElementReport(
-                geom=geom,
-                body=body,
-                depth=float(contact["depth"]),
-                immersed_length=float(contact["length"]) if contact["depth"] > 0 else 0.0,
-                point=point,
-                velocity=velocity,
-                force=force,
-                power=float(force @ velocity),
-                froude=math.sqrt(velocity @ velocity) / scale if scale > 0 else 0.0,
-                width=float(element["width"]),
-            )
-        )
-    members: list[list[ElementReport]] = [[] for _ in binding.bodies]
-    for element, report in zip(elements, reports, strict=True):
-        members[element["slot"]].append(report)
+    table = _element_table(data, elements, binding.contacts, gravity)
     bodies = []
     for row, mine in zip(binding.bodies, members, strict=True):
-        deepest = max(mine, key=lambda report: report.depth)
+        deepest = mine[np.argmax(table.depth[mine])]
+        wet = mine[table.depth[mine] > 0]
+        measures = _measures(table, wet, gravity=gravity, slope=slope, grain=grain)
         bodies.append(
             BodyReport(
-                body=deepest.body,
+                body=names.bodies[int(row["body"])],
                 force=row["wrench"][:3].copy(),
                 moment=row["wrench"][3:].copy(),
-                point=deepest.point,
-                depth=deepest.depth,
-                immersed_length=sum(report.immersed_length for report in mine),
-                power=sum(report.power for report in mine),
-                froude=max(report.froude for report in mine),
-                validity=_standings(mine, limits, gravity=gravity, slope=slope, grain=grain),
+                point=table.point[deepest].copy(),
+                depth=float(table.depth[deepest]),
+                immersed_length=float(table.immersed_length[mine].sum()),
+                power=float(table.power[mine].sum()),
+                froude=float(measures["froude"] or 0.0),
+                validity=tuple(Standing(limit, measures[limit.measure]) for limit in limits),
             )
         )
-    return Report(time=float(data.time), bodies=tuple(bodies), elements=tuple(reports))
+    return Report(float(data.time), tuple(bodies), table, names)
 
 
-def _standings(
-    elements: list[ElementReport],
-    limits: tuple[Limit, ...],
+def _element_table(
+    data: mujoco.MjData, elements: np.ndarray, contacts: np.ndarray, gravity: float
+) -> ElementTable:
+    """Copies the contacts; above the sand kernels leave all but the depth as it was."""
+    dry = contacts["depth"] <= 0
+    point, velocity = contacts["point"].copy(), contacts["velocity"].copy()
+    force, length = contacts["force"].copy(), contacts["length"].copy()
+    velocity[dry], force[dry], length[dry] = 0.0, 0.0, 0.0
+    local = elements["point" if "point" in (elements.dtype.names or ()) else "center"][dry]
+    body = elements["body"][dry]
+    point[dry] = data.xpos[body] + np.einsum("nij,nj->ni", data.xmat[body].reshape(-1, 3, 3), local)
+    speed = np.sqrt((velocity**2).sum(axis=1))
+    scale = np.sqrt(gravity * elements["width"])
+    return ElementTable(
+        geom=elements["geom"],
+        body=elements["body"],
+        depth=contacts["depth"].copy(),
+        immersed_length=length,
+        point=point,
+        velocity=velocity,
+        force=force,
+        power=(force * velocity).sum(axis=1),
+        froude=np.divide(speed, scale, out=np.zeros_like(speed), where=scale > 0),
+        width=elements["width"],
+    )
+
+
+def _measures(
+    table: ElementTable,
+    wet: np.ndarray,
     *,
     gravity: float,
     slope: float,
     grain: float | None,
-) -> tuple[Standing, ...]:
-    """How a body stands against each limit; measures are the greatest over elements in the sand."""
-    values: dict[Measure, float | None] = {
+) -> dict[Measure, float | None]:
+    """The measures of validity of one body: the greatest over its elements in the sand."""
+    measures: dict[Measure, float | None] = {
         "slope": slope,
         "froude": 0.0,
         "depth_over_width": 0.0,
-        "inertial_number": None if grain is None else 0.0,
+        "inertial_number": None if grain is None or gravity == 0 else 0.0,
     }
-    for element in elements:
-        if element.depth <= 0 or element.width <= 0:
-            continue
-        speed = math.sqrt(element.velocity @ element.velocity)
-        found: dict[Measure, float | None] = {
-            "froude": element.froude,
-            "depth_over_width": element.depth / element.width,
-        }
+    if len(wet):
+        width, depth = table.width[wet], table.depth[wet]
+        measures["froude"] = float(table.froude[wet].max())
+        measures["depth_over_width"] = float((depth / width).max())
         if grain is not None and gravity > 0:
             # Shear rate v / w, pressure rho g z: the density cancels.
-            found["inertial_number"] = (
-                speed / element.width * grain / math.sqrt(gravity * element.depth)
-            )
-        for measure, value in found.items():
-            values[measure] = max(values[measure] or 0.0, value or 0.0)
-    return tuple(Standing(limit, values[limit.measure]) for limit in limits)
+            speed = np.sqrt((table.velocity[wet] ** 2).sum(axis=1))
+            number = speed / width * grain / np.sqrt(gravity * depth)
+            measures["inertial_number"] = float(number.max())
+    return measures
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return value.tolist() if isinstance(value, np.ndarray) else value
+def _numbers(values: list[Any]) -> list[Any]:
+    return [value if isinstance(value, np.ndarray) else float(value) for value in values]
+
+
+def _plain(report: Any) -> dict[str, Any]:
+    """A report as names and plain numbers; its validity as measures with values."""
+    plain: dict[str, Any] = {}
+    for field in fields(report):
+        value = getattr(report, field.name)
+        if field.name == "validity":
+            value = {s.limit.measure: {"value": s.value, "most": s.limit.most} for s in value}
+        plain[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return plain

@@ -14,7 +14,7 @@ from mjgranular.kernel import entry
 from mjgranular.law import Law, get_law, make_scene
 from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
-from mjgranular.sand.report import Report, describe, element_names
+from mjgranular.sand.report import Names, Report, describe
 from mjgranular.scheme import Scheme, get_scheme
 from mjgranular.scheme.explicit import take_back_wrenches
 from mjgranular.shape import select_geoms
@@ -79,7 +79,11 @@ class Sand:
             weakref.WeakKeyDictionary()
         )
         self._slope = self._surface.tilt(model)
-        self._names = element_names(model, self._elements)
+        self._names = Names.of(model, self._elements)
+        self._members = [
+            np.flatnonzero(self._elements["slot"] == slot)
+            for slot in range(len(np.unique(self._elements["slot"])))
+        ]
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: what a loop over one simulation needs.
         self._recent: tuple[Callable[[], mujoco.MjData | None], int] = (lambda: None, 0)
@@ -176,6 +180,7 @@ class Sand:
         report = describe(
             probe,
             elements=self._elements,
+            members=self._members,
             names=self._names,
             binding=binding,
             gravity=float(np.linalg.norm(model.opt.gravity)),

@@ -1,0 +1,174 @@
+"""`mjgranular drop`: a model of one's own on sand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.table import Table
+from rich.text import Text
+
+from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli.impact import VIDEO, write_film
+from mjgranular.errors import GranularError, InputError, MissingExtraError
+from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
+from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
+
+_FIGURE = "drop.png"
+
+
+@dataclass(frozen=True)
+class DropCommand:
+    """Your own MJCF model falls onto sand, is thrown at it or stands on it.
+
+    Prints for each body the greatest depth and force, the energy it gave to the sand, and whether
+    the law held. With --out DIR, writes samples, summary, configuration and a figure there; with
+    --video, a film too.
+    """
+
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
+    """The MJCF file."""
+    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
+    """The sand, or a YAML file; `mjgranular media` lists what there is."""
+    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
+    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "explicit"
+    """How forces become a step."""
+    surface_height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
+    """Height of the surface above the world's origin [m]."""
+    slope: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Slope of the surface [degrees]."""
+    uphill: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Direction of steepest ascent from the x axis [degrees]."""
+    bed: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
+    """Box geom of the model that is the sand."""
+    height_field: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
+    """Hfield geom of the model that is the sand."""
+    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Bodies that meet the sand. Default: all that can move."""
+    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Geoms that meet the sand."""
+    keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Keyframe of the model to start from."""
+    height: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Height of the lowest point above the surface at the start [m]. Default: as the model is."""
+    velocity: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.0
+    """Velocity at the start, down [m/s]."""
+    duration: Annotated[float, tyro.conf.arg(metavar="S")] = 1.0
+    """Simulated time [s]."""
+    timestep: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme."""
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How finely geoms are cut into elements. Default: the law's."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the results; nothing is written without it."""
+    video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Write a film into the folder."""
+    camera: Annotated[str, tyro.conf.arg(metavar="NAME")] = "free"
+    """Camera of the film: one of the model's, or free."""
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace a result that the folder holds already."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        drop = Drop(
+            model=self.model,
+            medium=self.medium,
+            law=self.law,
+            scheme=self.scheme,
+            surface_height=self.surface_height,
+            slope=math.radians(self.slope),
+            uphill=math.radians(self.uphill),
+            bed=self.bed,
+            height_field=self.height_field,
+            bodies=self.bodies,
+            geoms=self.geoms,
+            keyframe=self.keyframe,
+            height=self.height,
+            velocity=self.velocity,
+            duration=self.duration,
+            timestep=self.timestep,
+            resolution=self.resolution,
+        )
+        if self.video and self.out is None:
+            raise InputError("--video needs a folder to write to: add --out DIR")
+        if self.out is None:
+            self._show(self._run(drop))
+            return 0
+        names = (*RUN_FILES, _FIGURE, *((VIDEO,) if self.video else ()))
+        with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
+            result = self._run(drop)
+            write_drop(folder, result)
+            self._show(result)
+            problems = self._draw(folder, result)
+            if self.video:
+                problems += self._film(folder, result)
+        if not self.json:
+            out.print(f"written to {self.out}", highlight=False, markup=False)
+        for problem in problems:
+            show_error(f"{problem} (the numbers are in {self.out})")
+        return 2 if problems else 0
+
+    def _run(self, drop: Drop) -> DropResult:
+        with progress_bar("running the model", drop.duration) as progress:
+            return run_drop(drop, progress=progress)
+
+    def _draw(self, folder: ResultFolder, result: DropResult) -> list[GranularError]:
+        from mjgranular.picture.figures import draw_drop
+
+        names = [body.body for body in result.bodies]
+        title = f"{self.model.name}, {self.medium}, {result.law} law, {result.timestep:g} s"
+        try:
+            folder.write(
+                _FIGURE,
+                lambda path: draw_drop(
+                    path, result.t, names, result.depth, result.force, result.power, title=title
+                ),
+            )
+        except MissingExtraError as error:
+            return [error]
+        return []
+
+    def _film(self, folder: ResultFolder, result: DropResult) -> list[GranularError]:
+        from mjgranular.picture.video import Film, Motion, frames_of_model
+
+        film = Film(camera=self.camera, seconds=1.0)
+        model, _ = load(result.drop)
+        motion = Motion(result.t, result.qpos, result.point, result.force)
+        return write_film(folder, VIDEO, film, lambda: frames_of_model(film, model, motion))
+
+    def _show(self, result: DropResult) -> None:
+        if self.json:
+            print_json(result.summary())
+            return
+        table = Table(
+            title=f"{self.model.name} on {self.medium}: {result.law} law, {result.elements} "
+            f"elements, {result.t[-1]:g} s in steps of {result.timestep:g} s",
+            title_justify="left",
+        )
+        for heading in ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held"):
+            table.add_column(Text(heading), justify="left" if heading == "body" else "right")
+        for body in result.bodies:
+            held = body.within_validity
+            table.add_row(
+                body.body,
+                f"{body.greatest_depth * 1e3:.2f}" if held is not None else "not met",
+                f"{body.greatest_force:.3g}",
+                f"{body.energy_into_sand:.3g}",
+                "" if held is None else f"{held:.0%}",
+            )
+        out.print(table)
+        if result.rest is not None:
+            out.print(f"at rest after {result.rest:.3f} s", highlight=False)
+        for body in result.bodies:
+            for measure, value in body.exceeded.items():
+                err.print(
+                    f"{body.body}: {measure} reached {value:.3g}, outside the validity of the law",
+                    highlight=False,
+                    markup=False,
+                )

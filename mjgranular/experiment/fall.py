@@ -1,0 +1,177 @@
+"""The run itself: the link meets the sand, its end T stops, and it may be followed on to rest."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import GranularWarning, UnstableError
+from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
+from mjgranular.experiment.trajectory import Recorder, Trajectory
+from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+
+# Energy that the sand may seem to give before the run is ended, over the energy there was to
+# begin with. A passive medium gives none; the explicit sign of the static force a little.
+_ENERGY_MARGIN = 0.05
+_PROGRESS_STEPS = 5000  # between two calls of `progress`
+
+
+def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = None) -> ImpactResult:
+    """Drops the link.
+
+    Args:
+        impact: the drop.
+        progress: called now and then with the simulated time [s].
+
+    Returns:
+        The result. That T did not stop, or the link did not come to rest, within the duration is
+        a result too.
+
+    Raises:
+        UnstableError: the state left reason, because the time step is too large for the scheme.
+
+    Warns:
+        GranularWarning: the time step is above the bound of the explicit scheme.
+    """
+    bound = impact.largest_step()
+    if impact.scheme == "explicit" and impact.timestep > bound:
+        warnings.warn(
+            f"the time step {impact.timestep:g} s is above {bound:.2g} s, the bound below which "
+            f"the explicit scheme is sure to be stable for this impact",
+            GranularWarning,
+            stacklevel=2,
+        )
+    return _Run(impact).follow(progress)
+
+
+class _Run:
+    """A run under way."""
+
+    def __init__(self, impact: Impact) -> None:
+        self.impact = impact
+        self.link = impact.link
+        self.model = self.link.model(impact.timestep)
+        self.sand = impact.sand(self.model)
+        self.data = mujoco.MjData(self.model)
+        self.data.qpos[:] = self.link.touching(impact.angle)
+        self.data.qpos[1] += impact.height
+        self.data.qvel[:] = self.link.moving(
+            impact.angle, impact.speed, impact.tangential_speed, impact.angular_velocity
+        )
+        self.touchdown: float | None = 0.0 if impact.height == 0 else None
+        self.stop: Stop | None = None
+        self.rest: Rest | None = None
+        self.steps = 0
+        self.before_stop = Recorder(7)
+        self.after_stop = Recorder(7)
+        self.gravity = float(np.linalg.norm(self.model.opt.gravity))
+        # Energy is counted from the least that the link can have in reach: a drop by its length.
+        scale = self.energy() + self.link.mass * self.gravity * self.link.length
+        self.most_energy = self.energy() + _ENERGY_MARGIN * scale
+
+    def energy(self) -> float:
+        """Kinetic and potential energy [J]."""
+        link = self.link
+        vx, vz, omega = self.data.qvel.tolist()
+        kinetic = link.mass * (vx * vx + vz * vz) + link.inertia * omega * omega
+        return kinetic / 2 + link.mass * self.gravity * float(self.data.qpos[1])
+
+    def follow(self, progress: Callable[[float], None] | None) -> ImpactResult:
+        """Steps until the end."""
+        impact, data, link = self.impact, self.data, self.link
+        step, qpos, qvel, tip = self.sand.step, data.qpos, data.qvel, link.tip
+        timestep = impact.timestep
+        total = math.ceil(impact.duration / timestep - 1e-9)
+        check_every = max(1, round(REST_WINDOW / timestep / 50))
+        watch = RestWatch()
+
+        self.sample(self.before_stop)
+        old = tip(qpos, qvel)
+        for index in range(total):
+            step(data)
+            self.steps = index + 1
+            new = tip(qpos, qvel)
+            if self.stop is None:
+                if self.touchdown is None and new[1] >= 0:
+                    self.touchdown = self.steps * timestep - timestep * new[1] / (new[1] - old[1])
+                if self.touchdown is not None and old[3] > 0 >= new[3]:
+                    self.stop = self.locate_stop(index, old, new)
+                    self.check_energy()
+                    self.sample(self.before_stop)
+                    if impact.until == "stop":
+                        break
+                elif self.before_stop.due():
+                    self.check_energy()
+                    self.sample(self.before_stop)
+            else:
+                if self.after_stop.due():
+                    self.check_energy()
+                    self.sample(self.after_stop)
+                if index % check_every == 0 and watch.still(self.steps * timestep, self.ends()):
+                    self.rest = self.settled(watch.since)
+                    self.sample(self.after_stop)
+                    break
+            old = new
+            if progress is not None and index % _PROGRESS_STEPS == 0:
+                progress(self.steps * timestep)
+        self.check_energy()
+        rows = np.vstack([self.before_stop.rows(), self.after_stop.rows()])
+        rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
+        return ImpactResult(
+            impact=impact,
+            law=self.sand.law.name,
+            touchdown=self.touchdown,
+            stop=self.stop,
+            rest=self.rest,
+            trajectory=Trajectory.from_states(rows, link, self.sand),
+            steps=self.steps,
+        )
+
+    def sample(self, recorder: Recorder) -> None:
+        """Takes a sample of the state."""
+        recorder.take(self.steps * self.impact.timestep, self.data.qpos, self.data.qvel)
+
+    def locate_stop(self, index: int, old: tuple[float, ...], new: tuple[float, ...]) -> Stop:
+        """The stop within the last step: velocities are linear in time there."""
+        h = self.impact.timestep
+        part = old[3] / (old[3] - new[3])
+        q, omega = float(self.data.qpos[2]), float(self.data.qvel[2])
+        assert self.touchdown is not None
+        return Stop(
+            time=(index + part) * h - self.touchdown,
+            depth=old[1] + h * part * old[3] / 2,
+            x=old[0] + part * (new[0] - old[0]),
+            angle=q - (1 - part) * h * omega,
+            angular_velocity=omega,
+            step=index,
+        )
+
+    def ends(self) -> np.ndarray:
+        """Both ends of the link, x and z of each [m], shape (4,)."""
+        x, z, q = self.data.qpos.tolist()
+        half = self.link.length / 2
+        s, c = half * math.sin(q), half * math.cos(q)
+        return np.array([x + s, z - c, x - s, z + c])
+
+    def settled(self, since: float) -> Rest:
+        """The state of rest."""
+        assert self.touchdown is not None
+        ends = self.ends()
+        q = float(self.data.qpos[2])
+        lean = math.atan(math.tan(q)) if abs(math.cos(q)) > 1e-12 else math.pi / 2
+        return Rest(time=since - self.touchdown, depth=-float(ends[1::2].min()), angle=lean)
+
+    def check_energy(self) -> None:
+        """Ends the run when the state has left reason."""
+        energy = self.energy()
+        if not energy <= self.most_energy:  # also when it is not a number
+            raise UnstableError(
+                f"the run was stopped at t = {self.steps * self.impact.timestep:.4g} s: the link "
+                f"has more energy than it began with, so the time step "
+                f"{self.impact.timestep:g} s is too large for the {self.impact.scheme} scheme; "
+                f"below {self.impact.largest_step():.2g} s it is sure to be stable"
+            )

@@ -1,0 +1,250 @@
+"""What an experimenter measures first: an intruder moved on a prescribed path, force on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.sand import Sand
+
+Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
+_BODY = "intruder"
+
+
+@dataclass(frozen=True)
+class Intrusion:
+    """An intruder on a straight path through level sand, SI units and radians.
+
+    The path lies in the plane y = 0 and is travelled at constant speed, the intruder kept at its
+    tilt; it is moved, not pushed, so that its mass plays no part.
+
+    Attributes:
+        intruder: its shape, if no model is given. A plate is `size` square and a tenth as thick, a
+            sphere has that diameter, a box that edge; a cylinder or capsule has a quarter of it as
+            diameter and stands upright.
+        size: [m].
+        model: an MJCF file to take the intruder from.
+        geom: name of the geom in that file; None for all of the model's geoms.
+        tilt: of the intruder about -y [rad]: positive lifts its +x side.
+        direction: of the motion below the horizontal [rad]: pi/2 is straight down, 0 along +x.
+        speed: [m/s].
+        start: depth of the deepest point at the start [m].
+        depth: of the deepest point at the end of a path that goes down or up [m].
+        distance: length of the path [m]; None for what `depth` asks for.
+        points: number of samples.
+        medium: name of the sand, or a YAML file.
+        law: name of the force law; None for the medium's own.
+        resolution: how finely the intruder is cut; None for the law's default.
+    """
+
+    intruder: Intruder = "plate"
+    size: float = 0.04
+    model: Path | None = None
+    geom: str | None = None
+    tilt: float = 0.0
+    direction: float = math.pi / 2
+    speed: float = 0.01
+    start: float = 0.0
+    depth: float = 0.1
+    distance: float | None = None
+    points: int = 101
+    medium: str = "quikrete_medium"
+    law: str | None = None
+    resolution: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.intruder not in get_args(Intruder):
+            raise UnknownNameError("intruder", self.intruder, get_args(Intruder))
+        for name, value in (("size", self.size), ("speed", self.speed)):
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"the {name} must be positive and finite, not {value}")
+        for name in ("tilt", "direction", "start", "depth"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(f"the {name} must be finite, not {getattr(self, name)}")
+        if self.points < 2:
+            raise InputError(f"a path needs at least 2 points, not {self.points}")
+        if self.geom is not None and self.model is None:
+            raise InputError("--geom names a geom of a model: give the model too")
+        _ = self.length
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        if self.distance is not None:
+            if not (math.isfinite(self.distance) and self.distance > 0):
+                raise InputError(f"the distance must be positive, not {self.distance} m")
+            return self.distance
+        down = math.sin(self.direction)
+        if abs(down) < 1e-9:
+            raise InputError("a level path has no end in depth: give its --distance")
+        length = (self.depth - self.start) / down
+        if length <= 0:
+            raise InputError(
+                f"the path never gets from {self.start} m to {self.depth} m: it goes "
+                f"{'down' if down > 0 else 'up'}"
+            )
+        return length
+
+    def config(self) -> dict[str, Any]:
+        """The intrusion in plain values."""
+        return {**asdict(self), "model": None if self.model is None else str(self.model)}
+
+
+@dataclass(frozen=True)
+class IntrusionResult:
+    """Force on the intruder along its path.
+
+    Attributes:
+        intrusion: what was asked for.
+        law: name of the law that acted.
+        elements: number of elements.
+        travelled: distance from the start [m], shape (n,).
+        depth: of the deepest point [m], shape (n,).
+        force: against the motion, lift (up, across the motion), sideways (+y) [N], shape (n, 3).
+        moment: about the intruder's centre of mass, world axes [N m], shape (n, 3).
+        valid: whether the law held, shape (n,).
+    """
+
+    intrusion: Intrusion
+    law: str
+    elements: int
+    travelled: np.ndarray
+    depth: np.ndarray
+    force: np.ndarray
+    moment: np.ndarray
+    valid: np.ndarray
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a point, in plain numbers."""
+        names = ("resistance", "lift", "sideways")
+        return [
+            {
+                "travelled": float(self.travelled[i]),
+                "depth": float(self.depth[i]),
+                **{name: float(self.force[i, k]) for k, name in enumerate(names)},
+                **{f"moment_{axis}": float(self.moment[i, k]) for k, axis in enumerate("xyz")},
+                "valid": bool(self.valid[i]),
+            }
+            for i in range(len(self.depth))
+        ]
+
+
+def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
+    """Moves the intruder along its path and measures.
+
+    Raises:
+        InputError: the model cannot be read.
+        UnknownNameError: a name that does not exist.
+    """
+    model = _model(intrusion)
+    geoms = None if intrusion.model is None or intrusion.geom is None else intrusion.geom
+    sand = Sand(
+        model,
+        medium=intrusion.medium,
+        law=intrusion.law,
+        geoms=geoms,
+        resolution=intrusion.resolution,
+    )
+    data = mujoco.MjData(model)
+    down, along = math.sin(intrusion.direction), math.cos(intrusion.direction)
+    motion = np.array([along, 0.0, -down])
+    lift = np.array([down, 0.0, along])
+    mujoco.mju_axisAngle2Quat(data.qpos[3:7], [0.0, -1.0, 0.0], intrusion.tilt)
+    data.qvel[:3] = intrusion.speed * motion
+    bodies = sand.report(data).bodies
+    data.qpos[2] += max(body.depth for body in bodies) - intrusion.start
+    origin = data.qpos[:3].copy()
+    travelled = np.linspace(0.0, intrusion.length, intrusion.points)
+    depth, force, moment, valid = [], [], [], []
+    center = None
+    for distance in travelled:
+        data.qpos[:3] = origin + distance * motion
+        bodies = sand.report(data).bodies
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        center = data.subtree_com[1]
+        total = sum((body.force for body in bodies), np.zeros(3))
+        turning = np.zeros(3)
+        for body in bodies:
+            at = data.xipos[model.body(body.body).id]
+            turning += body.moment + np.cross(at - center, body.force)
+        depth.append(max(body.depth for body in bodies))
+        force.append([-total @ motion, total @ lift, total[1]])
+        moment.append(turning)
+        valid.append(all(body.valid for body in bodies))
+    return IntrusionResult(
+        intrusion=intrusion,
+        law=sand.law.name,
+        elements=len(sand.elements),
+        travelled=travelled,
+        depth=np.array(depth),
+        force=np.array(force),
+        moment=np.array(moment),
+        valid=np.array(valid),
+    )
+
+
+def _model(intrusion: Intrusion) -> mujoco.MjModel:
+    """The intruder on a free joint."""
+    if intrusion.model is None:
+        spec = mujoco.MjSpec()
+        body = spec.worldbody.add_body(name=_BODY)
+        body.add_freejoint()
+        kind, size = _shape(intrusion.intruder, intrusion.size)
+        body.add_geom(name=_BODY, type=kind, size=size)
+        return spec.compile()
+    try:
+        spec = mujoco.MjSpec.from_file(str(intrusion.model))
+        source = spec.compile()
+    except (ValueError, OSError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"MuJoCo cannot load {intrusion.model}: {reason}") from None
+    roots = [body for body in spec.worldbody.bodies if _has_geom(body)]
+    if intrusion.geom is not None:
+        geom = mujoco.mj_name2id(source, mujoco.mjtObj.mjOBJ_GEOM, intrusion.geom)
+        if geom < 0:
+            known = [source.geom(g).name for g in range(source.ngeom)]
+            raise UnknownNameError("geom of the model", intrusion.geom, [k for k in known if k])
+        root = source.body(int(source.body_rootid[source.geom_bodyid[geom]])).name
+        roots = [body for body in roots if body.name == root] or roots
+    if len(roots) != 1:
+        names = ", ".join(body.name or "(no name)" for body in roots)
+        raise InputError(
+            f"{intrusion.model} has {len(roots)} bodies in its world ({names}): an intruder is "
+            "one of them, name a geom of it"
+        )
+    for joint in [joint for body in spec.bodies for joint in body.joints]:
+        spec.delete(joint)  # the intruder is rigid, and moved as a whole
+    for other in list(spec.worldbody.bodies):
+        if other is not roots[0] and other.name != roots[0].name:
+            spec.delete(other)
+    for key in list(spec.keys):
+        spec.delete(key)
+    roots[0].add_freejoint()
+    try:
+        return spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{intrusion.model} cannot be moved as one rigid body: {reason}") from None
+
+
+def _has_geom(body: Any) -> bool:
+    return bool(body.geoms) or any(_has_geom(child) for child in body.bodies)
+
+
+def _shape(intruder: Intruder, size: float) -> tuple[mujoco.mjtGeom, list[float]]:
+    kinds = mujoco.mjtGeom
+    half = size / 2
+    return {
+        "plate": (kinds.mjGEOM_BOX, [half, half, half / 10]),
+        "box": (kinds.mjGEOM_BOX, [half, half, half]),
+        "sphere": (kinds.mjGEOM_SPHERE, [half, 0.0, 0.0]),
+        "cylinder": (kinds.mjGEOM_CYLINDER, [half / 4, half, 0.0]),
+        "capsule": (kinds.mjGEOM_CAPSULE, [half / 4, half - half / 4, 0.0]),
+    }[intruder]
