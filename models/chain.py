@@ -233,7 +233,8 @@ class Chain:
             contype=0,  # links do not touch each other, with conaffinity alone
             conaffinity=1,
         )
-        body.add_site(name=f"T{index}", pos=[0, 0, -half], size=[0.4 * radius, 0, 0], group=4)
+        end = body.add_site(name=f"T{index}", pos=[0, 0, -half], group=4)
+        end.size[0] = 0.4 * radius
         return body
 
     def _add_base(self, body: mujoco.MjsBody) -> None:
@@ -258,12 +259,8 @@ class Chain:
             if self.base == "slide":
                 slide("z", (0, 0, 1))
             self._add_hinges(body, 0)
-            body.add_site(
-                name="pivot",
-                pos=[0, 0, self.length / 2],
-                size=[0.7 * self.diameter, 0, 0],
-                material="table",
-            )
+            pivot = body.add_site(name="pivot", pos=[0, 0, self.length / 2], material="table")
+            pivot.size[0] = 0.7 * self.diameter
 
     def _add_hinges(self, body: mujoco.MjsBody, index: int, **options: list[float]) -> None:
         """Hinges at the link's upper end."""

@@ -77,7 +77,7 @@ class Link:
         spec.geom("link").size[:2] = radius, self.length / 2 - radius
         spec.site("T").pos[2] = -self.length / 2
 
-        scale = self.length / _PAPER_LENGTH
+        scale = self.reach / _PAPER_LENGTH
         for name in ("bed", "table"):
             geom = spec.geom(name)
             geom.pos = geom.pos * scale
@@ -90,8 +90,7 @@ class Link:
         for camera in spec.cameras:
             camera.pos = camera.pos * scale
         spec.visual.map.znear *= min(1.0, scale)
-        key = spec.key("impact")
-        key.qpos = self.touching(math.pi / 4).tolist()
+        spec.key("impact").qpos = self.touching(math.pi / 4).tolist()
         return spec
 
     def model(self, timestep: float) -> mujoco.MjModel:
@@ -100,14 +99,23 @@ class Link:
         spec.option.timestep = timestep
         return spec.compile()
 
+    @property
+    def reach(self) -> float:
+        """Greatest extent [m]."""
+        return self.length
+
+    def lowest(self, q: float) -> tuple[float, float]:
+        """T: the point that is lowest at that angle, x and z in the body's frame [m]."""
+        return 0.0, -self.length / 2
+
     def touching(self, q: float) -> np.ndarray:
         """`qpos` with T on the surface at the origin, shape (3,).
 
         Args:
             q: angle from the vertical [rad].
         """
-        half = self.length / 2
-        return np.array([-half * math.sin(q), half * math.cos(q), q])
+        x, z = offset(self.lowest(q), q)
+        return np.array([-x, -z, q])
 
     def moving(self, q: float, speed: float, tangential: float, omega: float) -> np.ndarray:
         """`qvel` for given velocities of T, shape (3,).
@@ -118,16 +126,32 @@ class Link:
             tangential: v_Tx, of T, along x [m/s].
             omega: dq/dt [rad/s].
         """
-        half = self.length / 2
-        # v_T = v_C + omega L/2 (cos q, -sin q), y down.
-        vx = tangential - omega * half * math.cos(q)
-        vy = speed + omega * half * math.sin(q)
-        return np.array([vx, -vy, omega])
+        x, z = offset(self.lowest(q), q)
+        # Turning by dq moves T by dq (-z, x) seen from C.
+        return np.array([tangential + omega * z, -speed - omega * x, omega])
 
-    def tip(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[float, float, float, float]:
-        """Where T is and how it moves: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s]."""
+    def tip(
+        self, qpos: np.ndarray, qvel: np.ndarray, point: tuple[float, float] | None = None
+    ) -> tuple[float, float, float, float]:
+        """Where T is and how it moves: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
+
+        Args:
+            qpos: shape (3,).
+            qvel: shape (3,).
+            point: T in the body's frame, as `lowest` gave it at release; None for the lower pole.
+        """
         x, z, q = qpos.tolist()
         vx, vz, omega = qvel.tolist()
-        half = self.length / 2
-        s, c = half * math.sin(q), half * math.cos(q)
-        return x + s, c - z, vx + omega * c, -vz - omega * s
+        dx, dz = offset((0.0, -self.length / 2) if point is None else point, q)
+        return x + dx, -z - dz, vx - omega * dz, -vz - omega * dx
+
+
+def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
+    """From C to a point of the body, in world x and z [m].
+
+    Args:
+        point: x and z in the body's frame [m].
+        q: angle of the body about -y [rad].
+    """
+    s, c = math.sin(q), math.cos(q)
+    return point[0] * c - point[1] * s, point[0] * s + point[1] * c

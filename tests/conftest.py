@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,6 +14,7 @@ import hypothesis
 import mujoco
 import pytest
 
+from mjgranular import Medium, media, register_medium
 from mjgranular.models import Link
 
 FOLDER = Path(__file__).resolve().parent
@@ -51,3 +53,10 @@ def link_model() -> mujoco.MjModel:
 def chain_model() -> mujoco.MjModel:
     """A floating chain of rods: `data/chain.xml`."""
     return mujoco.MjModel.from_xml_path(str(FOLDER / "data" / "chain.xml"))
+
+
+@pytest.fixture
+def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[Medium], Medium]:
+    """`register_medium`, undone after the test."""
+    monkeypatch.setattr(media, "_things", dict(media._things))
+    return register_medium

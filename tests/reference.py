@@ -177,8 +177,7 @@ def solve(
         _y, q, _vx, vy, omega = moving
         return vy - half * omega * sin(q)
 
-    tip_speed.terminal = True
-    tip_speed.direction = -1.0
+    vars(tip_speed).update(terminal=True, direction=-1.0)
     solution = solve_ivp(
         rates,
         (0.0, duration),

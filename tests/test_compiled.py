@@ -97,9 +97,6 @@ def finish(process):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="the same symbol in two processes' code: the first loaded is called", strict=True
-)
 def test_kernels_of_one_factory_from_two_processes(start):
     finish(start("twice(1.0), thrice(1.0)"))
     assert finish(start("call('2')")) == ["2.0"]
@@ -109,7 +106,6 @@ def test_kernels_of_one_factory_from_two_processes(start):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="both choose the same file for their code", strict=True)
 def test_two_processes_compile_at_once(start):
     finish(start("twice(1.0), thrice(1.0)"))
     both = start(RACE, "2", "3"), start(RACE, "3", "2")

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from mjgranular import GranularWarning
+from mjgranular import GranularWarning, LinkLaw, Medium, Quantity
 from mjgranular.experiment import Impact, run_impact
 
 BAR = 1e-3
@@ -67,30 +67,19 @@ def test_slow_steep_drops_that_slide(reference):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("eta_h", [0.0, 2.0, 20.0])
-def test_other_sands(reference, eta_h):
-    from mjgranular import LinkLaw, Medium, Quantity, register_medium
-    from mjgranular.medium import media
-
+def test_other_sands(reference, register, eta_h):
     constants = {"eta_d": 3.0, "eta_h": eta_h, "eta_v": 10.0, "exponent": 1.4}
-    name = f"test_sand_{eta_h}"
-    register_medium(
+    quantities = {key: Quantity(value, "", "chosen") for key, value in constants.items()}
+    medium = register(
         Medium(
-            name=name,
+            name="test_other_sands",
             title="for a test",
-            density=Quantity(1600.0, "kg/m^3", "chosen, not measured"),
+            density=Quantity(1600.0, "kg/m^3", "chosen"),
             default_law=LinkLaw.name,
-            constants={
-                LinkLaw.name: {
-                    key: Quantity(value, "", "chosen, not measured")
-                    for key, value in constants.items()
-                }
-            },
+            constants={LinkLaw.name: quantities},
         )
     )
-    try:
-        stop = run_impact(Impact(speed=3.0, angle=0.7, medium=name, timestep=1e-6)).stop
-    finally:
-        del media._things[name]
+    stop = run_impact(Impact(speed=3.0, angle=0.7, medium=medium.name, timestep=1e-6)).stop
     solved = reference.solve(reference.Drop(speed=3.0, angle=0.7, sand_density=1600.0, **constants))
     assert stop.time == pytest.approx(solved.time, rel=BAR)
     assert stop.depth == pytest.approx(solved.depth, rel=BAR)

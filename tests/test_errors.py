@@ -249,19 +249,16 @@ def test_link_is_slender(diameter):
 # Registers
 
 
-def test_a_name_is_given_once():
+def test_a_name_is_given_once(register):
     mine = medium(name="test_once")
-    try:
-        assert mg.register_medium(mine) is mine
-        assert mg.register_medium(mine) is mine  # the same again is no clash
-        with pytest.raises(InputError, match=r"'test_once' exists already.*replace=True"):
-            mg.register_medium(medium(name="test_once"))
-        assert mg.media["test_once"] is mine
-        other = mg.register_medium(medium(name="test_once"), replace=True)
-        assert mg.media["test_once"] is other
-        assert "test_once" in mg.media
-    finally:
-        mg.media._things.pop("test_once", None)
+    assert register(mine) is mine
+    assert register(mine) is mine  # the same again is no clash
+    with pytest.raises(InputError, match=r"'test_once' exists already.*replace=True"):
+        register(medium(name="test_once"))
+    assert mg.media["test_once"] is mine
+    other = register(medium(name="test_once"), replace=True)
+    assert mg.media["test_once"] is other
+    assert "test_once" in mg.media
 
 
 def test_a_law_cannot_take_anothers_name():
@@ -273,12 +270,9 @@ def test_a_law_cannot_take_anothers_name():
     assert mg.laws["link"] is mg.LinkLaw
 
 
-def test_a_registered_medium_can_be_used_by_name(link_model):
-    mine = mg.register_medium(medium(name="test_by_name"))
-    try:
-        assert mg.Sand(link_model, medium="test_by_name").medium is mine
-    finally:
-        mg.media._things.pop("test_by_name")
+def test_a_registered_medium_can_be_used_by_name(link_model, register):
+    mine = register(medium(name="test_by_name"))
+    assert mg.Sand(link_model, medium="test_by_name").medium is mine
 
 
 def test_every_constant_has_a_source():

@@ -33,7 +33,7 @@ def test_link_is_the_papers_slender_rod(paper, reference):
     assert body.inertia[:2] == pytest.approx([drop.inertia] * 2, rel=1e-12)
     (rod,) = Impact().sand(model).elements
     assert 2 * rod["half_length"] == pytest.approx(paper["constants"]["length"], rel=1e-12)
-    assert rod["diameter"] == pytest.approx(paper["constants"]["diameter"], rel=1e-12)
+    assert rod["width"] == pytest.approx(paper["constants"]["diameter"], rel=1e-12)
 
 
 def test_six_cases_at_a_microsecond(paper):

@@ -36,7 +36,7 @@ def test_capsule_from_pole_to_pole_and_cylinder_from_face_to_face(chain_model):
 
 def test_elements_are_read_only(chain_model):
     with pytest.raises(ValueError, match="read-only"):
-        Sand(chain_model).elements["diameter"] = 1
+        Sand(chain_model).elements["body"] = 1
 
 
 @given(pieces=st.integers(1, 60))

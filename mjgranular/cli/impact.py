@@ -34,6 +34,8 @@ class ImpactCommand(LinkOptions):
     figures there; with --video, a film too.
     """
 
+    body: Annotated[str, tyro.conf.arg(metavar="SHAPE")] = "link"
+    """What falls: link, sphere, box, cylinder, capsule, ellipsoid, plate, or chain:N."""
     speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 10.0
     """Velocity of the lower end T at release, down [m/s]."""
     angle: Annotated[float, tyro.conf.arg(metavar="DEG")] = 45.0
@@ -53,7 +55,9 @@ class ImpactCommand(LinkOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        impact = self.impact(speed=self.speed, angle_deg=self.angle, until=self.until)
+        impact = self.impact(
+            speed=self.speed, angle_deg=self.angle, until=self.until, body=self.body
+        )
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
         if self.out is None:
@@ -100,7 +104,9 @@ def impact_table(result: ImpactResult) -> Table:
     """The result as a table for a person."""
     summary = result.summary()
     impact = result.impact
-    table = Table(title="Impact of a link on sand", show_header=False, title_justify="left")
+    table = Table(
+        title=f"Impact of a {result.impact.body} on sand", show_header=False, title_justify="left"
+    )
     table.add_column(style="dim")
     table.add_column(justify="right")
     table.add_column(style="dim")

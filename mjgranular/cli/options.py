@@ -38,7 +38,9 @@ class LinkOptions:
     duration: Annotated[float, tyro.conf.arg(metavar="S")] = 2.0
     """Simulated time after which the run ends at the latest [s]."""
 
-    def impact(self, *, speed: float, angle_deg: float, until: str = "stop") -> Impact:
+    def impact(
+        self, *, speed: float, angle_deg: float, until: str = "stop", body: str = "link"
+    ) -> Impact:
         """The drop with these options."""
         return Impact(
             speed=speed,
@@ -55,4 +57,5 @@ class LinkOptions:
             timestep=self.timestep,
             until=until,  # pyright: ignore[reportArgumentType]
             duration=self.duration,
+            body=body,  # pyright: ignore[reportArgumentType]
         )

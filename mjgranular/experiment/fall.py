@@ -62,6 +62,7 @@ class _Run:
         self.data.qvel[:] = self.link.moving(
             impact.angle, impact.speed, impact.tangential_speed, impact.angular_velocity
         )
+        self.point = self.link.lowest(impact.angle)  # T, as a point of the body
         self.touchdown: float | None = 0.0 if impact.height == 0 else None
         self.stop: Stop | None = None
         self.rest: Rest | None = None
@@ -70,7 +71,7 @@ class _Run:
         self.after_stop = Recorder(7)
         self.gravity = float(np.linalg.norm(self.model.opt.gravity))
         # Energy is counted from the least that the link can have in reach: a drop by its length.
-        scale = self.energy() + self.link.mass * self.gravity * self.link.length
+        scale = self.energy() + self.link.mass * self.gravity * self.link.reach
         self.most_energy = self.energy() + _ENERGY_MARGIN * scale
 
     def energy(self) -> float:
@@ -84,17 +85,18 @@ class _Run:
         """Steps until the end."""
         impact, data, link = self.impact, self.data, self.link
         step, qpos, qvel, tip = self.sand.step, data.qpos, data.qvel, link.tip
+        point = self.point
         timestep = impact.timestep
         total = math.ceil(impact.duration / timestep - 1e-9)
         check_every = max(1, round(REST_WINDOW / timestep / 50))
         watch = RestWatch()
 
         self.sample(self.before_stop)
-        old = tip(qpos, qvel)
+        old = tip(qpos, qvel, point)
         for index in range(total):
             step(data)
             self.steps = index + 1
-            new = tip(qpos, qvel)
+            new = tip(qpos, qvel, point)
             if self.stop is None:
                 if self.touchdown is None and new[1] >= 0:
                     self.touchdown = self.steps * timestep - timestep * new[1] / (new[1] - old[1])
@@ -127,7 +129,7 @@ class _Run:
             touchdown=self.touchdown,
             stop=self.stop,
             rest=self.rest,
-            trajectory=Trajectory.from_states(rows, link, self.sand),
+            trajectory=Trajectory.from_states(rows, link, self.sand, point),
             steps=self.steps,
         )
 
@@ -153,7 +155,7 @@ class _Run:
     def ends(self) -> np.ndarray:
         """Both ends of the link, x and z of each [m], shape (4,)."""
         x, z, q = self.data.qpos.tolist()
-        half = self.link.length / 2
+        half = self.link.reach / 2
         s, c = half * math.sin(q), half * math.cos(q)
         return np.array([x + s, z - c, x - s, z + c])
 

@@ -12,9 +12,10 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.experiment.trajectory import Trajectory, degrees
 from mjgranular.law import get_law
-from mjgranular.law.link import LINK_KEYS
+from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
-from mjgranular.models import Link
+from mjgranular.models import Projectile
+from mjgranular.models.projectile import Shape
 from mjgranular.sand import Sand
 from mjgranular.scheme import get_scheme
 from mjgranular.scheme.explicit import largest_step
@@ -41,6 +42,7 @@ class Impact:
         timestep: of the simulation [s].
         until: "stop" ends the run when T stops, "rest" when the whole link does.
         duration: the run ends after this time at the latest [s].
+        body: what falls: the link, or another shape of that length and diameter.
     """
 
     speed: float = 10.0
@@ -57,6 +59,7 @@ class Impact:
     timestep: float = 1e-5
     until: Until = "stop"
     duration: float = 2.0
+    body: Shape = "link"
 
     def __post_init__(self) -> None:
         for name in ("speed", "angle", "tangential_speed", "angular_velocity", "height"):
@@ -94,9 +97,9 @@ class Impact:
         get_scheme(self.scheme)
 
     @property
-    def link(self) -> Link:
-        """The link."""
-        return Link(length=self.length, diameter=self.diameter, density=self.density)
+    def link(self) -> Projectile:
+        """The link, or the body in its place."""
+        return Projectile(self.length, self.diameter, self.density, self.body)
 
     def sand(self, model: mujoco.MjModel) -> Sand:
         """The sand, on the link's model."""
@@ -111,6 +114,8 @@ class Impact:
         """
         link = self.link
         medium = get_medium(self.medium)
+        if not isinstance(get_law(self.law, medium), (LinkLaw, DistributedLinkLaw)):
+            return math.inf  # of the others no such bound is known
         eta_d = medium.constants_for("link")[LINK_KEYS[0]]
         at_release = math.hypot(self.speed, self.tangential_speed)
         at_release += abs(self.angular_velocity) * link.length
@@ -185,6 +190,7 @@ class ImpactResult:
             "medium": impact.medium,
             "scheme": impact.scheme,
             "timestep": impact.timestep,
+            "body": impact.body,
             "speed": impact.speed,
             "angle_deg": degrees(impact.angle),
             "stopping_time": None if stop is None else stop.time,

@@ -111,13 +111,16 @@ class Trajectory:
         return len(self.t)
 
     @classmethod
-    def from_states(cls, rows: np.ndarray, link: Link, sand: Sand) -> Trajectory:
+    def from_states(
+        cls, rows: np.ndarray, link: Link, sand: Sand, point: tuple[float, float] | None = None
+    ) -> Trajectory:
         """Works out what follows from samples of the state.
 
         Args:
             rows: time, `qpos` and `qvel`, shape (n, 7).
             link: the link.
             sand: the sand on its model.
+            point: T in the body's frame; None for the link's lower pole.
         """
         data = mujoco.MjData(sand.model)
         gravity = float(np.linalg.norm(sand.model.opt.gravity))
@@ -129,7 +132,7 @@ class Trajectory:
             body = sand.report(data)["link"]
             kinetic = link.mass * (row[4] ** 2 + row[5] ** 2) + link.inertia * row[6] ** 2
             out[:] = (
-                *link.tip(data.qpos, data.qvel),
+                *link.tip(data.qpos, data.qvel, point),
                 body.point[0],
                 -body.point[2],
                 body.force[0],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import pickle
 from collections.abc import Callable, Iterable
@@ -41,6 +42,24 @@ def _parts(function: Any) -> tuple[object, ...]:
     return tuple(_identity(cell.cell_contents) for cell in function.__closure__ or ())
 
 
+def _digest(value: object) -> str:
+    """A short name for a value, the same in every process."""
+    return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
+
+
+class _NamedFiles(IndexDataCacheFile):
+    """Code files named by what they hold, and written before the index that points to them.
+
+    numba numbers them by what it found in the index: two processes that compile at once choose the
+    same number for different code.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        name = f"{Path(self._index_name).stem}.{_digest(key)}.nbc"
+        self._save_data(name, data)
+        self._save_index({**self._load_index(), key: name})
+
+
 class _PackageCache(FunctionCache):
     """numba's cache on disk, made safe for a package of kernels that are made of each other.
 
@@ -55,7 +74,7 @@ class _PackageCache(FunctionCache):
     def __init__(self, py_func: Callable[..., Any]) -> None:
         super().__init__(py_func)
         self._made_of = _parts(py_func)
-        self._cache_file = IndexDataCacheFile(
+        self._cache_file = _NamedFiles(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
             source_stamp=_PACKAGE_STAMP,
@@ -92,6 +111,11 @@ def compiled(function: Callable[..., Any]) -> Any:
     Returns:
         numba's dispatcher, called like `function`.
     """
+    parts = _parts(function)
+    if parts:
+        # numba names machine code by this and by a counter that begins anew in every process: code
+        # of two kernels from one factory, loaded from the cache, would be taken for the same.
+        function.__qualname__ = f"{function.__qualname__}_{_digest(parts)}"
     # IEEE arithmetic (no fastmath): both doors and all platforms are to give the same numbers.
     dispatcher: Any = numba.njit(error_model="numpy")(function)
     with suppress(RuntimeError):  # numba: "no locator available", there is no folder to write to
