@@ -61,9 +61,15 @@ class MissingExtraError(GranularError, ImportError):
     """
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
+        self.package = package
+        self.extra = extra
+        self.purpose = purpose
         super().__init__(
             f"{purpose} needs {package}, which is not installed: pip install 'mjgranular[{extra}]'"
         )
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, str]]:
+        return type(self), (self.package, self.extra, self.purpose)
 
 
 class GranularWarning(UserWarning):

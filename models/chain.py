@@ -306,10 +306,9 @@ class Chain:
             bed.pos[1], bed.size[1] = 0, back
         else:
             bed.pos[1], bed.size[1] = (back + gap) / 2, (back - gap) / 2
-        if self.base == "level":
-            bottom = bed.pos[2] - bed.size[2]
-            top = min(0.0, self.base_height - gap)
-            bed.pos[2], bed.size[2] = (top + bottom) / 2, (top - bottom) / 2
+        if self.base == "level":  # cut open there too: the chain lies on the cut
+            spec.geom("table").pos[2] += self.base_height - gap
+            bed.pos[2] += self.base_height - gap
         sand = spec.material("sand")
         sand.texrepeat = sand.texrepeat / scale
         for camera in spec.cameras:

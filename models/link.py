@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -131,7 +132,10 @@ class Link:
         return np.array([tangential + omega * z, -speed - omega * x, omega])
 
     def tip(
-        self, qpos: np.ndarray, qvel: np.ndarray, point: tuple[float, float] | None = None
+        self,
+        qpos: Sequence[float] | np.ndarray,
+        qvel: Sequence[float] | np.ndarray,
+        point: tuple[float, float] | None = None,
     ) -> tuple[float, float, float, float]:
         """Where T is and how it moves: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
 
@@ -140,8 +144,8 @@ class Link:
             qvel: shape (3,).
             point: T in the body's frame, as `lowest` gave it at release; None for the lower pole.
         """
-        x, z, q = qpos.tolist()
-        vx, vz, omega = qvel.tolist()
+        x, z, q = qpos
+        vx, vz, omega = qvel
         dx, dz = offset((0.0, -self.length / 2) if point is None else point, q)
         return x + dx, -z - dz, vx - omega * dz, -vz - omega * dx
 

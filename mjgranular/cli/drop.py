@@ -17,7 +17,7 @@ from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
 
-_FIGURE = "drop.png"
+FIGURE = "drop.png"
 
 
 @dataclass(frozen=True)
@@ -100,14 +100,14 @@ class DropCommand:
         if self.out is None:
             self._show(self._run(drop))
             return 0
-        names = (*RUN_FILES, _FIGURE, *((VIDEO,) if self.video else ()))
+        names = (*RUN_FILES, FIGURE, *((VIDEO,) if self.video else ()))
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             result = self._run(drop)
             write_drop(folder, result)
             self._show(result)
-            problems = self._draw(folder, result)
+            problems = draw(folder, result)
             if self.video:
-                problems += self._film(folder, result)
+                problems += film(folder, result, self.camera)
         if not self.json:
             out.print(f"written to {self.out}", highlight=False, markup=False)
         for problem in problems:
@@ -118,57 +118,66 @@ class DropCommand:
         with progress_bar("running the model", drop.duration) as progress:
             return run_drop(drop, progress=progress)
 
-    def _draw(self, folder: ResultFolder, result: DropResult) -> list[GranularError]:
-        from mjgranular.picture.figures import draw_drop
-
-        names = [body.body for body in result.bodies]
-        title = f"{self.model.name}, {self.medium}, {result.law} law, {result.timestep:g} s"
-        try:
-            folder.write(
-                _FIGURE,
-                lambda path: draw_drop(
-                    path, result.t, names, result.depth, result.force, result.power, title=title
-                ),
-            )
-        except MissingExtraError as error:
-            return [error]
-        return []
-
-    def _film(self, folder: ResultFolder, result: DropResult) -> list[GranularError]:
-        from mjgranular.picture.video import Film, Motion, frames_of_model
-
-        film = Film(camera=self.camera, seconds=1.0)
-        model, _ = load(result.drop)
-        motion = Motion(result.t, result.qpos, result.point, result.force)
-        return write_film(folder, VIDEO, film, lambda: frames_of_model(film, model, motion))
-
     def _show(self, result: DropResult) -> None:
         if self.json:
             print_json(result.summary())
-            return
-        table = Table(
-            title=f"{self.model.name} on {self.medium}: {result.law} law, {result.elements} "
-            f"elements, {result.t[-1]:g} s in steps of {result.timestep:g} s",
-            title_justify="left",
+        else:
+            show(result)
+
+
+def draw(folder: ResultFolder, result: DropResult) -> list[GranularError]:
+    """Draws the figure of a run; returns what kept it from doing so."""
+    from mjgranular.picture.figures import draw_drop
+
+    names = [body.body for body in result.bodies]
+    title = f"{result.drop.title}, {result.drop.medium}, {result.law} law, {result.timestep:g} s"
+    try:
+        folder.write(
+            FIGURE,
+            lambda path: draw_drop(
+                path, result.t, names, result.depth, result.force, result.power, title=title
+            ),
         )
-        for heading in ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held"):
-            table.add_column(Text(heading), justify="left" if heading == "body" else "right")
-        for body in result.bodies:
-            held = body.within_validity
-            table.add_row(
-                body.body,
-                f"{body.greatest_depth * 1e3:.2f}" if held is not None else "not met",
-                f"{body.greatest_force:.3g}",
-                f"{body.energy_into_sand:.3g}",
-                "" if held is None else f"{held:.0%}",
+    except MissingExtraError as error:
+        return [error]
+    return []
+
+
+def film(folder: ResultFolder, result: DropResult, camera: str) -> list[GranularError]:
+    """Films a run; returns what kept it from doing so."""
+    from mjgranular.picture.video import Film, Motion, frames_of_model
+
+    options = Film(camera=camera, seconds=1.0)
+    model, _ = load(result.drop)
+    motion = Motion(result.t, result.qpos, result.point, result.force)
+    return write_film(folder, VIDEO, options, lambda: frames_of_model(options, model, motion))
+
+
+def show(result: DropResult) -> None:
+    """Prints a run as a table."""
+    table = Table(
+        title=f"{result.drop.title} on {result.drop.medium}: {result.law} law, {result.elements} "
+        f"elements, {result.t[-1]:g} s in steps of {result.timestep:g} s",
+        title_justify="left",
+    )
+    for heading in ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held"):
+        table.add_column(Text(heading), justify="left" if heading == "body" else "right")
+    for body in result.bodies:
+        held = body.within_validity
+        table.add_row(
+            body.body,
+            f"{body.greatest_depth * 1e3:.2f}" if held is not None else "not met",
+            f"{body.greatest_force:.3g}",
+            f"{body.energy_into_sand:.3g}",
+            "" if held is None else f"{held:.0%}",
+        )
+    out.print(table)
+    if result.rest is not None:
+        out.print(f"at rest after {result.rest:.3f} s", highlight=False)
+    for body in result.bodies:
+        for measure, value in body.exceeded.items():
+            err.print(
+                f"{body.body}: {measure} reached {value:.3g}, outside the validity of the law",
+                highlight=False,
+                markup=False,
             )
-        out.print(table)
-        if result.rest is not None:
-            out.print(f"at rest after {result.rest:.3f} s", highlight=False)
-        for body in result.bodies:
-            for measure, value in body.exceeded.items():
-                err.print(
-                    f"{body.body}: {measure} reached {value:.3g}, outside the validity of the law",
-                    highlight=False,
-                    markup=False,
-                )

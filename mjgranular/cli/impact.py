@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,8 +15,9 @@ from rich.table import Table
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
 from mjgranular.cli.options import LinkOptions
 from mjgranular.errors import GranularError, InputError, MissingExtraError
-from mjgranular.experiment import ImpactResult, run_impact
-from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_impact
+from mjgranular.experiment import DropResult, Impact, ImpactResult, run_drop, run_impact
+from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
+from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop, write_impact
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
 
@@ -55,6 +57,9 @@ class ImpactCommand(LinkOptions):
 
     def run(self) -> int:
         """Runs the command."""
+        count = chain_length(self.body)
+        if count is not None:
+            return self._run_chain(count)
         impact = self.impact(
             speed=self.speed, angle_deg=self.angle, until=self.until, body=self.body
         )
@@ -80,6 +85,48 @@ class ImpactCommand(LinkOptions):
             show_error(f"{problem} (the numbers are in {self.out})")
         return 2 if problems else 0
 
+    def _run_chain(self, count: int) -> int:
+        """Drops a chain of so many links."""
+        from mjgranular.cli import drop as models
+
+        impact = self.impact(speed=self.speed, angle_deg=self.angle)
+        if self.video and self.out is None:
+            raise InputError("--video needs a folder to write to: add --out DIR")
+        drop = chain_drop(impact, count)
+        names = (*RUN_FILES, models.FIGURE, *((VIDEO,) if self.video else ()))
+        folder = None if self.out is None else ResultFolder(self.out, names)
+        problems: list[GranularError] = []
+        with nullcontext() if folder is None else folder.claimed(overwrite=self.overwrite):
+            with progress_bar("dropping the chain", drop.duration) as progress:
+                result = run_drop(drop, progress=progress)
+            if folder is not None:
+                write_drop(folder, result)
+            self._show_chain(impact, count, result)
+            if folder is not None:
+                problems += models.draw(folder, result)
+                if self.video:
+                    problems += models.film(folder, result, self.camera)
+        for problem in problems:
+            show_error(f"{problem} (the numbers are in {self.out})")
+        return 2 if problems else 0
+
+    def _show_chain(self, impact: Impact, count: int, result: DropResult) -> None:
+        from mjgranular.cli import drop as models
+
+        if self.json:
+            print_json(chain_summary(impact, count, result))
+            return
+        models.show(result)
+        if result.stop is None:
+            out.print(f"T, the end of the last link, did not stop within {impact.duration:g} s")
+        else:
+            time, depth = result.stop
+            out.print(
+                f"T, the end of the last link, stops after {time * 1e3:.3f} ms, "
+                f"{depth * 1e3:.3f} mm deep",
+                highlight=False,
+            )
+
     def _film(self, link: Link) -> Film:
         from mjgranular.picture.video import Film
 
@@ -87,7 +134,7 @@ class ImpactCommand(LinkOptions):
         film.check(link)
         return film
 
-    def _drop(self, impact: Any) -> ImpactResult:
+    def _drop(self, impact: Impact) -> ImpactResult:
         with progress_bar("dropping the link", impact.duration) as progress:
             return run_impact(impact, progress=progress)
 

@@ -11,9 +11,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError, UnstableError
+from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.models import Chain
 from mjgranular.sand import Sand
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
@@ -27,7 +28,7 @@ class Drop:
     """A run of a user's model on sand, SI units and radians.
 
     Attributes:
-        model: the MJCF file.
+        model: the MJCF file, or a chain.
         medium: name of the sand, or a YAML file.
         law: name of the force law; None for the medium's own.
         scheme: name of the scheme.
@@ -45,9 +46,11 @@ class Drop:
         duration: [s].
         timestep: [s]; None for the model's own, but at most 1e-4 s with the explicit scheme.
         resolution: how finely geoms are cut; None for the law's default.
+        state: `qpos` and `qvel` to start from, one after the other; None for the model's own.
+        site: name of a site whose stop is looked for; needs a level surface.
     """
 
-    model: Path
+    model: Path | Chain
     medium: str = "play_sand"
     law: str | None = None
     scheme: str = "explicit"
@@ -64,6 +67,8 @@ class Drop:
     duration: float = 1.0
     timestep: float | None = None
     resolution: int | None = None
+    state: tuple[float, ...] | None = None
+    site: str | None = None
 
     def __post_init__(self) -> None:
         if self.bed is not None and self.height_field is not None:
@@ -87,8 +92,25 @@ class Drop:
         return Plane(self.surface_height, self.slope, self.uphill)
 
     def config(self) -> dict[str, Any]:
-        """The drop in plain values."""
-        return {**asdict(self), "model": str(self.model)}
+        """The drop in plain values; `from_config` makes a drop of them again."""
+        model = asdict(self.model) if isinstance(self.model, Chain) else str(self.model)
+        return {**asdict(self), "model": model}
+
+    @classmethod
+    def from_config(cls, config: dict[str, Any]) -> Drop:
+        """The drop that `config` described."""
+        model = config["model"]
+        plain = {**config, "model": Chain(**model) if isinstance(model, dict) else Path(model)}
+        for key in ("bodies", "geoms", "state"):
+            plain[key] = None if plain[key] is None else tuple(plain[key])
+        return cls(**plain)
+
+    @property
+    def title(self) -> str:
+        """What runs, in a word or two."""
+        if isinstance(self.model, Chain):
+            return f"chain of {self.model.count}"
+        return self.model.name
 
 
 @dataclass(frozen=True)
@@ -123,6 +145,8 @@ class DropResult:
         law: name of the law that acted.
         timestep: [s].
         elements: number of elements.
+        stop: time since it touched the sand [s] and depth [m] of the site when its vertical
+            velocity was first zero; None if that was not looked for, or did not happen.
         rest: time from which every body stays where it is [s]; None if they still move.
         bodies: one summary a body.
         t: times of the samples [s], shape (n,).
@@ -139,6 +163,7 @@ class DropResult:
     law: str
     timestep: float
     elements: int
+    stop: tuple[float, float] | None
     rest: float | None
     bodies: tuple[BodySummary, ...]
     t: np.ndarray
@@ -152,7 +177,7 @@ class DropResult:
     def summary(self) -> dict[str, Any]:
         """The result in plain numbers, SI units."""
         return {
-            "model": str(self.drop.model),
+            "model": self.drop.title,
             "law": self.law,
             "medium": self.drop.medium,
             "scheme": self.drop.scheme,
@@ -197,27 +222,32 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     moving = sorted({int(body) for body in sand.elements["body"]})
     begin = data.time
     total = math.ceil(drop.duration / model.opt.timestep - 1e-9)
+    tip = None if drop.site is None else _Tip(model, data, drop)
     recorder.due()
     recorder.take(0.0, data.qpos, data.qvel)
     for step in range(1, total + 1):
         sand.step(data)
+        if tip is not None:
+            tip.follow(data)
         if recorder.due() or step == total:
             recorder.take(data.time - begin, data.qpos, data.qvel)
         if step % check_every == 0:
-            _check(model, data)
             still = watch.still(data.time - begin, data.xpos[moving])
             rest = watch.since if still else None
         if progress is not None and step % _PROGRESS_STEPS == 0:
             progress(data.time - begin)
-    _check(model, data)
-    return _result(drop, xml, sand, recorder.rows(), rest)
+    stop = None if tip is None else tip.stop
+    return _result(drop, xml, sand, recorder.rows(), stop, rest)
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
     """The compiled model, with a visible bed under it if it has none, and its XML."""
     try:
-        spec = mujoco.MjSpec.from_file(str(drop.model))
-        _add_bed(spec, drop)
+        if isinstance(drop.model, Chain):
+            spec = drop.model.spec()
+        else:
+            spec = mujoco.MjSpec.from_file(str(drop.model))
+            _add_bed(spec, drop)
         model = spec.compile()
         if drop.timestep is not None:
             model.opt.timestep = drop.timestep
@@ -228,7 +258,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         if isinstance(error, InputError):
             raise
         reason = " ".join(str(error).split())
-        raise InputError(f"MuJoCo cannot load {drop.model}: {reason}") from None
+        raise InputError(f"MuJoCo cannot load {drop.title}: {reason}") from None
 
 
 def _add_bed(spec: mujoco.MjSpec, drop: Drop) -> None:
@@ -286,6 +316,13 @@ def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -
             known = [model.key(k).name for k in range(model.nkey)]
             raise UnknownNameError("keyframe of the model", drop.keyframe, known)
         mujoco.mj_resetDataKeyframe(model, data, key)
+    if drop.state is not None:
+        if len(drop.state) != model.nq + model.nv:
+            raise InputError(
+                f"the state to start from has {len(drop.state)} numbers, the model has "
+                f"{model.nq} positions and {model.nv} velocities"
+            )
+        data.qpos[:], data.qvel[:] = drop.state[: model.nq], drop.state[model.nq :]
     if drop.height is None and drop.velocity == 0.0:
         return
     roots = _vertical_dofs(model)
@@ -320,19 +357,56 @@ def _vertical_dofs(model: mujoco.MjModel) -> list[tuple[int, int, float]]:
     return found
 
 
-def _check(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Ends the run when MuJoCo has found the state bad (and reset it)."""
-    for kind in ("BADQPOS", "BADQVEL", "BADQACC"):
-        warning = data.warning[getattr(mujoco.mjtWarning, f"mjWARN_{kind}")]
-        if warning.number:
-            dof = int(warning.lastinfo)
-            raise UnstableError(
-                f"the simulation left reason: MuJoCo found a bad value at degree of freedom {dof}; "
-                f"a time step below {model.opt.timestep:g} s may keep it"
-            )
+class _Tip:
+    """Follows a site down to where it stops.
+
+    After `Sand.step`, places of sites are those at the beginning of the step, and velocities belong
+    half a step before and half a step after them: their mean is taken.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, drop: Drop) -> None:
+        self._model = model
+        self._site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, drop.site)
+        if self._site < 0:
+            known = [model.site(s).name for s in range(model.nsite)]
+            raise UnknownNameError("site of the model", drop.site, known)
+        self._height = drop.surface_height
+        self._step = model.opt.timestep
+        self._jacobian = np.zeros((3, model.nv))
+        self._qvel = data.qvel.copy()
+        self._old: tuple[float, float] | None = None  # depth, velocity down
+        self._touchdown: float | None = None
+        self._steps = 0
+        self.stop: tuple[float, float] | None = None
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """To be called after every step."""
+        mujoco.mj_jacSite(self._model, data, self._jacobian, None, self._site)
+        down = -float(self._jacobian[2] @ (self._qvel + data.qvel)) / 2
+        self._qvel[:] = data.qvel
+        depth = self._height - float(data.site_xpos[self._site, 2])
+        time, h = self._steps * self._step, self._step
+        self._steps += 1
+        if self._old is None:
+            # What begins on the surface may be rounded to a hair above it.
+            self._touchdown = 0.0 if depth > -1e-12 else None
+        elif self._touchdown is None and depth >= 0:
+            self._touchdown = time - h * depth / (depth - self._old[0])
+        elif self._touchdown is not None and self.stop is None and self._old[1] > 0 >= down:
+            part = self._old[1] / (self._old[1] - down)
+            when = time - h + part * h - self._touchdown
+            self.stop = when, self._old[0] + h * part * self._old[1] / 2
+        self._old = depth, down
 
 
-def _result(drop: Drop, xml: str, sand: Sand, rows: np.ndarray, rest: float | None) -> DropResult:
+def _result(
+    drop: Drop,
+    xml: str,
+    sand: Sand,
+    rows: np.ndarray,
+    stop: tuple[float, float] | None,
+    rest: float | None,
+) -> DropResult:
     """Works out from samples of the state what the sand did."""
     model = sand.model
     data = mujoco.MjData(model)
@@ -371,6 +445,7 @@ def _result(drop: Drop, xml: str, sand: Sand, rows: np.ndarray, rest: float | No
         law=sand.law.name,
         timestep=float(model.opt.timestep),
         elements=len(sand.elements),
+        stop=stop,
         rest=rest,
         bodies=tuple(summaries),
         t=t,

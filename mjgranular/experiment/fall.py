@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import deque
 from collections.abc import Callable
 
 import mujoco
@@ -17,6 +18,8 @@ from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
 _ENERGY_MARGIN = 0.05
+# Steps that a line is laid through where velocities tremble; chosen, not measured.
+_MOST_AVERAGED = 32
 _PROGRESS_STEPS = 5000  # between two calls of `progress`
 
 
@@ -48,6 +51,32 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
     return _Run(impact).follow(progress)
 
 
+def _crossing(recent: deque[float]) -> float | None:
+    """Where a velocity whose last value is the first not above zero really crosses zero.
+
+    Where the link slides on the static force (E keeps its height while T still sinks), the explicit
+    sign of that force makes velocities tremble from step to step, and a velocity that comes down to
+    zero slowly touches it early. Then a straight line through the last steps decides.
+
+    Args:
+        recent: the velocity at the last steps.
+
+    Returns:
+        The crossing, in steps after the last but one; None if the velocity only trembles.
+    """
+    last, now = recent[-2], recent[-1]
+    part = last / (last - now)
+    if len(recent) < 8:
+        return part
+    v = np.array(recent)
+    trembling = np.abs(np.diff(v, 2)).mean()
+    steps = np.arange(len(v)) - (len(v) - 2)
+    slope, value = np.polyfit(steps, v, 1)
+    if trembling <= abs(slope):
+        return part
+    return -value / slope if slope < 0 and value + slope <= 0 else None
+
+
 class _Run:
     """A run under way."""
 
@@ -62,6 +91,10 @@ class _Run:
         self.data.qvel[:] = self.link.moving(
             impact.angle, impact.speed, impact.tangential_speed, impact.angular_velocity
         )
+        # MuJoCo's velocities lie half a step before its positions (docs/scheme.md). Released in the
+        # air, the link has so much less of gravity's speed half a step before.
+        self.gravity = float(np.linalg.norm(self.model.opt.gravity))
+        self.data.qvel[1] += impact.timestep / 2 * self.gravity
         self.point = self.link.lowest(impact.angle)  # T, as a point of the body
         self.touchdown: float | None = 0.0 if impact.height == 0 else None
         self.stop: Stop | None = None
@@ -69,7 +102,6 @@ class _Run:
         self.steps = 0
         self.before_stop = Recorder(7)
         self.after_stop = Recorder(7)
-        self.gravity = float(np.linalg.norm(self.model.opt.gravity))
         # Energy is counted from the least that the link can have in reach: a drop by its length.
         scale = self.energy() + self.link.mass * self.gravity * self.link.reach
         self.most_energy = self.energy() + _ENERGY_MARGIN * scale
@@ -90,18 +122,30 @@ class _Run:
         total = math.ceil(impact.duration / timestep - 1e-9)
         check_every = max(1, round(REST_WINDOW / timestep / 50))
         watch = RestWatch()
+        recent: deque[float] = deque(maxlen=_MOST_AVERAGED)  # velocities of T, down
 
         self.sample(self.before_stop)
-        old = tip(qpos, qvel, point)
+        before: tuple[float, ...] | None = None
+        position, velocity = qpos.tolist(), qvel.tolist()
         for index in range(total):
             step(data)
             self.steps = index + 1
-            new = tip(qpos, qvel, point)
             if self.stop is None:
-                if self.touchdown is None and new[1] >= 0:
-                    self.touchdown = self.steps * timestep - timestep * new[1] / (new[1] - old[1])
-                if self.touchdown is not None and old[3] > 0 >= new[3]:
-                    self.stop = self.locate_stop(index, old, new)
+                # T at the time of `position`, which lies between the two velocities.
+                after = qvel.tolist()
+                mean = [(u + v) / 2 for u, v in zip(velocity, after, strict=True)]
+                now = tip(position, mean, point)
+                position, velocity = qpos.tolist(), after
+                recent.append(now[3])
+                if self.touchdown is None and before is not None and now[1] >= 0:
+                    self.touchdown = timestep * (index - now[1] / (now[1] - before[1]))
+                if (
+                    self.touchdown is not None
+                    and before is not None
+                    and before[3] > 0 >= now[3]
+                    and (part := _crossing(recent)) is not None
+                ):
+                    self.stop = self.locate_stop(index, part, before, now)
                     self.check_energy()
                     self.sample(self.before_stop)
                     if impact.until == "stop":
@@ -109,6 +153,7 @@ class _Run:
                 elif self.before_stop.due():
                     self.check_energy()
                     self.sample(self.before_stop)
+                before = now
             else:
                 if self.after_stop.due():
                     self.check_energy()
@@ -117,7 +162,6 @@ class _Run:
                     self.rest = self.settled(watch.since)
                     self.sample(self.after_stop)
                     break
-            old = new
             if progress is not None and index % _PROGRESS_STEPS == 0:
                 progress(self.steps * timestep)
         self.check_energy()
@@ -137,19 +181,20 @@ class _Run:
         """Takes a sample of the state."""
         recorder.take(self.steps * self.impact.timestep, self.data.qpos, self.data.qvel)
 
-    def locate_stop(self, index: int, old: tuple[float, ...], new: tuple[float, ...]) -> Stop:
-        """The stop within the last step: velocities are linear in time there."""
+    def locate_stop(
+        self, index: int, part: float, before: tuple[float, ...], now: tuple[float, ...]
+    ) -> Stop:
+        """The stop, `part` of a step after the one before `index`: T's velocity is linear there."""
         h = self.impact.timestep
-        part = old[3] / (old[3] - new[3])
         q, omega = float(self.data.qpos[2]), float(self.data.qvel[2])
         assert self.touchdown is not None
         return Stop(
-            time=(index + part) * h - self.touchdown,
-            depth=old[1] + h * part * old[3] / 2,
-            x=old[0] + part * (new[0] - old[0]),
-            angle=q - (1 - part) * h * omega,
+            time=(index - 1 + part) * h - self.touchdown,
+            depth=before[1] + h * part * before[3] / 2,
+            x=before[0] + part * (now[0] - before[0]),
+            angle=q - (2 - part) * h * omega,
             angular_velocity=omega,
-            step=index,
+            step=index - 1,
         )
 
     def ends(self) -> np.ndarray:

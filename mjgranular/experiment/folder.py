@@ -184,11 +184,8 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
     """
     try:
         config = json.loads((path / CONFIG).read_text(encoding="utf-8"))["config"]
-        config["model"] = Path(config["model"])
-        for key in ("bodies", "geoms"):
-            config[key] = tuple(config[key])
         with np.load(path / _NPZ) as arrays:
-            return Drop(**config), {name: arrays[name] for name in _DROP_ARRAYS}
+            return Drop.from_config(config), {name: arrays[name] for name in _DROP_ARRAYS}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved drop ({error})") from None
 

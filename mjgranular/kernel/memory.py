@@ -24,8 +24,8 @@ from mjgranular.kernel.compiled import compiled
 # The table: four sizes, then addresses. The order is that of `simulation_table`.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT = range(4)
 GRAVITY, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(4, 14)
-ELEMENTS, BODIES, SCENE, CONTACTS = range(14, 18)
-TABLE_SIZE = 18
+WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS = range(14, 19)
+TABLE_SIZE = 19
 
 
 def simulation_table(
@@ -48,7 +48,7 @@ def simulation_table(
         contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
 
     Returns:
-        The table, shape (18,), int64. It keeps nothing alive: all of the arguments must outlive
+        The table, shape (19,), int64. It keeps nothing alive: all of the arguments must outlive
         every use of it.
     """
     arrays = (
@@ -62,6 +62,7 @@ def simulation_table(
         data.cdof,
         data.qacc_warmstart,
         data.xfrc_applied,
+        data.warning.number,
         elements,
         bodies,
         scene,

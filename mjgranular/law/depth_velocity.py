@@ -220,4 +220,4 @@ class DepthVelocityLaw(Law):
         return parameters
 
     def kernel(self, surface: Surface, scene: np.dtype) -> Any:
-        return depth_velocity_kernel(surface.probe, scene)
+        return depth_velocity_kernel(type(surface).probe, scene)

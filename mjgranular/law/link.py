@@ -68,7 +68,7 @@ class _LinkForm(Law):
         return parameters
 
     def kernel(self, surface: Surface, scene: np.dtype) -> Any:
-        return link_kernel(type(self).resistance, surface.probe, scene)
+        return link_kernel(type(self).resistance, type(surface).probe, scene)
 
 
 @register_law

@@ -49,4 +49,4 @@ class RftLaw(Law):
         return facets_from_model(model, geoms, resolution)
 
     def kernel(self, surface: Surface, scene: np.dtype) -> Any:
-        return facet_kernel(type(self).stress, surface.probe, scene)
+        return facet_kernel(type(self).stress, type(surface).probe, scene)

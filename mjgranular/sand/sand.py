@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,6 +21,7 @@ from mjgranular.scheme.explicit import take_back_wrenches
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Plane, Surface
 
+_FINE = -1  # what a program returns when all is well
 _step1 = mujoco.mj_step1
 _step2 = mujoco.mj_step2
 
@@ -59,6 +61,15 @@ class Sand:
         geoms: Sequence[str] | str | None = None,
         resolution: int | None = None,
     ) -> None:
+        self._arguments: dict[str, Any] = {
+            "medium": medium,
+            "law": law,
+            "surface": surface,
+            "scheme": scheme,
+            "bodies": bodies,
+            "geoms": geoms,
+            "resolution": resolution,
+        }
         self._model = model
         self._medium = get_medium(medium)
         self._law = get_law(law, self._medium)
@@ -128,8 +139,8 @@ class Sand:
         found: what a user writes there acts beside the sand and stays.
 
         Raises:
-            UnstableError: a force is not finite. The step is not finished and `xfrc_applied` is as
-                it was.
+            UnstableError: a force is not finite, and then the step is not finished and
+                `xfrc_applied` is as it was; or MuJoCo has found the state bad and reset it.
         """
         recent, address = self._recent
         if recent() is not data:
@@ -137,7 +148,7 @@ class Sand:
         model = self._model
         _step1(model, data)
         failed = self._program(address, self._lead * self._options.timestep)
-        if failed >= 0:
+        if failed != _FINE:
             raise self._unstable(data, failed)
         _step2(model, data)
         self._take_back(address)
@@ -150,22 +161,24 @@ class Sand:
         written in between is taken to be wholly yours.
 
         Raises:
-            UnstableError: a force is not finite; nothing is written.
+            UnstableError: a force is not finite, or MuJoCo has found the state bad; nothing is
+                written.
         """
         recent, address = self._recent
         if recent() is not data:
             address = self._bind(data)
         failed = self._program(address, self._lead * self._options.timestep)
-        if failed >= 0:
+        if failed != _FINE:
             raise self._unstable(data, failed)
 
     def report(self, data: mujoco.MjData) -> Report:
         """What the sand does at the state in `data` (`qpos`, `qvel`), which is left untouched."""
         model = self._model
+        self._check_owner(data)
         # Probes are kept for the next call; a list hands each to one thread at a time.
-        if self._probes:
+        try:
             probe, binding = self._probes.pop()
-        else:
+        except IndexError:
             probe = mujoco.MjData(model)
             binding = bind(model, probe, self._elements, self._scene)
         probe.qpos[:] = data.qpos
@@ -191,24 +204,56 @@ class Sand:
         self._probes.append((probe, binding))
         return report
 
+    def _check_owner(self, data: mujoco.MjData) -> None:
+        if data.model is not self._model and data.model._address != self._model._address:
+            raise InputError(
+                "this MjData belongs to another model: make it with MjData(model) from the "
+                "model that Sand was made for"
+            )
+
     def _bind(self, data: mujoco.MjData) -> int:
         binding = self._bindings.get(data)
         if binding is None:
-            if data.model is not self._model and data.model._address != self._model._address:
-                raise InputError(
-                    "this MjData belongs to another model: make it with MjData(model) from the "
-                    "model that Sand was made for"
-                )
+            self._check_owner(data)
             self._scheme.check(self._model)
             binding = bind(self._model, data, self._elements, self._scene)
             self._bindings[data] = binding
         self._recent = (weakref.ref(data), binding.address)
         return binding.address
 
-    def _unstable(self, data: mujoco.MjData, row: int) -> UnstableError:
-        body = int(self._bindings[data].bodies[row]["body"])
-        name = self._model.body(body).name or f"number {body}"
-        return UnstableError(
-            f"the sand's force on body {name!r} is not finite at t = {data.time:.6g} s: the state "
-            f"has left reason; a time step below {self._options.timestep:g} s may keep it"
-        )
+    def _unstable(self, data: mujoco.MjData, failed: int) -> UnstableError:
+        step = f"a time step below {self._options.timestep:g} s may keep it"
+        if failed >= 0:
+            body = int(self._bindings[data].bodies[failed]["body"])
+            return UnstableError(
+                f"the sand's force on body {self._names.bodies[body]!r} is not finite at "
+                f"t = {data.time:.6g} s: the state has left reason; {step}"
+            )
+        for what in ("QPOS", "QVEL", "QACC"):
+            warning = data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}"))]
+            if warning.number:
+                warning.number = 0  # told
+                dof = min(int(warning.lastinfo), self._model.nv - 1)
+                body = self._model.body(int(self._model.dof_bodyid[dof]))
+                kept = self._options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+                return UnstableError(
+                    f"the state left reason: MuJoCo found NaN, infinite or huge numbers in "
+                    f"{what.lower()} of body {body.name or body.id!r}"
+                    f"{'' if kept else ' and has reset the simulation'}; {step}"
+                )
+        return UnstableError(f"the state left reason; {step}")
+
+    def __copy__(self) -> Sand:
+        """Sand of its own on the same model: addresses are not copied."""
+        return Sand(self._model, **self._arguments)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Sand:
+        """As `copy`: the model is shared, as it is by the deep copy of a `MjData`."""
+        return self.__copy__()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _remake, (self._model, self._arguments)
+
+
+def _remake(model: mujoco.MjModel, arguments: dict[str, Any]) -> Sand:
+    return Sand(model, **arguments)

@@ -19,7 +19,16 @@ import mujoco
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import BODIES, BODY_COUNT, NBODY, XFRC, floats, table_at
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    NBODY,
+    WARNINGS,
+    XFRC,
+    floats,
+    ints,
+    table_at,
+)
 from mjgranular.kernel.records import body_records
 from mjgranular.scheme.scheme import Scheme, schemes
 
@@ -106,6 +115,22 @@ def take_back_wrenches(address):
             body.written[k] = body.own[k]
 
 
+BAD_STATE = -2
+"""What a program returns when MuJoCo has found numbers in the state that are none."""
+
+_BAD = tuple(
+    2 * int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")
+)
+
+
+@compiled
+def is_bad(table):
+    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it."""
+    # mjWarningStat is {int lastinfo; int number;}: the address is that of the first number.
+    numbers = ints(table[WARNINGS], _BAD[2] + 1)
+    return numbers[_BAD[0]] + numbers[_BAD[1]] + numbers[_BAD[2]] > 0
+
+
 @cache
 def explicit_program(kernel: Any) -> Any:
     """One compiled call for law and scheme: the wrenches of `kernel`, added to `xfrc_applied`."""
@@ -113,6 +138,8 @@ def explicit_program(kernel: Any) -> Any:
     @compiled
     def program(address, lead):
         table = table_at(address)
+        if is_bad(table):
+            return BAD_STATE
         kernel(table, lead)
         return add_wrenches(table)
 

@@ -33,8 +33,8 @@ class Scheme(ABC):
         """One compiled call that takes a law's kernel to `xfrc_applied`.
 
         Called as `program(address, lead)` with the address of the simulation's table
-        (`kernel.memory`) and the lead in seconds; returns -1, or the row of the first body whose
-        wrench is not finite.
+        (`kernel.memory`) and the lead in seconds; returns -1, the row of the
+        first body whose wrench is not finite, or -2 if MuJoCo has found the state bad.
         """
 
     @abstractmethod
