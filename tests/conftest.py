@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mjgranular  # isort: skip  # before mujoco: it chooses how to draw without a screen
 import importlib.util
 import json
 import sys

@@ -39,19 +39,19 @@ def deviations(reference, condition):
 
 @pytest.mark.slow
 def test_drawn_conditions(reference):
-    compared = 0
+    grazing = 0
     for condition in drawn(seed=2024, count=50):
         time, depth, solved = deviations(reference, condition)
         assert depth < BAR, condition
         # A link that hangs in the sand at E (v_Ey = 0) and turns about it has v_Ty reach zero at a
-        # grazing angle; there the chatter of the explicit sign ends the run early. Measured over
-        # 1900 draws: half of these miss 0.1 %, 4 % of all, at worst by 6 %; and none else.
+        # grazing angle; there the creep of the explicit sign shifts the time. Measured over 120
+        # draws: 3 of these miss 0.1 %, the worst by 1.7 %; and none else.
         if solved.slides_y < 0.01:
             assert time < BAR, condition
-            compared += 1
         else:
-            assert time < 0.07, condition
-    assert compared >= 30
+            assert time < 0.02, condition
+            grazing += time >= BAR
+    assert grazing <= 2
 
 
 @pytest.mark.slow

@@ -14,19 +14,21 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
 from scipy.optimize import root
 
-from mjgranular import GranularWarning, Law, Report, Sand
+from mjgranular import GranularWarning, Law, Report, Rft3dLaw, Sand, media
 from mjgranular.models import Chain
 
 LENGTH = 0.12  # of the body [m], about a sandfish's; no result depends on it
 SLENDERNESS = 7.5  # length over width, about a sandfish's
 DEPTH = 3.0  # of the axis, in widths; chosen: the results change by 1 % from 1 to 4
 PERIOD = 4.0  # of the wave [s]; slow enough for the laws to hold, no result depends on it
+DENSITY = 50e3  # [kg/m^3]; chosen: heavy, so that explicit friction hardly shakes the links
 PUBLISHED = (0.4, 0.6)  # wave efficiency, "about 0.5", at an amplitude of 0.2 wavelengths
 
 
@@ -62,7 +64,7 @@ class Wave:
         self.arc = np.concatenate([[0.0], np.cumsum(steps)])
         turn = self.arc[-1] / 4  # length of one wave's arc
         self.arc = self.arc / turn - 1  # 0 at x = 0, 1 at x = 1
-        self.length = LENGTH / turn  # wavelength [m]
+        self.length = float(LENGTH / turn)  # wavelength [m]
         self.joints = np.linspace(1.0, 0.0, links + 1)  # head first
 
     def angles(self, phase: float) -> np.ndarray:
@@ -96,9 +98,18 @@ class Swimmer:
         law: str | Law | None = None,
     ) -> None:
         radius, length = LENGTH / SLENDERNESS / 2, LENGTH / links
-        # The chain gives the joints; skins, which are wider than long, take its capsules' place.
+        # The chain gives joints and mass; skins, which are wider than long, take its capsules'
+        # place. Mass and actuators matter only where somebody steps the model.
         chain = Chain(
-            links, length=length, diameter=length / 2, base="level", height=-2 * DEPTH * radius
+            links,
+            length=length,
+            diameter=length / 2,
+            density=DENSITY * (4 * radius / length) ** 2,
+            base="level",
+            height=-2 * DEPTH * radius,
+            actuators="position",
+            kp=50.0,
+            kv=0.5,
         )
         spec = chain.spec()
         for i in range(links):
@@ -146,13 +157,15 @@ class Swimmer:
             guesses = (half, motion[i - 1]) if i else (half,)
             motion[i], left = self.balance(angle, rate, guesses)
             imbalance = max(imbalance, left)
+            if imbalance > 0.05:
+                raise RuntimeError(f"no balance of forces at A/lambda = {ratio}, phase {phase}")
         motion[-1] = motion[0]
         turn = np.concatenate([[0.0], np.cumsum(motion[1:, 2] + motion[:-1, 2])]) / (2 * phases)
         c, s = np.cos(turn), np.sin(turn)
         ahead = (c * motion[:, 0] - s * motion[:, 1])[:-1].mean()
         aside = (s * motion[:, 0] + c * motion[:, 1])[:-1].mean()
         # The body yaws to and fro, so that its way is at some angle to the wave's first x axis.
-        way = math.copysign(math.hypot(ahead, aside), ahead)
+        way = float(np.copysign(np.hypot(ahead, aside), ahead))
         return Stroke(
             speed=way / LENGTH,
             efficiency=way / wave.length,
@@ -245,3 +258,51 @@ def skin(
             if rings[low + 1][0] > 0:
                 faces.append((a, c, d))
     return points, np.array(faces)
+
+
+def main() -> None:
+    """Draws the figure and prints the numbers in it."""
+    from matplotlib import pyplot as plt
+    from style import BLUE, GREY, ORANGE, SAND, save
+
+    ratios = np.linspace(0.05, 0.4, 15)
+    rft3d = Rft3dLaw.from_medium(media["quikrete_medium"])
+    friction = f"$\\mu_s$ = {rft3d.surface_friction:g}"
+    series: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
+        (f"3D RFT, {friction} (preset)", BLUE, "-", {}),
+        ("3D RFT, $\\mu_s$ = 0.2", BLUE, "--", {"law": replace(rft3d, surface_friction=0.2)}),
+        ("3D RFT, $\\mu_s$ = 0.6", BLUE, ":", {"law": replace(rft3d, surface_friction=0.6)}),
+        ("2D RFT, split for 3D", ORANGE, "-", {"medium": "glass_beads", "law": "rft2d"}),
+    )
+    figure, axes = plt.subplots(1, 2, figsize=(8.6, 3.7), sharex=True)
+    for label, colour, line, options in series:
+        swimmer = Swimmer(links=40, around=48, **options)
+        strokes = [swimmer.swim(ratio) for ratio in ratios]
+        efficiency = [stroke.efficiency for stroke in strokes]
+        speed = [stroke.speed for stroke in strokes]
+        axes[0].plot(ratios, efficiency, color=colour, ls=line, label=label)
+        axes[1].plot(ratios, speed, color=colour, ls=line)
+        best = int(np.argmax(speed))
+        axes[1].plot(ratios[best], speed[best], "o", color=colour, ms=5)
+        print(
+            f"{label}: efficiency at 0.2 {np.interp(0.2, ratios, efficiency):.3f}, "
+            f"speed there {np.interp(0.2, ratios, speed):.3f}, "
+            f"best {speed[best]:.3f} at {ratios[best]:.3f}, "
+            f"imbalance {max(stroke.imbalance for stroke in strokes):.4f}"
+        )
+    low, high = PUBLISHED
+    axes[0].fill_between([0.175, 0.225], low, high, color=SAND, label="published: about 0.5")
+    axes[1].axvspan(0.175, 0.225, color=SAND, label="published: fastest near 0.2")
+    axes[1].plot([], [], "o", color=GREY, ms=5, label="fastest")
+    axes[0].set(ylabel="forward speed / wave speed [-]", ylim=(0, 1))
+    axes[1].set(ylabel="forward speed [body lengths / cycle]", ylim=(0, 0.75))
+    axes[0].set_title("wave efficiency")
+    axes[1].set_title("speed of a body one wavelength long")
+    for axis, place in zip(axes, ("upper left", "upper right"), strict=True):
+        axis.set(xlabel="amplitude / wavelength [-]", xlim=(0.04, 0.41))
+        axis.legend(loc=place, fontsize=8)
+    save(figure, "swimming")
+
+
+if __name__ == "__main__":
+    main()

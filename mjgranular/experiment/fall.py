@@ -18,7 +18,9 @@ from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
 _ENERGY_MARGIN = 0.05
-# Steps that a line is laid through where velocities tremble; chosen, not measured.
+# Steps that a line is laid through where velocities tremble. Chosen by trying: at 1e-6 s, 3 of 120
+# drawn conditions still miss 0.1 % of the stopping time (the worst 1.7 %); up to 1024 steps miss as
+# many. What is left is the creep of the explicit scheme.
 _MOST_AVERAGED = 32
 _PROGRESS_STEPS = 5000  # between two calls of `progress`
 
@@ -59,22 +61,18 @@ def _crossing(recent: deque[float]) -> float | None:
     zero slowly touches it early. Then a straight line through the last steps decides.
 
     Args:
-        recent: the velocity at the last steps.
+        recent: the velocity at the last steps, at least two; the last is not above zero.
 
     Returns:
         The crossing, in steps after the last but one; None if the velocity only trembles.
     """
     last, now = recent[-2], recent[-1]
-    part = last / (last - now)
-    if len(recent) < 8:
-        return part
-    v = np.array(recent)
-    trembling = np.abs(np.diff(v, 2)).mean()
-    steps = np.arange(len(v)) - (len(v) - 2)
-    slope, value = np.polyfit(steps, v, 1)
-    if trembling <= abs(slope):
-        return part
-    return -value / slope if slope < 0 and value + slope <= 0 else None
+    if len(recent) >= 8:
+        v = np.array(recent)
+        slope, value = np.polyfit(np.arange(len(v)) - (len(v) - 2), v, 1)
+        if np.abs(np.diff(v, 2)).mean() > abs(slope):
+            return -value / slope if slope < 0 and value + slope <= 0 else None
+    return last / (last - now) if last > 0 else 0.0
 
 
 class _Run:
@@ -126,6 +124,7 @@ class _Run:
 
         self.sample(self.before_stop)
         before: tuple[float, ...] | None = None
+        sinking = False  # T has moved down since it touched the sand
         position, velocity = qpos.tolist(), qvel.tolist()
         for index in range(total):
             step(data)
@@ -139,12 +138,12 @@ class _Run:
                 recent.append(now[3])
                 if self.touchdown is None and before is not None and now[1] >= 0:
                     self.touchdown = timestep * (index - now[1] / (now[1] - before[1]))
-                if (
-                    self.touchdown is not None
-                    and before is not None
-                    and before[3] > 0 >= now[3]
-                    and (part := _crossing(recent)) is not None
-                ):
+                if self.touchdown is not None and before is not None and now[3] <= 0:
+                    sinking = sinking or before[3] > 0
+                    part = _crossing(recent) if sinking else None
+                else:
+                    part = None
+                if part is not None and before is not None:
                     self.stop = self.locate_stop(index, part, before, now)
                     self.check_energy()
                     self.sample(self.before_stop)
@@ -186,11 +185,13 @@ class _Run:
     ) -> Stop:
         """The stop, `part` of a step after the one before `index`: T's velocity is linear there."""
         h = self.impact.timestep
+        part = min(part, 1.0)
         q, omega = float(self.data.qpos[2]), float(self.data.qvel[2])
         assert self.touchdown is not None
         return Stop(
             time=(index - 1 + part) * h - self.touchdown,
-            depth=before[1] + h * part * before[3] / 2,
+            # Where velocities tremble, the crossing may lie some steps back: depth stands there.
+            depth=before[1] + h * part * before[3] / 2 if part >= 0 else before[1],
             x=before[0] + part * (now[0] - before[0]),
             angle=q - (2 - part) * h * omega,
             angular_velocity=omega,
