@@ -93,14 +93,22 @@ class Drop:
 
     def config(self) -> dict[str, Any]:
         """The drop in plain values; `from_config` makes a drop of them again."""
-        model = asdict(self.model) if isinstance(self.model, Chain) else str(self.model)
+        if isinstance(self.model, Chain):
+            # Without a limit the torque is infinite, which JSON does not know.
+            model = {k: None if v == math.inf else v for k, v in asdict(self.model).items()}
+        else:
+            model = str(self.model)
         return {**asdict(self), "model": model}
 
     @classmethod
     def from_config(cls, config: dict[str, Any]) -> Drop:
         """The drop that `config` described."""
         model = config["model"]
-        plain = {**config, "model": Chain(**model) if isinstance(model, dict) else Path(model)}
+        if isinstance(model, dict):
+            torque = math.inf if model["torque"] is None else model["torque"]
+            plain = {**config, "model": Chain(**{**model, "torque": torque})}
+        else:
+            plain = {**config, "model": Path(model)}
         for key in ("bodies", "geoms", "state"):
             plain[key] = None if plain[key] is None else tuple(plain[key])
         return cls(**plain)

@@ -1,0 +1,200 @@
+"""A user's own model on sand, and intruders on prescribed paths, through the command line."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import errors
+from mjgranular.cli import main
+from mjgranular.experiment import Drop, run_drop
+from mjgranular.experiment.intrusion import Intrusion, run_intrusion
+from mjgranular.models import Projectile, model_path
+
+BALL = """
+<mujoco>
+  <worldbody>
+    <geom name="box" type="box" size="0.2 0.2 0.05" pos="0 0 0.05" contype="0" conaffinity="0"/>
+    <body name="ball" pos="0 0 1">
+      <freejoint/>
+      <geom name="ball" type="sphere" size="0.02" density="7800"/>
+    </body>
+  </worldbody>
+  <keyframe><key name="high" qpos="0 0 2 1 0 0 0"/></keyframe>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def ball(tmp_path):
+    path = tmp_path / "ball.xml"
+    path.write_text(BALL)
+    return path
+
+
+def test_drop_prints_and_writes(ball, tmp_path, capfd):
+    folder = tmp_path / "run"
+    arguments = ["drop", str(ball), "--height", "0.01", "--velocity", "1", "--duration", "0.1"]
+    arguments += ["--geoms", "ball"]
+    assert main([*arguments, "--json", "--out", str(folder)]) == 0
+    summary = json.loads(capfd.readouterr().out)
+    (body,) = summary["bodies"]
+    assert body["body"] == "ball"
+    assert 0.001 < body["greatest_depth"] < 0.05
+    assert body["greatest_force"] > 0
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "config.json",
+        "drop.png",
+        "summary.json",
+        "trajectory.csv",
+        "trajectory.npz",
+    ]
+    assert main([*arguments, "--out", str(folder)]) == 2
+    assert "--overwrite" in capfd.readouterr().err
+    film = tmp_path / "film.mp4"
+    small = ["--seconds", "0.5", "--width", "320", "--height", "240"]
+    assert main(["render", str(folder), "--out", str(film), *small]) == 0
+    assert film.stat().st_size > 1000
+
+
+def test_energy_into_the_sand_is_what_the_ball_loses(ball):
+    drop = Drop(ball, medium="quikrete_medium", height=0.0, velocity=2.0, duration=0.05)
+    result = run_drop(drop)
+    (body,) = result.bodies
+    mass = 7800 * 4 / 3 * np.pi * 0.02**3
+    fallen = result.qpos[0, 2] - result.qpos[-1, 2]
+    kinetic = [0.5 * mass * (v[:3] @ v[:3]) for v in (result.qvel[0], result.qvel[-1])]
+    lost = kinetic[0] - kinetic[1] + mass * 9.81 * fallen
+    assert body.energy_into_sand == pytest.approx(lost, rel=0.01)
+
+
+def test_a_bed_is_sand_only_inside(ball):
+    inside = run_drop(Drop(ball, medium="quikrete_medium", bed="box", height=0.0, duration=0.05))
+    assert inside.bodies[0].greatest_depth > 0
+    model = mujoco.MjModel.from_xml_string(BALL.replace('pos="0 0 1"', 'pos="1 0 1"'))
+    beside = ball.with_name("beside.xml")
+    mujoco.mj_saveLastXML(str(beside), model)
+    away = run_drop(Drop(beside, medium="quikrete_medium", bed="box", duration=0.6))
+    assert away.bodies[0].greatest_force == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--keyframe", "low"], ["low", "high"]),
+        (["--bed", "ball"], ["sphere", "box"]),
+        (["--bed", "boxx"], ["boxx", "box"]),
+        (["--height-field", "dunes"], ["dunes"]),
+        (["--bodies", "bal"], ["bal", "ball"]),
+        (["--height", "-1"], ["height", "negative"]),
+        (["--duration", "0"], ["duration", "positive"]),
+        (["--timestep", "nan"], ["time step"]),
+        (["--medium", "moon"], ["moon", "glass_beads"]),
+        (["--law", "link"], ["link", "quikrete_medium"]),
+        (["--law", "link", "--medium", "play_sand"], ["sphere", "slender"]),
+        (["--slope", "90"], ["slope"]),
+        (["--resolution", "1"], ["resolution"]),
+        (["--camera", "back", "--video"], ["back", "free"]),
+    ],
+)
+def test_mistakes_in_a_drop(ball, tmp_path, capfd, arguments, words):
+    folder = tmp_path / "run"
+    status = main(
+        ["drop", str(ball), *arguments, "--duration", "0.01"][:-2]
+        + ([] if "--duration" in arguments else ["--duration", "0.01"])
+        + ["--out", str(folder)]
+    )
+    assert status == 2
+    error = capfd.readouterr().err
+    assert all(word in error for word in words), error
+    assert "Traceback" not in error
+
+
+def test_a_model_that_cannot_be_read(tmp_path, capfd):
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<mujoco><worldbody><body></mujoco>")
+    for path in (broken, tmp_path / "nowhere.xml"):
+        assert main(["drop", str(path)]) == 2
+        assert "cannot load" in capfd.readouterr().err
+
+
+def test_a_plate_pushed_down_meets_the_formula(capfd):
+    assert main(["intrude", "--json", "--points", "6"]) == 0
+    rows = json.loads(capfd.readouterr().out)
+    mu = np.tan(np.radians(34))
+    stiffness = 1550 * 9.81 * (894 * mu**3 - 386 * mu**2 + 89 * mu)
+    for row in rows:
+        expected = 0.87574 * stiffness * 0.04**2 * row["depth"]
+        assert row["resistance"] == pytest.approx(expected, rel=1e-3, abs=1e-9)
+        assert abs(row["lift"]) < 1e-9
+    assert rows[-1]["depth"] == pytest.approx(0.1)
+
+
+def test_paths_and_intruders(ball, tmp_path):
+    level = run_intrusion(Intrusion("sphere", direction=0.0, start=0.05, distance=0.1, points=3))
+    assert np.ptp(level.force, axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
+    assert level.force[0, 0] > 0
+    assert level.force[0, 1] > 0  # a sphere drawn along is lifted
+    own = run_intrusion(Intrusion(model=ball, geom="ball", points=3))
+    same = run_intrusion(Intrusion("sphere", size=0.04, points=3))
+    assert own.force == pytest.approx(same.force, rel=1e-9, abs=1e-9)
+    with pytest.raises(errors.InputError, match="--distance"):
+        Intrusion(direction=0.0)
+    with pytest.raises(errors.InputError, match="never gets"):
+        Intrusion(direction=-1.0)
+
+
+def test_intrude_writes(tmp_path, capfd):
+    folder = tmp_path / "run"
+    assert main(["intrude", "--points", "5", "--out", str(folder)]) == 0
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "config.json",
+        "intrusion.csv",
+        "intrusion.png",
+        "summary.json",
+    ]
+    assert main(["intrude", "--geom", "g"]) == 2
+    assert "model" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("shape", ["sphere", "box", "cylinder", "capsule", "ellipsoid", "plate"])
+def test_mass_and_inertia_of_other_bodies(shape):
+    body = Projectile(0.06, 0.03, 2700, shape)
+    spec = mujoco.MjSpec()
+    solid = spec.worldbody.add_body()
+    solid.add_freejoint()
+    geom = body.spec().geom("link")
+    solid.add_geom(type=geom.type, size=geom.size, density=2700)
+    model = spec.compile()
+    ours = body.model(1e-4).body("link")
+    assert ours.mass[0] == pytest.approx(model.body_mass[1], rel=1e-12)
+    assert sorted(ours.inertia) == pytest.approx(sorted(model.body_inertia[1]), rel=1e-9)
+
+
+def test_a_sphere_dropped_as_katsuragi_and_durian_did(capfd):
+    # physics.md section 2: v0 = 1 m/s stops after 0.0556 s, 0.0336 m deep.
+    arguments = ["impact", "--body", "sphere", "--diameter", "0.0254", "--density", "8064"]
+    arguments += ["--medium", "glass_beads", "--law", "depth_velocity", "--timestep", "1e-4"]
+    assert main([*arguments, "--speed", "1", "--angle", "0", "--json"]) == 0
+    row = json.loads(capfd.readouterr().out)
+    assert row["stopping_time"] == pytest.approx(0.0556, rel=2e-3)
+    assert row["depth"] == pytest.approx(0.0336, rel=2e-3)
+
+
+def test_a_chain_of_one_is_the_link(tmp_path, capfd):
+    common = ["--speed", "2", "--duration", "0.03", "--json"]
+    assert main(["impact", *common]) == 0
+    link = json.loads(capfd.readouterr().out)
+    assert main(["impact", "--body", "chain:1", *common, "--out", str(tmp_path / "run")]) == 0
+    chain = json.loads(capfd.readouterr().out)
+    for key in ("stopping_time", "depth"):
+        assert chain[key] == pytest.approx(link[key], rel=1e-9)
+    assert main(["impact", "--body", "chain:0"]) == 2
+    assert "chain:2" in capfd.readouterr().err
+
+
+def test_models_that_come_with_the_package_run():
+    for name in ("link", "double_pendulum", "chain7"):
+        drop = Drop(model_path(name), medium="play_sand", duration=0.01)
+        assert run_drop(drop).law == "link"
