@@ -1,0 +1,204 @@
+"""Where a law holds: the measures, worked out by hand."""
+
+import dataclasses
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import DepthVelocityLaw, HeightField, Plane, Quantity, Rft2dLaw, Sand, laws, media
+from mjgranular.law import Limit, Standing
+
+GENERIC = Rft2dLaw.generic(1.0)
+GRAIN = 0.0003  # of the glass beads
+
+
+def body(geoms, gravity=9.81):
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><option gravity='0 0 {-gravity}'/><worldbody><body name='body'><freejoint/>"
+        f"{geoms}</body></worldbody></mujoco>"
+    )
+
+
+BOX = "<geom name='box' type='box' size='.04 .03 .02'/>"
+
+
+def moving(model, *, velocity=(0, 0, -0.5), height=-0.1, spin=(0, 0, 0), **options):
+    """The measures of a moving body by their names, and its report."""
+    options = {"law": GENERIC, "medium": "glass_beads", **options}
+    sand = Sand(model, **options)
+    data = mujoco.MjData(model)
+    data.qpos[2], data.qvel[:3], data.qvel[3:] = height, velocity, spin
+    report = sand.report(data)
+    (found,) = report.bodies
+    return {standing.limit.measure: standing for standing in found.validity}, report
+
+
+def test_measures_by_hand():
+    # A box of 8 x 6 x 4 cm: its width is 6 cm. From 0.08 to 0.12 m deep, at 0.5 m/s.
+    found, _ = moving(body(BOX))
+    assert found["froude"].value == pytest.approx(0.5 / math.sqrt(9.81 * 0.06))  # 0.652
+    assert found["depth_over_width"].value == pytest.approx(0.12 / 0.06)  # 2
+    # Shear rate v/w, pressure rho g z: largest at the upper face.
+    expected = 0.5 / 0.06 * GRAIN / math.sqrt(9.81 * 0.08)  # 0.00282
+    assert found["inertial_number"].value == pytest.approx(expected)
+    assert found["slope"].value == 0
+    assert not found["froude"].holds
+    assert found["inertial_number"].holds
+    assert found["depth_over_width"].holds
+
+
+@pytest.mark.parametrize(
+    ("geom", "width"),
+    [
+        ("type='sphere' size='.04'", 0.08),
+        ("type='capsule' size='.01 .1'", 0.02),
+        ("type='cylinder' size='.05 .01'", 0.1),
+        ("type='cylinder' size='.01 .05'", 0.02),
+        ("type='ellipsoid' size='.06 .04 .02'", 0.08),
+        ("type='box' size='.05 .005 .05'", 0.1),
+    ],
+)
+def test_froude_number_is_of_the_width(geom, width):
+    model = body(f"<geom {geom}/>")
+    for law in (GENERIC, DepthVelocityLaw(constant=1.0)):
+        _, report = moving(model, law=law, height=-0.3)
+        assert report.bodies[0].froude == pytest.approx(0.5 / math.sqrt(9.81 * width))
+        for element in report.elements:
+            assert element.width == pytest.approx(width)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.1, 1.0])
+@pytest.mark.parametrize("gravity", [1.62, 9.81])
+def test_froude_number_goes_with_speed_and_gravity(speed, gravity):
+    found, _ = moving(body(BOX, gravity), velocity=(speed, 0, 0))
+    assert found["froude"].value == pytest.approx(speed / math.sqrt(gravity * 0.06))
+    assert found["froude"].holds == (speed / math.sqrt(gravity * 0.06) <= 0.4)
+    inertial = speed / 0.06 * GRAIN / math.sqrt(gravity * 0.08)
+    assert found["inertial_number"].value == pytest.approx(inertial)
+
+
+def test_inertial_number_is_that_of_its_formula():
+    # (|v| / w) d sqrt(rho / p), p = rho g z: the density cancels.
+    rho = media["glass_beads"].density.value
+    found, report = moving(body(BOX))
+    values = [
+        0.5 / 0.06 * GRAIN * math.sqrt(rho / (rho * 9.81 * element.depth))
+        for element in report.elements
+    ]
+    assert found["inertial_number"].value == pytest.approx(max(values))
+
+
+def test_fastest_element_counts():
+    # Turning about y at 10 rad/s: a corner of the box's ends is the farthest element's middle.
+    found, report = moving(body(BOX), velocity=(0, 0, 0), spin=(0, 10, 0))
+    points = np.array([element.point for element in report.elements]) - [0, 0, -0.1]
+    fastest = 10 * np.hypot(points[:, 0], points[:, 2]).max()
+    assert found["froude"].value == pytest.approx(fastest / math.sqrt(9.81 * 0.06))
+
+
+def test_elements_above_the_sand_do_not_count():
+    # The quick end is in the air.
+    geoms = "<geom type='sphere' size='.02' pos='0 0 -.1'/><geom type='sphere' size='.02'/>"
+    found, _ = moving(body(geoms), velocity=(0, 0, 0), spin=(0, 10, 0), height=0.05)
+    assert 0.5 < found["froude"].value * math.sqrt(9.81 * 0.04) < 1.25
+    found, _ = moving(body(geoms), height=0.2)
+    assert found["froude"].value == 0
+    assert found["depth_over_width"].value == 0
+    assert found["inertial_number"].value == 0
+    assert all(standing.holds for standing in found.values())
+
+
+def test_each_geom_has_its_own_width():
+    geoms = "<geom type='sphere' size='.02'/><geom type='sphere' size='.05' pos='0 0 -.1'/>"
+    found, report = moving(body(geoms), height=-0.2)
+    assert found["froude"].value == pytest.approx(0.5 / math.sqrt(9.81 * 0.04))
+    ratios = [element.depth / element.width for element in report.elements]
+    assert found["depth_over_width"].value == pytest.approx(max(ratios))
+
+
+@pytest.mark.parametrize("slope", [-20, 0, 9.9, 10.1, 20])
+def test_slope(slope):
+    found, report = moving(body(BOX), height=-0.2, surface=Plane(slope=math.radians(slope)))
+    assert found["slope"].value == pytest.approx(math.radians(abs(slope)))
+    assert found["slope"].holds == (abs(slope) <= 10)
+    assert not report.bodies[0].valid  # the speed
+
+
+def test_slope_of_dunes():
+    model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco>
+          <asset><hfield name='dunes' nrow='3' ncol='3' size='1 1 1 .1'/></asset>
+          <worldbody>
+            <geom name='dunes' type='hfield' hfield='dunes' pos='0 0 -.5'/>
+            <body name='body'><freejoint/>{BOX}</body>
+          </worldbody>
+        </mujoco>""")
+    model.hfield_data[:] = np.array([[0.5, 0.5, 0.5], [0.5, 0.5, 0.5], [0.75, 0.75, 0.75]]).ravel()
+    found, _ = moving(model, surface=HeightField("dunes"))
+    assert found["slope"].value == pytest.approx(math.atan(0.25))
+
+
+def test_without_a_grain_size_the_inertial_number_is_not_known():
+    found, _ = moving(body(BOX), medium="poppy_seed_loose")
+    assert media["poppy_seed_loose"].grain is None
+    assert found["inertial_number"].value is None
+    assert found["inertial_number"].holds
+    coarse = dataclasses.replace(media["glass_beads"], grain=Quantity(0.03, "m", "chosen"))
+    found, _ = moving(body(BOX), medium=coarse)
+    assert found["inertial_number"].value == pytest.approx(
+        0.5 / 0.06 * 0.03 / math.sqrt(9.81 * 0.08)
+    )
+    assert not found["inertial_number"].holds
+
+
+def test_without_gravity_there_is_nothing_to_compare_with():
+    found, report = moving(body(BOX, gravity=0.0))
+    assert found["froude"].value == 0
+    assert report.bodies[0].froude == 0
+    assert found["inertial_number"].value == 0
+
+
+def test_a_body_is_valid_within_all_limits():
+    found, report = moving(body(BOX), velocity=(0, 0, -0.1))
+    assert all(standing.holds for standing in found.values())
+    assert report.bodies[0].valid
+    found, report = moving(body(BOX), velocity=(0, 0, -0.1), height=-1.0)
+    assert not found["depth_over_width"].holds
+    assert not report.bodies[0].valid
+
+
+def test_limits_of_resistive_force_theory_are_the_published():
+    for name in ("rft2d", "rft3d"):
+        most = {limit.measure: limit.most for limit in laws[name].validity}
+        assert most["froude"] == 0.4
+        assert most["inertial_number"] == 0.1
+        assert most["slope"] <= math.radians(20)
+
+
+@pytest.mark.parametrize("name", sorted(laws))
+def test_every_limit_says_who_says_so(name):
+    assert laws[name].validity
+    for limit in laws[name].validity:
+        assert limit.most > 0
+        assert len(limit.source) > 10
+
+
+@pytest.mark.parametrize(
+    ("value", "holds"), [(None, True), (0.0, True), (0.4, True), (0.4000001, False)]
+)
+def test_standing(value, holds):
+    assert Standing(Limit("froude", 0.4, "a source"), value).holds is holds
+
+
+def test_validity_can_be_written_down():
+    _, report = moving(body(BOX))
+    written = report.as_dict()["bodies"][0]["validity"]
+    assert {entry["limit"]["measure"] for entry in written} == {
+        "froude",
+        "inertial_number",
+        "depth_over_width",
+        "slope",
+    }
+    assert all(isinstance(entry["value"], float) for entry in written)
