@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import mjgranular  # isort: skip  # before mujoco: it chooses how to draw without a screen
+# Before mujoco: it chooses how to draw without a screen.
+import mjgranular  # isort: skip  # noqa: F401
 import importlib.util
 import json
 import sys

@@ -637,7 +637,6 @@ def test_watertight_mesh_gives_no_warning(split):
     assert len(mesh_facets(mesh_model(vertices, faces))) == 12
 
 
-@pytest.mark.xfail(reason="the winding of a closed mesh is taken as it is", strict=True)
 def test_mesh_that_is_inside_out_is_told():
     model = mesh_model(0.05 * CORNERS, SIDES[:, ::-1])
     with pytest.warns(GranularWarning, match="inside out"):
@@ -672,7 +671,6 @@ def test_geom_of_size_zero(name, bad):
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered in divide")
-@pytest.mark.xfail(reason="its side has no area, and facets of no area no direction", strict=True)
 def test_capsule_without_a_side():
     model = body(geom("capsule"))
     model.geom_size[0, 1] = 0

@@ -484,7 +484,6 @@ def test_inertia_acts_along_the_normal_of_leading_elements(law):
     assert seen > 10
 
 
-@pytest.mark.xfail(reason="a density of 0, the default, leaves the term out", strict=True)
 def test_inertia_without_a_density_is_refused():
     with pytest.raises(InputError, match="density"):
         Rft2dLaw.generic(1.0, inertia=1.1)

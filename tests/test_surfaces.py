@@ -156,14 +156,7 @@ def test_no_sand_beside_a_bed(law, place):
 @pytest.mark.parametrize(
     "law",
     [
-        pytest.param(
-            "depth_velocity",
-            marks=pytest.mark.xfail(
-                reason="a reach below the centre is added to minus the distance beside",
-                strict=True,
-            ),
-        ),
-        *(law for law in LAWS if law != "depth_velocity"),
+        *LAWS,
     ],
 )
 def test_no_sand_near_the_edge_of_a_bed(law, place):
@@ -176,7 +169,6 @@ def test_no_sand_near_the_edge_of_a_bed(law, place):
     assert not wrench(sand, place, velocity=(0.1, 0.2, -1)).any()
 
 
-@pytest.mark.xfail(reason="the sand of a bed goes down for ever", strict=True)
 @each_law
 def test_no_sand_under_a_bed(law):
     sand = Sand(scene(BOX), law=LAWS[law], surface=Bed("bed"))

@@ -1,4 +1,4 @@
-"""The facets of each primitive as they are cut by default: patches, and normals at their centroids."""
+"""The facets that primitives are cut into by default: patches, normals at their centroids."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHAPES = {
     "ellipsoid": "0.06 0.045 0.03",
     "capsule": "0.025 0.035",
     "cylinder": "0.04 0.045",
-    "box": "0.06 0.04 0.02",
+    "box": "0.05 0.035 0.02",
 }
 _EYE = np.array([0.70, -0.55, 0.46])  # towards the viewer
 _EDGE = 4  # pieces of a curved edge
@@ -39,7 +39,7 @@ def outlines(skin: Callable[..., np.ndarray], along: int, around: int) -> list[n
 
 def main() -> None:
     """Draws the figure and prints how many facets there are."""
-    figure = plt.figure(figsize=(8.4, 2.3), dpi=120)
+    figure = plt.figure(figsize=(8.4, 2.3), dpi=120, layout="none")
     cut = tessellation.patches
     for k, (name, size) in enumerate(SHAPES.items()):
         model = mujoco.MjModel.from_xml_string(

@@ -30,7 +30,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.motion import body_velocity, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
-from mjgranular.law.law import Law, register_law
+from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
 from mjgranular.shape.blobs import blob_records, blobs_from_model, support
@@ -72,13 +72,15 @@ def depth_velocity_kernel(probe: Any, scene_dtype: np.dtype) -> Any:
             px = xpos[3 * b] + xmat[m] * lx + xmat[m + 1] * ly + xmat[m + 2] * lz
             py = xpos[3 * b + 1] + xmat[m + 3] * lx + xmat[m + 4] * ly + xmat[m + 5] * lz
             pz = xpos[3 * b + 2] + xmat[m + 6] * lx + xmat[m + 7] * ly + xmat[m + 8] * lz
-            depth, zx, zy, zz = probe(surface, px, py, pz)
-            depth += support(
+            # The normal above the centre says which point is deepest; its depth is what counts.
+            _, zx, zy, zz = probe(surface, px, py, pz)
+            reach = support(
                 blob,
                 xmat[m] * zx + xmat[m + 3] * zy + xmat[m + 6] * zz,
                 xmat[m + 1] * zx + xmat[m + 4] * zy + xmat[m + 7] * zz,
                 xmat[m + 2] * zx + xmat[m + 5] * zy + xmat[m + 8] * zz,
             )
+            depth, zx, zy, zz = probe(surface, px - reach * zx, py - reach * zy, pz - reach * zz)
             contact.depth = depth
             if depth <= 0.0:
                 continue
@@ -202,11 +204,13 @@ class DepthVelocityLaw(Law):
             stiffness: k [N/m].
             drag_length: d1 [m].
         """
+        if not drag_length > 0:
+            raise InputError(f"the drag length d1 must be positive, not {drag_length} m")
         return cls(stiffness=stiffness, quadratic=mass / drag_length)
 
     @classmethod
     def from_medium(cls, medium: Medium) -> Self:
-        return cls(**medium.constants_for(cls.name))
+        return cls(**constants_of(cls, medium))
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None

@@ -1,5 +1,8 @@
 """The loop over facets that laws of surface elements share."""
 
+# What belongs to a body is read when its first facet comes, which a type checker cannot follow.
+# pyright: reportPossiblyUnboundVariable=false
+
 from __future__ import annotations
 
 import math

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import MISSING, fields
 from typing import Any, ClassVar, Self, TypeVar
 
 import mujoco
 import numpy as np
 
+from mjgranular.errors import InputError
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
 from mjgranular.registry import Registry
@@ -91,6 +93,36 @@ def register_law(law: LawClass) -> LawClass:
     """
     laws.add(law.name, law)
     return law
+
+
+def constants_of(law: type[Law], medium: Medium, name: str | None = None) -> dict[str, Any]:
+    """A medium's constants for a law, by the names of the law's fields.
+
+    Args:
+        law: a dataclass.
+        medium: the medium.
+        name: under which the medium has them; None for the law's own.
+
+    Raises:
+        UnknownNameError: the medium has none for this law.
+        InputError: one that the law does not know, or one that it needs is missing.
+    """
+    known = fields(law)  # pyright: ignore[reportArgumentType]
+    constants = medium.constants_for(name or law.name)
+    names = [field.name for field in known]
+    for key in constants:
+        if key not in names:
+            raise InputError(
+                f"medium {medium.name!r}: the law {law.name!r} has no constant {key!r}; it has: "
+                f"{', '.join(names)}"
+            )
+    for field in known:
+        needed = field.default is MISSING and field.name != "density"
+        if needed and field.name not in constants:
+            raise InputError(
+                f"medium {medium.name!r}: the law {law.name!r} needs the constant {field.name!r}"
+            )
+    return constants
 
 
 def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel) -> np.ndarray:

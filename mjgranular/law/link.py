@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.law.law import Law, register_law
+from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.link_kernel import (
     LINK_DTYPE,
     LINK_KEYS,
@@ -58,7 +58,7 @@ class _LinkForm(Law):
 
     @classmethod
     def from_medium(cls, medium: Medium) -> Self:
-        return cls(**medium.constants_for(LinkLaw.name))
+        return cls(**constants_of(cls, medium, LinkLaw.name))
 
     def parameters(self, medium: Medium) -> np.ndarray:
         parameters = np.zeros(1, LINK_DTYPE)

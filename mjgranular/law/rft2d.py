@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.law import register_law
+from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
 
@@ -152,9 +152,12 @@ class Rft2dLaw(RftLaw):
             if not (math.isfinite(value) and value >= 0):
                 raise InputError(f"Rft2dLaw: {key} must be finite and not negative, not {value}")
 
+        if self.inertia > 0 and self.density == 0:
+            raise InputError("Rft2dLaw: the inertial term needs the bulk density [kg/m^3]")
+
     @classmethod
     def from_medium(cls, medium: Medium) -> Self:
-        return cls(density=medium.density.value, **medium.constants_for(cls.name))
+        return cls(density=medium.density.value, **constants_of(cls, medium))
 
     @classmethod
     def generic(cls, scale: float, **options: Any) -> Self:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.law import register_law
+from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
 
@@ -147,7 +147,7 @@ class Rft3dLaw(RftLaw):
 
     @classmethod
     def from_medium(cls, medium: Medium) -> Self:
-        return cls(**medium.constants_for(cls.name))
+        return cls(**constants_of(cls, medium))
 
     @classmethod
     def calibrated(
@@ -165,7 +165,7 @@ class Rft3dLaw(RftLaw):
         plain = cls.from_medium(medium)
         flat = 0.87574  # |a_z| for a horizontal plate moving down, from the fit
         scale = force / (flat * area * depth) / (plain.stiffness * gravity)
-        return cls(**{**medium.constants_for(cls.name), "scale": scale})
+        return replace(plain, scale=scale)
 
     @property
     def stiffness(self) -> float:

@@ -77,6 +77,11 @@ def _quantity(path: Path, key: str, entry: Any) -> Quantity:
             f"not {entry!r}"
         )
     value = entry["value"]
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    try:
+        # YAML takes 1e-3 for a text: it wants 1.0e-3.
+        number = float(value) if isinstance(value, (int, float, str)) else None
+    except ValueError:
+        number = None
+    if number is None or isinstance(value, bool):
         raise InputError(f"{path}: {key}.value must be a number, not {value!r}")
-    return Quantity(float(value), str(entry.get("unit", "")), str(entry["source"]))
+    return Quantity(number, str(entry.get("unit", "")), str(entry["source"]))

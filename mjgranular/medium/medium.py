@@ -106,10 +106,10 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
     return medium
 
 
-def get_medium(medium: str | Medium) -> Medium:
+def get_medium(medium: str | Path | Medium) -> Medium:
     """The medium of that name, or `medium` itself if it is one.
 
-    A name that ends in .yaml or .yml is that of a file (`medium.file`).
+    A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`).
 
     Raises:
         UnknownNameError: no such name; lists those that exist.
@@ -117,7 +117,7 @@ def get_medium(medium: str | Medium) -> Medium:
     """
     if isinstance(medium, Medium):
         return medium
-    if isinstance(medium, str) and medium.endswith((".yaml", ".yml")):
+    if isinstance(medium, Path) or str(medium).endswith((".yaml", ".yml")):
         from mjgranular.medium.file import read_medium
 
         return read_medium(Path(medium))

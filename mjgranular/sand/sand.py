@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -34,7 +35,7 @@ class Sand:
 
     Args:
         model: the model; kept, not copied.
-        medium: a medium or its name.
+        medium: a medium, its name, or a YAML file (`medium.file`).
         law: a law, its name, or None for the medium's own.
         surface: where the sand is; None for the plane z = 0.
         scheme: how forces become a step: a scheme or its name.
@@ -53,7 +54,7 @@ class Sand:
         self,
         model: mujoco.MjModel,
         *,
-        medium: str | Medium = "play_sand",
+        medium: str | Path | Medium = "play_sand",
         law: str | Law | None = None,
         surface: Surface | None = None,
         scheme: str | Scheme = "explicit",

@@ -54,7 +54,8 @@ def facets_from_model(
             below 2.
 
     Warns:
-        GranularWarning: a mesh is not watertight; says how many open edges it has.
+        GranularWarning: a mesh is not watertight, says how many open edges it has; or is inside
+            out, and then is turned round.
     """
     if resolution < 2:
         raise InputError(f"the resolution must be at least 2, not {resolution}")
@@ -146,6 +147,13 @@ def _mesh_skin(model: mujoco.MjModel, geom: int) -> Facets:
     skin = tessellation.triangles(vertices[faces])
     if len(skin) == 0:
         raise InputError(f"the mesh of geom {geom_name(model, geom)} has no face with an area")
+    if not gaps and (skin.points * skin.normals).sum(axis=1) @ skin.areas < 0:
+        warnings.warn(
+            f"the mesh of geom {geom_name(model, geom)} is inside out: its faces are turned round",
+            GranularWarning,
+            stacklevel=2,
+        )
+        return Facets(skin.points, -skin.normals, skin.areas)
     return skin
 
 

@@ -77,8 +77,12 @@ def patches(
         return cells.reshape(shape).sum(axis=(1, 3)).reshape(along * around, *cells.shape[2:])
 
     areas = gather(area)
-    points = gather(middle * area[..., None]) / areas[:, None]
-    normals = gather(vector)
+    keep = areas > 0  # the side of a capsule may have no length
+    areas = areas[keep]
+    if not len(areas):
+        return Facets(np.zeros((0, 3)), np.zeros((0, 3)), areas)
+    points = gather(middle * area[..., None])[keep] / areas[:, None]
+    normals = gather(vector)[keep]
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     return Facets(points, normals, areas)
 

@@ -20,13 +20,18 @@ BED_DTYPE = np.dtype(
         ("normal", np.float64, (3,)),
         ("half_along", np.float64),  # [m]
         ("half_across", np.float64),
+        ("thickness", np.float64),
     ]
 )
+
+# A body that stands on the floor of the bed sinks into it by a hair, as contacts in MuJoCo do: the
+# sand reaches this much of the thickness down. Chosen, not measured.
+_ROOM = 1.1
 
 
 @compiled
 def bed_probe(bed, x, y, z):
-    """Depth below the upper face [m]; beside the bed, minus the distance to its side."""
+    """Depth below the upper face [m]; beside or under the bed, minus the distance to it."""
     rx, ry, rz = x - bed.top[0], y - bed.top[1], z - bed.top[2]
     nx, ny, nz = bed.normal[0], bed.normal[1], bed.normal[2]
     along = abs(rx * bed.along[0] + ry * bed.along[1] + rz * bed.along[2]) - bed.half_along
@@ -34,16 +39,19 @@ def bed_probe(bed, x, y, z):
     beside = max(along, across)
     if beside > 0.0:
         return -beside, nx, ny, nz
-    return -(nx * rx + ny * ry + nz * rz), nx, ny, nz
+    depth = -(nx * rx + ny * ry + nz * rz)
+    if depth > _ROOM * bed.thickness:
+        return _ROOM * bed.thickness - depth, nx, ny, nz
+    return depth, nx, ny, nz
 
 
 @dataclass(frozen=True)
 class Bed(Surface):
     """The sand in a box geom: its upper face (+z of the geom) is the surface.
 
-    Beside the box there is no sand. Its lower face is no floor by itself: put an ordinary geom
-    there (a plane, or another box), which bodies meet by MuJoCo's own contact. The box's own
-    contacts are switched off in the model when the sand is bound.
+    Beside and under the box there is no sand. Its lower face is no floor by itself: put an ordinary
+    geom there (a plane, or another box), which bodies meet by MuJoCo's own contact. The box's own
+    contacts are switched off in the model when the sand is bound; an explicit contact pair is not.
 
     Attributes:
         geom: name of the box geom; it must be fixed to the world.
@@ -60,6 +68,7 @@ class Bed(Surface):
         bed = np.zeros(1, BED_DTYPE)
         bed["top"] = position + half[2] * axes[:, 2]
         bed["along"], bed["across"], bed["normal"] = axes.T
+        bed["thickness"] = 2 * half[2]
         bed["half_along"], bed["half_across"] = half[:2]
         return bed
 
