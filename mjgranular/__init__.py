@@ -8,10 +8,13 @@ SI units, radians, world frame with z up; depth is positive below the surface; f
 body.
 """
 
-# First of all, because MuJoCo reads the choice of a renderer once, when it is imported.
+# First of all: where the package's folders are, and, because MuJoCo reads it once when it is
+# imported, how to draw.
+from mjgranular import _checkout as _checkout
 from mjgranular import headless as _headless
 
 # isort: split
+
 from mjgranular._version import __version__ as __version__
 from mjgranular.errors import GranularError as GranularError
 from mjgranular.errors import GranularWarning as GranularWarning

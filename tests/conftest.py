@@ -6,6 +6,7 @@ from __future__ import annotations
 import mjgranular  # isort: skip  # noqa: F401
 import importlib.util
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,9 @@ import pytest
 
 from mjgranular import Medium, media, register_medium
 from mjgranular.models import Link
+
+# Processes that tests start see the installed package and not the folder they are started in.
+os.environ["PYTHONSAFEPATH"] = "1"
 
 FOLDER = Path(__file__).resolve().parent
 
