@@ -614,6 +614,13 @@ def test_open_edges_are_counted(dropped, gaps):
     assert len(cut) == len(SIDES) - len(dropped)
 
 
+def test_edge_of_three_faces_is_open():
+    # A fin on an edge of a cube: two edges of its own, and the one that has a face too many.
+    fin = np.concatenate([CORNERS, [[-3, -3, 0]]])
+    with pytest.warns(GranularWarning, match="it has 3 open edges"):
+        mesh_facets(mesh_model(0.05 * fin, [*SIDES, [0, 1, 8]]))
+
+
 def test_open_sheet_is_pushed_on_its_outer_side():
     # Two squares of a cube, turned inwards (MuJoCo makes no mesh of one alone): the floor faces up,
     # the wall along x.

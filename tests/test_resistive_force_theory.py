@@ -87,24 +87,34 @@ def spatial_stress(n, v, law=QUIKRETE, gravity=9.81):
     a = spatial_vector(n, v)
     normal = a @ n
     tangential = a - normal * n
-    if tangential @ v > 0:
-        tangential = -tangential
     share = 1.0
     if np.linalg.norm(tangential) > 0:
         share = min(law.surface_friction * abs(normal) / np.linalg.norm(tangential), 1.0)
+    if share * (tangential @ v) > abs(normal) * (n @ v):  # it would drive the body
+        share = abs(normal) * (n @ v) / (tangential @ v)
     mu = law.internal_friction
     xi = law.density * gravity * (894 * mu**3 - 386 * mu**2 + 89 * mu)
     return xi * (-abs(normal) * n + share * tangential)
 
 
-def planar_stress(n, v):
-    """Stress over depth [N/m^3] of a leading element whose normal lies in the plane of motion."""
-    flat = n - n[2] * UP if abs(n[2]) < 1 - 1e-9 else v - v[2] * UP
+def planar_stress(n, v, coefficients=None):
+    """Stress over depth [N/m^3] of a leading element, by the split of Treers et al."""
+    flat = n - n[2] * UP
+    if np.linalg.norm(flat) < 1e-3:  # level: the plane of motion
+        flat = v - v[2] * UP
     if np.linalg.norm(flat) < 1e-12:
         flat = np.array([1.0, 0, 0])
     e = flat / np.linalg.norm(flat)
-    x, z = planar(math.atan2(n @ e, -n[2]), math.atan2(-v[2], v @ e))
-    return -x * e + z * UP
+    side = np.cross(UP, e)
+    slip = v @ side
+    within = math.hypot(v @ e, v[2])
+    x, z = planar(math.atan2(n @ e, -n[2]), math.atan2(-v[2], v @ e), coefficients)
+    along, _ = planar(0.0, 0.0, coefficients)  # a level plate, drawn along itself
+    a, b, c, d = PUBLISHED["split"]["in"]
+    share = a * (math.atanh(min(b * within - c, 1 - 1e-7)) + math.atanh(c)) / d
+    a, b, c, d = PUBLISHED["split"]["across"]
+    sideways = a * (math.tanh(b * abs(slip) - c) + math.tanh(c)) / d
+    return share * (-x * e + z * UP) - sideways * along * math.copysign(1, slip) * side
 
 
 STRESS = {"rft2d": planar_stress, "rft3d": spatial_stress}
@@ -191,7 +201,22 @@ def test_planar_stress_turns_with_the_plane(name):
         e = np.array([math.cos(heading), math.sin(heading), 0])
         n, v = math.sin(b) * e - math.cos(b) * UP, math.cos(g) * e - math.sin(g) * UP
         x, z = planar(b, g, PLANAR["sets"][name])
-        assert stress(SETS[name], n, v) == pytest.approx(-x * e + z * UP, abs=1e-6)
+        # The share of all of a motion in its plane is 1 to eight digits, as printed.
+        expected = -x * e + z * UP
+        assert stress(SETS[name], n, v) == pytest.approx(expected, abs=2e-8 * 1e6)
+
+
+@pytest.mark.parametrize("name", PLANAR["sets"])
+def test_motion_out_of_the_plane_is_split(name):
+    for n, v in units(500, seed=6):
+        expected = planar_stress(n, v, PLANAR["sets"][name])
+        assert stress(SETS[name], n, v) == pytest.approx(expected, abs=1e-6)
+
+
+def test_plate_drawn_along_itself():
+    # An upright plate, (almost) along its own plane: alpha_x(0, 0) = 0.136 N/cm^3 and nothing else.
+    found = stress(GENERIC, np.array([1.0, 0, 0]), unit(1e-9, 1, 0))
+    assert found == pytest.approx([0, -0.136e6, 0], abs=1e-3 * 1e6)
 
 
 def test_quikrete_resists_as_published():
@@ -355,14 +380,11 @@ def test_plate_at_45_degrees_in_numbers(velocity, x, z):
 
 @each_law
 def test_brick_moving_without_turning(law):
-    # Out of the plane of motion too for the spatial law.
     rng = np.random.default_rng(1)
     sizes = (0.08, 0.05, 0.03)
     brick = Moved(body(box(*sizes)), LAWS[law])
     for _ in range(30):
         quaternion, velocity = rng.normal(size=4), rng.normal(size=3)
-        if law == "rft2d":
-            quaternion, velocity[1] = about([0, 1, 0], rng.uniform(-3, 3)), 0
         found = brick.wrench([0.2, -0.1, -0.15], quaternion, velocity)[:3]
         expected = box_force(sizes, quaternion, velocity, 0.15, law)
         assert found == pytest.approx(expected, abs=1e-9 * np.linalg.norm(expected))
@@ -416,17 +438,23 @@ def test_friction_is_capped(mu):
         else:
             capped += 1
             assert np.linalg.norm(tangential) == pytest.approx(mu * -normal, rel=1e-9, abs=1e-6)
-    assert capped == {0.0: 300, 100.0: capped}.get(mu, capped)
-    assert capped > 0 or mu == 100.0
+    assert capped == 300 if mu == 0 else capped < 300
+    assert capped > 0 or mu == 100
 
 
-def test_tangential_part_of_the_fit_seldom_pushes():
-    # Where it would, the package turns it round; the paper leaves that open.
-    pushes = 0
-    for n, v in units(2000, seed=4):
+def test_fit_seldom_drives_the_body():
+    # Where it would, the package cuts the tangential part to where the power is zero; the paper
+    # leaves that open. Random pairs, friction as in the paper's formula.
+    driven = 0
+    for n, v in units(6000, seed=4):
         a = spatial_vector(n, v)
-        pushes += (a - (a @ n) * n) @ v > 0
-    assert 0.015 < pushes / 2000 < 0.035
+        tangential = a - (a @ n) * n
+        share = min(QUIKRETE.surface_friction * abs(a @ n) / np.linalg.norm(tangential), 1)
+        raw = -abs(a @ n) * n + share * tangential
+        driven += raw @ v > 0
+        if raw @ v > 0:
+            assert abs(stress(QUIKRETE, n, v) @ v) < 1e-9 * np.linalg.norm(stress(QUIKRETE, n, v))
+    assert 0 < driven < 6000 * 2e-3
 
 
 # Speed: the inertial term
@@ -613,13 +641,16 @@ def assert_same(found, expected):
     assert found == pytest.approx(expected, abs=1e-7 * size + 1e-10)
 
 
+ROUNDING = 1e-13  # of power over |F||v|: the spatial law is cut to a power of zero where it must be
+
+
 @each_law
 @given(shape=SHAPES, state=STATES)
 def test_power_is_never_positive(law, shape, state):
     report = moved(shape, law).report(*state)
     for element in report.elements:
-        assert element.power <= 0
-        assert (element.power < 0) == bool(element.force.any())
+        size = np.linalg.norm(element.force) * np.linalg.norm(element.velocity)
+        assert element.power <= ROUNDING * size
     assert report.bodies[0].power <= 0
 
 
@@ -636,24 +667,25 @@ def test_power_of_the_wrench_is_that_of_the_elements(law, shape, state):
     )
 
 
-# The worst ratios of power to |F||v| measured over a million leading pairs each: lift is there, but
-# the angle between force and velocity stays away from 90 degrees.
+# The worst ratios of power to |F||v| measured over a million leading pairs each. In the planar sets
+# there is lift, but the angle between force and velocity stays away from 90 degrees; the spatial
+# fit reaches it, and is kept there.
 @pytest.mark.parametrize(
     ("law", "worst"),
     [
         (SETS["generic"], -0.271),
         (SETS["poppy seed, loose"], -0.215),
         (SETS["poppy seed, close"], -0.234),
-        (QUIKRETE, -0.131),
+        (QUIKRETE, 0.0),
         (dataclasses.replace(QUIKRETE, surface_friction=0.0), 0.0),
-        (dataclasses.replace(QUIKRETE, surface_friction=0.9), -0.126),
+        (dataclasses.replace(QUIKRETE, surface_friction=0.9), 0.0),
     ],
 )
 def test_every_element_takes_power(law, worst):
     ratios = []
     for n, v in units(3000, seed=5):
         force = stress(law, n, v)
-        assert force @ v <= 0
+        assert force @ v <= ROUNDING * np.linalg.norm(force)
         if np.linalg.norm(force) > 0:
             ratios.append(force @ v / np.linalg.norm(force))
     assert max(ratios) <= worst + 1e-3
@@ -822,7 +854,7 @@ def test_facet_through_the_upright():
     above, below = unit(1, 0, 1e-9), unit(1, 0, -1e-9)
     assert greatest_jump(GENERIC, above, below) < 1e-7
     # The fit was made for tilts of -90 to 90 degrees and is not periodic: at 90 it jumps.
-    assert 0.1 < greatest_jump(QUIKRETE, above, below) < 0.2
+    assert 0.02 < greatest_jump(QUIKRETE, above, below) < 0.1
     slippery = dataclasses.replace(QUIKRETE, surface_friction=0.0)
     assert greatest_jump(slippery, above, below) < 0.05
 

@@ -12,12 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
-from mjgranular.cli.impact import VIDEO, write_film
+from mjgranular.cli.impact import write_film
 from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
 
 FIGURE = "drop.png"
+FILM = "drop.mp4"
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class DropCommand:
         if self.out is None:
             self._show(self._run(drop))
             return 0
-        names = (*RUN_FILES, FIGURE, *((VIDEO,) if self.video else ()))
+        names = (*RUN_FILES, FIGURE, *((FILM,) if self.video else ()))
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             result = self._run(drop)
             write_drop(folder, result)
@@ -150,7 +151,7 @@ def film(folder: ResultFolder, result: DropResult, camera: str) -> list[Granular
     options = Film(camera=camera, seconds=1.0)
     model, _ = load(result.drop)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    return write_film(folder, VIDEO, options, lambda: frames_of_model(options, model, motion))
+    return write_film(folder, FILM, options, lambda: frames_of_model(options, model, motion))
 
 
 def show(result: DropResult) -> None:

@@ -93,7 +93,7 @@ class ImpactCommand(LinkOptions):
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
         drop = chain_drop(impact, count)
-        names = (*RUN_FILES, models.FIGURE, *((VIDEO,) if self.video else ()))
+        names = (*RUN_FILES, models.FIGURE, *((models.FILM,) if self.video else ()))
         folder = None if self.out is None else ResultFolder(self.out, names)
         problems: list[GranularError] = []
         with nullcontext() if folder is None else folder.claimed(overwrite=self.overwrite):
@@ -152,7 +152,7 @@ def impact_table(result: ImpactResult) -> Table:
     summary = result.summary()
     impact = result.impact
     table = Table(
-        title=f"Impact of a {result.impact.body} on sand", show_header=False, title_justify="left"
+        title=f"Impact on sand: {result.impact.body}", show_header=False, title_justify="left"
     )
     table.add_column(style="dim")
     table.add_column(justify="right")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mjgranular.cli.console import out
+from mjgranular.cli.drop import FILM
 from mjgranular.cli.impact import VIDEO, film_impact, write_film
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.drop import load
@@ -42,7 +43,7 @@ class RenderCommand:
     fps: Annotated[int, tyro.conf.arg(metavar="N")] = 30
     """Frames a second."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mp4")] = None
-    """The file. Default: impact.mp4 in the folder of the drop."""
+    """The file. Default: impact.mp4 or drop.mp4 in the folder of the run."""
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Replace a film that is there already."""
 
@@ -50,10 +51,12 @@ class RenderCommand:
         """Runs the command."""
         from mjgranular.picture.video import Film
 
-        target = self.run_folder / VIDEO if self.out is None else self.out
+        target = self.out or self.run_folder / "film.mp4"
         if target.suffix != ".mp4":
             raise InputError(f"a film is written as .mp4, not {target.suffix or target.name!r}")
         command = saved_command(self.run_folder)
+        if self.out is None:
+            target = self.run_folder / (VIDEO if command == "impact" else FILM)
         film = Film(
             camera=self.camera or ("side" if command == "impact" else "free"),
             seconds=self.seconds,

@@ -70,7 +70,7 @@ def _crossing(recent: deque[float]) -> float | None:
     if len(recent) >= 8:
         v = np.array(recent)
         slope, value = np.polyfit(np.arange(len(v)) - (len(v) - 2), v, 1)
-        if np.abs(np.diff(v, 2)).mean() > abs(slope):
+        if np.median(np.abs(np.diff(v, 2))) > abs(slope):
             return -value / slope if slope < 0 and value + slope <= 0 else None
     return last / (last - now) if last > 0 else 0.0
 

@@ -184,10 +184,15 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         elements=len(sand.elements),
         travelled=travelled,
         depth=np.array(depth),
-        force=np.array(force),
-        moment=np.array(moment),
+        force=_without_rounding(np.array(force)),
+        moment=_without_rounding(np.array(moment), least=1e-12 * np.abs(force).max()),
         valid=np.array(valid),
     )
+
+
+def _without_rounding(values: np.ndarray, least: float = 0.0) -> np.ndarray:
+    """The values, with zeros for what is nothing beside the greatest of them."""
+    return np.where(np.abs(values) < max(1e-12 * np.abs(values).max(), least), 0.0, values)
 
 
 def _model(intrusion: Intrusion) -> mujoco.MjModel:

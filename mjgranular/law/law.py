@@ -117,8 +117,7 @@ def constants_of(law: type[Law], medium: Medium, name: str | None = None) -> dic
                 f"{', '.join(names)}"
             )
     for field in known:
-        needed = field.default is MISSING and field.name != "density"
-        if needed and field.name not in constants:
+        if field.default is MISSING and field.name not in constants:
             raise InputError(
                 f"medium {medium.name!r}: the law {law.name!r} needs the constant {field.name!r}"
             )

@@ -157,7 +157,7 @@ class Rft2dLaw(RftLaw):
 
     @classmethod
     def from_medium(cls, medium: Medium) -> Self:
-        return cls(density=medium.density.value, **constants_of(cls, medium))
+        return cls(**{"density": medium.density.value, **constants_of(cls, medium)})
 
     @classmethod
     def generic(cls, scale: float, **options: Any) -> Self:

@@ -73,14 +73,17 @@ def rft3d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     ax, ay, az = generic_response(nx, ny, nz, vx, vy, vz, zx, zy, zz)
     along = ax * nx + ay * ny + az * nz
     tx, ty, tz = ax - along * nx, ay - along * ny, az - along * nz
-    # The tangential part resists, whatever the fit says at its edges.
-    if tx * vx + ty * vy + tz * vz > 0.0:
-        tx, ty, tz = -tx, -ty, -tz
     normal = abs(along)
     tangential = math.sqrt(tx * tx + ty * ty + tz * tz)
     share = 1.0
     if tangential > law.friction * normal:
         share = law.friction * normal / tangential
+    # In one of 1,500 directions the fit would push the facet on. There the tangential part is cut
+    # down to where the power is zero, so that the law is dissipative without a jump.
+    against = normal * (nx * vx + ny * vy + nz * vz)
+    along_v = tx * vx + ty * vy + tz * vz
+    if share * along_v > against:
+        share = against / along_v
     k = law.stiffness * g
     return (
         k * (share * tx - normal * nx),

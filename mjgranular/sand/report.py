@@ -263,7 +263,8 @@ def _measures(
         if grain is not None and gravity > 0:
             # Shear rate v / w, pressure rho g z: the density cancels.
             speed = np.sqrt((table.velocity[wet] ** 2).sum(axis=1))
-            number = speed / width * grain / np.sqrt(gravity * depth)
+            # Where less than a grain is in the sand there is no flow to speak of.
+            number = speed / width * grain / np.sqrt(gravity * np.maximum(depth, grain))
             measures["inertial_number"] = float(number.max())
     return measures
 
