@@ -82,7 +82,11 @@ def start(tmp_path):
         return subprocess.Popen(
             [sys.executable, "-c", f"from kernels import *\n{code}", *arguments],
             cwd=tmp_path,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            env={
+                **os.environ,
+                "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+                "PYTHONPATH": str(tmp_path),
+            },
             stdout=subprocess.PIPE,
             text=True,
         )
