@@ -12,6 +12,8 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.experiment.scenery import add_bed
+from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
@@ -20,7 +22,6 @@ from mjgranular.surface import Bed, HeightField, Plane, Surface
 
 _LARGEST_STEP = 1e-4  # of a run whose time step is left to us [s]; chosen, not measured
 _PROGRESS_STEPS = 1000  # between two calls of `progress`
-_BED = "mjgranular_bed"
 
 
 @dataclass(frozen=True)
@@ -230,7 +231,9 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     moving = sorted({int(body) for body in sand.elements["body"]})
     begin = data.time
     total = math.ceil(drop.duration / model.opt.timestep - 1e-9)
-    tip = None if drop.site is None else _Tip(model, data, drop)
+    tip = (
+        None if drop.site is None else TipWatch(model, data, drop.site, height=drop.surface_height)
+    )
     recorder.due()
     recorder.take(0.0, data.qpos, data.qvel)
     for step in range(1, total + 1):
@@ -255,7 +258,8 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
             spec = drop.model.spec()
         else:
             spec = mujoco.MjSpec.from_file(str(drop.model))
-            _add_bed(spec, drop)
+            if isinstance(drop.surface, Plane):
+                add_bed(spec, drop.surface)
         model = spec.compile()
         if drop.timestep is not None:
             model.opt.timestep = drop.timestep
@@ -267,53 +271,6 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
             raise
         reason = " ".join(str(error).split())
         raise InputError(f"MuJoCo cannot load {drop.title}: {reason}") from None
-
-
-def _add_bed(spec: mujoco.MjSpec, drop: Drop) -> None:
-    """Adds a sand-coloured slab below a plane surface, to be seen and not to be touched."""
-    if not isinstance(drop.surface, Plane):
-        return
-    surface = drop.surface
-    if all(t.type != mujoco.mjtTexture.mjTEXTURE_SKYBOX for t in spec.textures):
-        spec.add_texture(
-            name="mjgranular_sky",
-            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[0.95, 0.96, 0.97],
-            rgb2=[0.76, 0.82, 0.88],
-            width=128,
-            height=128,
-        )
-    spec.add_texture(
-        name=_BED,
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        mark=mujoco.mjtMark.mjMARK_RANDOM,
-        rgb1=[0.80, 0.69, 0.50],
-        markrgb=[0.58, 0.46, 0.30],
-        random=0.3,
-        width=512,
-        height=512,
-    )
-    material = spec.add_material(name=_BED)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _BED
-    material.texrepeat = [4, 4]
-    material.texuniform = True
-    half, thick = 3.0, 0.05
-    position = -thick * surface.normal
-    position[2] += surface.height
-    spec.worldbody.add_geom(
-        name=_BED,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[half, half, thick],
-        pos=position,
-        # From z to the normal: a turn about the horizontal axis across the slope.
-        axisangle=[math.sin(surface.uphill), -math.cos(surface.uphill), 0.0, surface.slope],
-        material=_BED,
-        contype=0,
-        conaffinity=0,
-        group=1,
-    )
 
 
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
@@ -363,48 +320,6 @@ def _vertical_dofs(model: mujoco.MjModel) -> list[tuple[int, int, float]]:
             if abs(up) > 0.999:
                 found.append((position, velocity, math.copysign(1.0, up)))
     return found
-
-
-class _Tip:
-    """Follows a site down to where it stops.
-
-    After `Sand.step`, places of sites are those at the beginning of the step, and velocities belong
-    half a step before and half a step after them: their mean is taken.
-    """
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, drop: Drop) -> None:
-        self._model = model
-        self._site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, drop.site)
-        if self._site < 0:
-            known = [model.site(s).name for s in range(model.nsite)]
-            raise UnknownNameError("site of the model", drop.site, known)
-        self._height = drop.surface_height
-        self._step = model.opt.timestep
-        self._jacobian = np.zeros((3, model.nv))
-        self._qvel = data.qvel.copy()
-        self._old: tuple[float, float] | None = None  # depth, velocity down
-        self._touchdown: float | None = None
-        self._steps = 0
-        self.stop: tuple[float, float] | None = None
-
-    def follow(self, data: mujoco.MjData) -> None:
-        """To be called after every step."""
-        mujoco.mj_jacSite(self._model, data, self._jacobian, None, self._site)
-        down = -float(self._jacobian[2] @ (self._qvel + data.qvel)) / 2
-        self._qvel[:] = data.qvel
-        depth = self._height - float(data.site_xpos[self._site, 2])
-        time, h = self._steps * self._step, self._step
-        self._steps += 1
-        if self._old is None:
-            # What begins on the surface may be rounded to a hair above it.
-            self._touchdown = 0.0 if depth > -1e-12 else None
-        elif self._touchdown is None and depth >= 0:
-            self._touchdown = time - h * depth / (depth - self._old[0])
-        elif self._touchdown is not None and self.stop is None and self._old[1] > 0 >= down:
-            part = self._old[1] / (self._old[1] - down)
-            when = time - h + part * h - self._touchdown
-            self.stop = when, self._old[0] + h * part * self._old[1] / 2
-        self._old = depth, down
 
 
 def _result(
