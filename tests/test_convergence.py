@@ -106,3 +106,19 @@ def test_distributed_law_converges_with_its_pieces(reference):
     assert (np.diff(deviation, axis=0) < 0).all()
     assert (deviation[1] < 3e-3).all()  # 20 pieces, the default; measured 0.2 %
     assert (deviation[-1] < 1e-4).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("speed", "angle_deg"), CASES)
+def test_a_run_is_of_second_order(reference, speed, angle_deg):
+    condition = {"speed": speed, "angle": math.radians(angle_deg)}
+    solved = reference.solve(reference.Drop(**condition))
+    errors = []
+    for step in STEPS:
+        found = run_impact(Impact(timestep=step, **condition)).stop
+        errors.append((abs(found.time - solved.time), abs(found.depth - solved.depth)))
+    errors = np.array(errors)
+    assert (np.diff(errors, axis=0) < 0).all()
+    order = np.log2(errors[0] / errors[-1]) / 4
+    assert (order > 1.7).all()
+    assert (order < 2.5).all()
