@@ -1,4 +1,4 @@
-"""The velocity of a body now, and its change within the time a scheme looks ahead.
+"""The velocity of a body now, its change within the time a scheme looks ahead, forces on it.
 
 MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) about the centre of
 mass of the kinematic tree, world axes; sums of them need no Jacobian.
@@ -66,3 +66,14 @@ def velocity_at(motion, x, y, z):
     """Linear velocity [m/s] at (x, y, z) from the centre of a spatial velocity."""
     wx, wy, wz, vx, vy, vz = motion
     return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
+
+
+@compiled
+def add_force(wrench, fx, fy, fz, x, y, z):
+    """Adds a force [N] that acts at (x, y, z) from the centre of mass [m] to a body's wrench."""
+    wrench[0] += fx
+    wrench[1] += fy
+    wrench[2] += fz
+    wrench[3] += y * fz - z * fy
+    wrench[4] += z * fx - x * fz
+    wrench[5] += x * fy - y * fx

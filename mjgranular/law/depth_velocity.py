@@ -28,7 +28,7 @@ from mjgranular.kernel.memory import (
     floats,
     records,
 )
-from mjgranular.kernel.motion import body_velocity, velocity_at, velocity_change
+from mjgranular.kernel.motion import add_force, body_velocity, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.validity import Limit
@@ -110,13 +110,7 @@ def depth_velocity_kernel(probe: Any, scene_dtype: np.dtype) -> Any:
             contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
 
             px, py, pz = px - xipos[3 * b], py - xipos[3 * b + 1], pz - xipos[3 * b + 2]
-            wrench = body.wrench
-            wrench[0] += fx
-            wrench[1] += fy
-            wrench[2] += fz
-            wrench[3] += py * fz - pz * fy
-            wrench[4] += pz * fx - px * fz
-            wrench[5] += px * fy - py * fx
+            add_force(body.wrench, fx, fy, fz, px, py, pz)
 
     return depth_velocity_wrenches
 

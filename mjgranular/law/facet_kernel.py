@@ -28,7 +28,7 @@ from mjgranular.kernel.memory import (
     floats,
     records,
 )
-from mjgranular.kernel.motion import body_velocity, velocity_at, velocity_change
+from mjgranular.kernel.motion import add_force, body_velocity, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.shape.facets import facet_records
 
@@ -127,14 +127,8 @@ def facet_kernel(stress: Any, probe: Any, scene_dtype: np.dtype) -> Any:
                     fz -= gain * nz
             contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
 
-            wrench = body.wrench
             px, py, pz = px - ix, py - iy, pz - iz
-            wrench[0] += fx
-            wrench[1] += fy
-            wrench[2] += fz
-            wrench[3] += py * fz - pz * fy
-            wrench[4] += pz * fx - px * fz
-            wrench[5] += px * fy - py * fx
+            add_force(body.wrench, fx, fy, fz, px, py, pz)
 
     return facet_wrenches
 

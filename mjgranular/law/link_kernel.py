@@ -25,7 +25,7 @@ from mjgranular.kernel.memory import (
     floats,
     records,
 )
-from mjgranular.kernel.motion import body_velocity, velocity_at, velocity_change
+from mjgranular.kernel.motion import add_force, body_velocity, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.shape.rods import rod_records
 
@@ -176,13 +176,7 @@ def link_kernel(resistance: Any, probe: Any, scene_dtype: np.dtype) -> Any:
             fz = -drag * dz + static_normal * nz - static_tangent * tz
 
             px, py, pz = ex - xipos[3 * b], ey - xipos[3 * b + 1], ez - xipos[3 * b + 2]
-            wrench = body.wrench
-            wrench[0] += fx
-            wrench[1] += fy
-            wrench[2] += fz
-            wrench[3] += py * fz - pz * fy
-            wrench[4] += pz * fx - px * fz
-            wrench[5] += px * fy - py * fx
+            add_force(body.wrench, fx, fy, fz, px, py, pz)
 
             contact.length = length
             contact.point[0], contact.point[1], contact.point[2] = ex, ey, ez

@@ -13,8 +13,8 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
+from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 
-FOURIER_KEYS = ("A00", "A10", "B11", "B01", "Bm11", "C11", "C01", "Cm11", "D10")
 RFT2D_DTYPE = np.dtype(
     [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "rise")]
 )
@@ -162,7 +162,8 @@ class Rft2dLaw(RftLaw):
     @classmethod
     def generic(cls, scale: float, **options: Any) -> Self:
         """The generic coefficients of Li et al., times `scale`."""
-        return cls(**GENERIC, scale=scale, **options)
+        coefficients = dict(zip(FOURIER_KEYS, GENERIC_FOURIER, strict=True))
+        return cls(**coefficients, scale=scale, **options)
 
     def parameters(self, medium: Medium) -> np.ndarray:
         parameters = np.zeros(1, RFT2D_DTYPE)
@@ -174,13 +175,3 @@ class Rft2dLaw(RftLaw):
         parameters["inertia"] = self.inertia * self.density
         parameters["rise"] = self.rise
         return parameters
-
-
-# Li et al. 2013, supplementary table S1 [N/cm^3].
-GENERIC = dict(
-    zip(
-        FOURIER_KEYS,
-        (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088),
-        strict=True,
-    )
-)

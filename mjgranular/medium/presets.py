@@ -14,8 +14,8 @@ _KATSURAGI = "Katsuragi, Durian, Nature Physics 3, 420 (2007)"
 _AGARWAL = "Agarwal, Goldman, Kamrin, PNAS 120 (2023), doi 10.1073/pnas.2214017120"
 _CHOSEN = "chosen, not measured"
 
-_FOURIER = ("A00", "A10", "B11", "B01", "Bm11", "C11", "C01", "Cm11", "D10")
-_GENERIC = (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088)
+FOURIER_KEYS = ("A00", "A10", "B11", "B01", "Bm11", "C11", "C01", "Cm11", "D10")
+GENERIC_FOURIER = (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088)
 _POPPY_LOOSE = (0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025)
 _POPPY_CLOSE = (0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046)
 
@@ -23,7 +23,8 @@ _POPPY_CLOSE = (0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046)
 def _fourier(values: tuple[float, ...], which: str) -> dict[str, Quantity]:
     source = f"{_LI}: {which}"
     return {
-        key: Quantity(value, "N/cm^3", source) for key, value in zip(_FOURIER, values, strict=True)
+        key: Quantity(value, "N/cm^3", source)
+        for key, value in zip(FOURIER_KEYS, values, strict=True)
     }
 
 
@@ -43,7 +44,7 @@ play_sand = register_medium(
                 "exponent": Quantity(1.1, "", f"{_LINK_PAPER}, section 4: lambda"),
             },
             "rft2d": {
-                **_fourier(_GENERIC, "generic set"),
+                **_fourier(GENERIC_FOURIER, "generic set"),
                 "scale": Quantity(3.75, "", "used by others for play sand, uncalibrated: a guess"),
             },
         },
@@ -77,7 +78,7 @@ glass_beads = register_medium(
         default_law="rft2d",
         constants={
             "rft2d": {
-                **_fourier(_GENERIC, "generic set"),
+                **_fourier(GENERIC_FOURIER, "generic set"),
                 "scale": Quantity(0.33, "", f"{_LI}: scale factor used for glass beads"),
             },
             "depth_velocity": {
