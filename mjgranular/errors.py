@@ -5,6 +5,8 @@ Every message is one sentence that says what was wrong and what would have been 
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Iterable
 
 
@@ -74,3 +76,16 @@ class MissingExtraError(GranularError, ImportError):
 
 class GranularWarning(UserWarning):
     """Something that may not be what the user wants, but can be computed."""
+
+
+def warn_user(message: str) -> None:
+    """Warns with a `GranularWarning` that points at the user's line, the last outside this package.
+
+    Args:
+        message: one sentence, as an error's.
+    """
+    package = __name__.partition(".")[0]
+    frame, level = sys._getframe(1), 2
+    while frame.f_back and str(frame.f_globals.get("__name__")).partition(".")[0] == package:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, GranularWarning, stacklevel=level)

@@ -247,11 +247,19 @@ def test_bed_is_no_obstacle_but_its_floor_is():
     assert data.qpos[2] == pytest.approx(-0.15, abs=2e-3)
 
 
-@pytest.mark.xfail(reason="explicit pairs do not ask for contype", strict=True)
-def test_bed_is_no_obstacle_in_an_explicit_pair_either():
-    extra = "<contact><pair geom1='bed' geom2='ball'/></contact>"
-    _, touched = settle(Bed("bed"), extra, law=DepthVelocityLaw(linear=1.0))
-    assert frozenset({"bed", "ball"}) not in touched
+@pytest.mark.parametrize("ends", ["geom1='bed' geom2='ball'", "geom1='ball' geom2='bed'"])
+@pytest.mark.parametrize("name", ["", "stop"])
+def test_bed_in_an_explicit_pair_is_refused(ends, name):
+    attribute = f"name='{name}'" if name else ""
+    pairs = f"<pair geom1='ball' geom2='floor'/><pair {attribute} {ends}/>"
+    floor = "<geom name='floor' type='plane' size='2 2 1' pos='0 0 -0.2'/>"
+    model = scene(BOX + floor, BALL, f"<contact>{pairs}</contact>")
+    named = repr(name) if name else r"\d"
+    message = rf"contact pair {named} makes geoms .*'ball'.* collide, but 'bed' is a bed.*remove"
+    with pytest.raises(InputError, match=message):
+        Sand(model, surface=Bed("bed"), law=DepthVelocityLaw(linear=1.0))
+    assert model.geom("bed").contype[0] == 1  # nothing was changed
+    Sand(model, law=DepthVelocityLaw(linear=1.0))  # other geoms may have pairs
 
 
 def test_a_bed_left_alone_is_an_obstacle():

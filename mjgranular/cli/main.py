@@ -13,6 +13,7 @@ import tyro
 from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
+from mjgranular.cli.elements import ElementsCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand
@@ -31,6 +32,7 @@ Command = (
     | Annotated[ReproduceCommand, tyro.conf.subcommand("reproduce")]
     | Annotated[DropCommand, tyro.conf.subcommand("drop")]
     | Annotated[IntrudeCommand, tyro.conf.subcommand("intrude")]
+    | Annotated[ElementsCommand, tyro.conf.subcommand("elements")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]

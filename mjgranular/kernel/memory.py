@@ -24,8 +24,8 @@ from mjgranular.kernel.compiled import compiled
 # The table: four sizes, then addresses. The order is that of `simulation_table`.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT = range(4)
 GRAVITY, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(4, 14)
-WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS = range(14, 19)
-TABLE_SIZE = 19
+WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, KEEP, DESK = range(14, 21)
+TABLE_SIZE = 21
 
 
 def simulation_table(
@@ -36,6 +36,8 @@ def simulation_table(
     bodies: np.ndarray,
     scene: np.ndarray,
     contacts: np.ndarray,
+    spans: np.ndarray,
+    desk: np.ndarray,
 ) -> np.ndarray:
     """Makes the table of sizes and addresses.
 
@@ -46,9 +48,11 @@ def simulation_table(
         bodies: rows of `sand.binding.BODY_DTYPE`, shape (m,).
         scene: parameters of law, medium and surface, shape (1,).
         contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
+        spans: what is kept of the state (`kernel.keep`).
+        desk: what the scheme works with (`Scheme.desk`).
 
     Returns:
-        The table, shape (19,), int64. It keeps nothing alive: all of the arguments must outlive
+        The table, shape (21,), int64. It keeps nothing alive: all of the arguments must outlive
         every use of it.
     """
     arrays = (
@@ -67,6 +71,8 @@ def simulation_table(
         bodies,
         scene,
         contacts,
+        spans,
+        desk,
     )
     sizes = (model.nbody, model.nv, len(elements), len(bodies))
     return np.array([*sizes, *(array.ctypes.data for array in arrays)], dtype=np.int64)
@@ -93,10 +99,10 @@ def records(dtype: np.dtype) -> Any:
 
 floats = records(np.dtype(np.float64))
 ints = records(np.dtype(np.int32))
-_longs = records(np.dtype(np.int64))
+longs = records(np.dtype(np.int64))
 
 
 @compiled
 def table_at(address):
     """The table at an address."""
-    return _longs(address, TABLE_SIZE)
+    return longs(address, TABLE_SIZE)

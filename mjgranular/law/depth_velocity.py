@@ -13,23 +13,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
-    ELEMENTS,
-    NBODY,
-    SCENE,
-    SUBTREE_COM,
-    XIPOS,
-    XMAT,
-    XPOS,
-    floats,
-    records,
-)
-from mjgranular.kernel.motion import add_force, body_velocity, velocity_at, velocity_change
-from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.law.kernel import LawKernel, grip, in_world
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
@@ -40,79 +24,79 @@ _KEYS = ("constant", "stiffness", "exponent", "linear", "quadratic")
 DEPTH_VELOCITY_DTYPE = np.dtype([(key, np.float64) for key in _KEYS])
 
 
+@compiled
+def depth_velocity_resist(blob, law, g, v, d):
+    """Resistance of an immersed blob to a velocity (see `law.kernel`)."""
+    limit = blob[5]
+    vx, vy, vz = v
+    dx, dy, dz = d
+    drag = law.linear + law.quadratic * math.sqrt(dx * dx + dy * dy + dz * dz)
+    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+    static = 0.0
+    if speed > 0.0:
+        static = limit / speed
+    return -drag * dx - static * vx, -drag * dy - static * vy, -drag * dz - static * vz
+
+
+@compiled
+def depth_velocity_respond(blob, law, g, v, eps, reach):
+    """Resistance and its derivative, rest made soft (see `law.kernel`)."""
+    vx, vy, vz = v
+    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+    gain, along, across = grip(speed, blob[5], eps, reach)
+    # d(A |v| v)/dv = A (|v| + v v / |v|)
+    turn = 0.0
+    if speed > 0.0:
+        turn = law.quadratic / speed + (along - across) / (speed * speed)
+    drag = law.linear + law.quadratic * speed
+    gain += drag
+    across += drag
+    return (
+        -gain * vx,
+        -gain * vy,
+        -gain * vz,
+        across + turn * vx * vx,
+        turn * vx * vy,
+        turn * vx * vz,
+        turn * vy * vx,
+        across + turn * vy * vy,
+        turn * vy * vz,
+        turn * vz * vx,
+        turn * vz * vy,
+        across + turn * vz * vz,
+    )
+
+
 @cache
-def depth_velocity_kernel(probe: Any, scene_dtype: np.dtype) -> Any:
-    """The law's kernel for surfaces with that `probe` (see `Law.kernel`)."""
-    scene_records = records(scene_dtype)
+def depth_velocity_kernel(probe: Any) -> LawKernel:
+    """The law's kernels for surfaces with that `probe`."""
 
     @compiled
-    def depth_velocity_wrenches(table, lead):
-        blobs = blob_records(table[ELEMENTS], table[ELEMENT_COUNT])
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        surface = scene[0].surface
-        nbody = table[NBODY]
-        xpos = floats(table[XPOS], 3 * nbody)
-        xmat = floats(table[XMAT], 9 * nbody)
-        xipos = floats(table[XIPOS], 3 * nbody)
-        subtree_com = floats(table[SUBTREE_COM], 3 * nbody)
+    def depth_velocity_immerse(blob, pose, law, surface, g):
+        x, y, z = in_world(pose, blob.center[0], blob.center[1], blob.center[2])
+        px, py, pz = pose.position[0] + x, pose.position[1] + y, pose.position[2] + z
+        # The normal above the centre says which point is deepest; its depth is what counts.
+        _, zx, zy, zz = probe(surface, px, py, pz)
+        r = pose.rotation
+        reach = support(
+            blob,
+            r[0] * zx + r[3] * zy + r[6] * zz,
+            r[1] * zx + r[4] * zy + r[7] * zz,
+            r[2] * zx + r[5] * zy + r[8] * zz,
+        )
+        depth, zx, zy, zz = probe(surface, px - reach * zx, py - reach * zy, pz - reach * zz)
+        limit = 0.0
+        if depth > 0.0:
+            limit = law.constant + law.stiffness * depth**law.exponent
+        return depth, 0.0, px, py, pz, limit
 
-        for slot in range(len(bodies)):
-            bodies[slot].wrench[:] = 0.0
-
-        for i in range(len(blobs)):
-            blob = blobs[i]
-            contact = contacts[i]
-            body = bodies[blob.slot]
-            b = body.body
-            m = 9 * b
-            lx, ly, lz = blob.center[0], blob.center[1], blob.center[2]
-            px = xpos[3 * b] + xmat[m] * lx + xmat[m + 1] * ly + xmat[m + 2] * lz
-            py = xpos[3 * b + 1] + xmat[m + 3] * lx + xmat[m + 4] * ly + xmat[m + 5] * lz
-            pz = xpos[3 * b + 2] + xmat[m + 6] * lx + xmat[m + 7] * ly + xmat[m + 8] * lz
-            # The normal above the centre says which point is deepest; its depth is what counts.
-            _, zx, zy, zz = probe(surface, px, py, pz)
-            reach = support(
-                blob,
-                xmat[m] * zx + xmat[m + 3] * zy + xmat[m + 6] * zz,
-                xmat[m + 1] * zx + xmat[m + 4] * zy + xmat[m + 7] * zz,
-                xmat[m + 2] * zx + xmat[m + 5] * zy + xmat[m + 8] * zz,
-            )
-            depth, zx, zy, zz = probe(surface, px - reach * zx, py - reach * zy, pz - reach * zz)
-            contact.depth = depth
-            if depth <= 0.0:
-                continue
-            contact.length = 0.0
-            root = 3 * body.root
-            tx, ty, tz = (
-                px - subtree_com[root],
-                py - subtree_com[root + 1],
-                pz - subtree_com[root + 2],
-            )
-            vx, vy, vz = velocity_at(body_velocity(table, b), tx, ty, tz)
-            contact.point[0], contact.point[1], contact.point[2] = px, py, pz
-            contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
-
-            dx, dy, dz = vx, vy, vz
-            if lead != 0.0:
-                change = velocity_at(velocity_change(table, body.last_dof, lead), tx, ty, tz)
-                dx, dy, dz = vx + change[0], vy + change[1], vz + change[2]
-            drag = law.linear + law.quadratic * math.sqrt(dx * dx + dy * dy + dz * dz)
-            speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-            static = 0.0
-            if speed > 0.0:
-                static = (law.constant + law.stiffness * depth**law.exponent) / speed
-            fx = -drag * dx - static * vx
-            fy = -drag * dy - static * vy
-            fz = -drag * dz - static * vz
-            contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
-
-            px, py, pz = px - xipos[3 * b], py - xipos[3 * b + 1], pz - xipos[3 * b + 2]
-            add_force(body.wrench, fx, fy, fz, px, py, pz)
-
-    return depth_velocity_wrenches
+    return LawKernel(
+        blob_records,
+        depth_velocity_immerse,
+        depth_velocity_resist,
+        depth_velocity_respond,
+        numbers=1,
+    )
 
 
 @register_law
@@ -217,5 +201,5 @@ class DepthVelocityLaw(Law):
             parameters[key] = getattr(self, key)
         return parameters
 
-    def kernel(self, surface: Surface, scene: np.dtype) -> Any:
-        return depth_velocity_kernel(type(surface).probe, scene)
+    def kernel(self, surface: Surface) -> LawKernel:
+        return depth_velocity_kernel(type(surface).probe)

@@ -1,7 +1,4 @@
-"""The loop over facets that laws of surface elements share."""
-
-# What belongs to a body is read when its first facet comes, which a type checker cannot follow.
-# pyright: reportPossiblyUnboundVariable=false
+"""What laws of surface elements compute at every step, for each facet."""
 
 from __future__ import annotations
 
@@ -9,27 +6,8 @@ import math
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
-    ELEMENTS,
-    GRAVITY,
-    NBODY,
-    SCENE,
-    SUBTREE_COM,
-    XIPOS,
-    XMAT,
-    XPOS,
-    floats,
-    records,
-)
-from mjgranular.kernel.motion import add_force, body_velocity, velocity_at, velocity_change
-from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.law.kernel import LawKernel, grip, in_world
 from mjgranular.shape.facets import facet_records
 
 # Below this speed [m/s] an element has no direction of motion. Chosen: far below any motion, far
@@ -38,103 +16,142 @@ _STILL = 1e-150
 # A face leads when its normal's share of the motion is above this. Chosen: a face that slides along
 # itself has a finite response in RFT, so rounding must not decide whether it leads.
 _EDGE = 1e-9
+# Where the velocity at the end of a step is sought, a flat face begins to lead over directions
+# within this sine of its plane on either side. Chosen: the search needs a slope where the law jumps.
+_RAMP = 0.05
+# Turn of the direction of motion for the derivative of a stress. Chosen: the square root of the
+# precision, and some more for the rounding of a fit of 60 terms.
+_TURN = 1e-6
 
 
 @cache
-def facet_kernel(stress: Any, probe: Any, scene_dtype: np.dtype) -> Any:
-    """The kernel of a law of surface elements for surfaces with that `probe`.
+def facet_kernel(stress: Any, probe: Any) -> LawKernel:
+    """The kernels of a law of surface elements for surfaces with that `probe`.
 
     Args:
         stress: kernel `stress(law, g, n, v, z) -> (x, y, z)` of the law's record, gravity [m/s^2],
             and unit vectors: outward normal, direction of motion, normal of the surface. Gives the
             resistance for an area and a depth of one [N/m^3].
         probe: the surface's.
-        scene_dtype: record of `law` and `surface`. `law` has `inertia`, lambda rho [kg/m^3], and
-            `rise`, 1 where the surface behind a turning body is lowered.
+
+    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
+    turning body is lowered.
     """
-    scene_records = records(scene_dtype)
 
     @compiled
-    def facet_wrenches(table, lead):
-        facets = facet_records(table[ELEMENTS], table[ELEMENT_COUNT])
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        surface = scene[0].surface
-        nbody = table[NBODY]
-        gravity = floats(table[GRAVITY], 3)
-        g = math.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
-        xpos = floats(table[XPOS], 3 * nbody)
-        xmat = floats(table[XMAT], 9 * nbody)
-        xipos = floats(table[XIPOS], 3 * nbody)
-        subtree_com = floats(table[SUBTREE_COM], 3 * nbody)
+    def facet_immerse(facet, pose, law, surface, g):
+        x, y, z = in_world(pose, facet.point[0], facet.point[1], facet.point[2])
+        px, py, pz = pose.position[0] + x, pose.position[1] + y, pose.position[2] + z
+        depth, zx, zy, zz = probe(surface, px, py, pz)
+        nx, ny, nz, gain = 0.0, 0.0, 0.0, 0.0
+        if depth > 0.0:
+            nx, ny, nz = in_world(pose, facet.normal[0], facet.normal[1], facet.normal[2])
+            below = depth
+            if law.rise != 0.0:
+                below = lowered(depth, pose, px, py, pz, g)
+            gain = below * facet.area
+        push = law.inertia * facet.area
+        return depth, 0.0, px, py, pz, nx, ny, nz, zx, zy, zz, gain, push
 
-        for slot in range(len(bodies)):
-            bodies[slot].wrench[:] = 0.0
+    @compiled
+    def facet_resist(facet, law, g, v, d):
+        nx, ny, nz, zx, zy, zz, gain, push = facet[5:]
+        vx, vy, vz = v
+        fx, fy, fz = 0.0, 0.0, 0.0
+        speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+        if speed > _STILL and vx * nx + vy * ny + vz * nz > _EDGE * speed:  # a leading face
+            s = 1.0 / speed
+            sx, sy, sz = stress(law, g, nx, ny, nz, s * vx, s * vy, s * vz, zx, zy, zz)
+            fx, fy, fz = gain * sx, gain * sy, gain * sz
+        if push != 0.0:
+            vn = d[0] * nx + d[1] * ny + d[2] * nz
+            if vn > 0.0:
+                fx -= push * vn * vn * nx
+                fy -= push * vn * vn * ny
+                fz -= push * vn * vn * nz
+        return fx, fy, fz
 
-        slot = -1
-        for i in range(len(facets)):
-            facet = facets[i]
-            if facet.slot != slot:  # facets come body by body
-                slot = facet.slot
-                body = bodies[slot]
-                b = body.body
-                ox, oy, oz = xpos[3 * b], xpos[3 * b + 1], xpos[3 * b + 2]
-                r0, r1, r2 = xmat[9 * b], xmat[9 * b + 1], xmat[9 * b + 2]
-                r3, r4, r5 = xmat[9 * b + 3], xmat[9 * b + 4], xmat[9 * b + 5]
-                r6, r7, r8 = xmat[9 * b + 6], xmat[9 * b + 7], xmat[9 * b + 8]
-                root = 3 * body.root
-                tx, ty, tz = subtree_com[root], subtree_com[root + 1], subtree_com[root + 2]
-                ix, iy, iz = xipos[3 * b], xipos[3 * b + 1], xipos[3 * b + 2]
-                motion = body_velocity(table, b)
-                change = velocity_change(table, body.last_dof, lead)
+    @compiled
+    def led_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
+        """The stress times the share of the facet that leads."""
+        lead = 0.5 + 0.5 * (vx * nx + vy * ny + vz * nz) / _RAMP
+        if lead <= 0.0:
+            return 0.0, 0.0, 0.0
+        lead = min(lead, 1.0)
+        sx, sy, sz = stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz)
+        return lead * sx, lead * sy, lead * sz
 
-            lx, ly, lz = facet.point[0], facet.point[1], facet.point[2]
-            px = ox + r0 * lx + r1 * ly + r2 * lz
-            py = oy + r3 * lx + r4 * ly + r5 * lz
-            pz = oz + r6 * lx + r7 * ly + r8 * lz
-            depth, zx, zy, zz = probe(surface, px, py, pz)
-            contact = contacts[i]
-            contact.depth = depth
-            if depth <= 0.0:
-                continue
-            contact.length = 0.0
+    @compiled
+    def facet_respond(facet, law, g, v, eps, reach):
+        nx, ny, nz, zx, zy, zz, gain, push = facet[5:]
+        vx, vy, vz = v
+        speed = math.sqrt(vx * vx + vy * vy + vz * vz)
+        fx, fy, fz = 0.0, 0.0, 0.0
+        k0, k1, k2, k3, k4, k5, k6, k7, k8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        vn = vx * nx + vy * ny + vz * nz
+        if speed > _STILL and vn > -(_RAMP + 2.0 * _TURN) * speed:
+            s = 1.0 / speed
+            ux, uy, uz = s * vx, s * vy, s * vz
+            # The stress depends on the direction alone: its derivative needs two turns of it.
+            px, py, pz = across(ux, uy, uz)
+            qx, qy, qz = uy * pz - uz * py, uz * px - ux * pz, ux * py - uy * px
+            sx, sy, sz = led_stress(law, g, nx, ny, nz, ux, uy, uz, zx, zy, zz)
+            ax, ay, az = led_stress(
+                law, g, nx, ny, nz,
+                ux + _TURN * px, uy + _TURN * py, uz + _TURN * pz, zx, zy, zz,
+            )  # fmt: skip
+            bx, by, bz = led_stress(
+                law, g, nx, ny, nz,
+                ux + _TURN * qx, uy + _TURN * qy, uz + _TURN * qz, zx, zy, zz,
+            )  # fmt: skip
+            strength, along, level = grip(speed, gain, eps, reach)
+            strength *= speed
+            fx, fy, fz = strength * sx, strength * sy, strength * sz
+            t = -level / _TURN
+            ax, ay, az = t * (ax - sx), t * (ay - sy), t * (az - sz)
+            bx, by, bz = t * (bx - sx), t * (by - sy), t * (bz - sz)
+            sx, sy, sz = -along * sx, -along * sy, -along * sz
+            k0, k1, k2 = (
+                sx * ux + ax * px + bx * qx, sx * uy + ax * py + bx * qy, sx * uz + ax * pz + bx * qz,
+            )  # fmt: skip
+            k3, k4, k5 = (
+                sy * ux + ay * px + by * qx, sy * uy + ay * py + by * qy, sy * uz + ay * pz + by * qz,
+            )  # fmt: skip
+            k6, k7, k8 = (
+                sz * ux + az * px + bz * qx, sz * uy + az * py + bz * qy, sz * uz + az * pz + bz * qz,
+            )  # fmt: skip
+        if push != 0.0 and vn > 0.0:
+            inertial = push * vn
+            fx -= inertial * vn * nx
+            fy -= inertial * vn * ny
+            fz -= inertial * vn * nz
+            inertial *= 2.0
+            k0 += inertial * nx * nx
+            k1 += inertial * nx * ny
+            k2 += inertial * nx * nz
+            k3 += inertial * ny * nx
+            k4 += inertial * ny * ny
+            k5 += inertial * ny * nz
+            k6 += inertial * nz * nx
+            k7 += inertial * nz * ny
+            k8 += inertial * nz * nz
+        return fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8
 
-            lx, ly, lz = facet.normal[0], facet.normal[1], facet.normal[2]
-            nx = r0 * lx + r1 * ly + r2 * lz
-            ny = r3 * lx + r4 * ly + r5 * lz
-            nz = r6 * lx + r7 * ly + r8 * lz
-            vx, vy, vz = velocity_at(motion, px - tx, py - ty, pz - tz)
-            contact.point[0], contact.point[1], contact.point[2] = px, py, pz
-            contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
-            fx, fy, fz = 0.0, 0.0, 0.0
-            speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-            if speed > _STILL and vx * nx + vy * ny + vz * nz > _EDGE * speed:  # a leading face
-                if law.rise != 0.0:
-                    depth = lowered(depth, motion, px - ix, py - iy, pz - iz, vx, vy, vz, g)
-                s = 1.0 / speed
-                sx, sy, sz = stress(law, g, nx, ny, nz, s * vx, s * vy, s * vz, zx, zy, zz)
-                gain = depth * facet.area
-                fx, fy, fz = gain * sx, gain * sy, gain * sz
-            if law.inertia != 0.0:
-                cx, cy, cz = velocity_at(change, px - tx, py - ty, pz - tz)
-                vn = (vx + cx) * nx + (vy + cy) * ny + (vz + cz) * nz
-                if vn > 0.0:
-                    gain = law.inertia * vn * vn * facet.area
-                    fx -= gain * nx
-                    fy -= gain * ny
-                    fz -= gain * nz
-            contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
-
-            px, py, pz = px - ix, py - iy, pz - iz
-            add_force(body.wrench, fx, fy, fz, px, py, pz)
-
-    return facet_wrenches
+    return LawKernel(facet_records, facet_immerse, facet_resist, facet_respond, numbers=8)
 
 
 @compiled
-def lowered(depth, motion, x, y, z, vx, vy, vz, g):
+def across(x, y, z):
+    """A unit vector across a unit vector."""
+    if abs(x) < 0.7:
+        s = 1.0 / math.sqrt(y * y + z * z)
+        return 0.0, s * z, -s * y
+    s = 1.0 / math.sqrt(x * x + z * z)
+    return -s * z, 0.0, s * x
+
+
+@compiled
+def lowered(depth, pose, x, y, z, g):
     """Depth below the surface that a turning body has lowered behind itself.
 
     Agarwal et al. 2021: `r (r w^2 / g)` on the rear half of a wheel; here r is the element's own
@@ -143,20 +160,19 @@ def lowered(depth, motion, x, y, z, vx, vy, vz, g):
 
     Args:
         depth: below the undisturbed surface [m].
-        motion: spatial velocity of the body.
-        x: of the element from the body's centre of mass [m]; y, z: likewise.
+        pose: of the body.
+        x: of the element [m], world; y, z: likewise.
         y: see x.
         z: see x.
-        vx: velocity of the element [m/s]; vy, vz: likewise.
-        vy: see vx.
-        vz: see vx.
         g: gravity [m/s^2].
     """
-    wx, wy, wz = motion[0], motion[1], motion[2]
-    # Velocity of the centre of mass, and the part of the element's that is turning.
-    tx, ty, tz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
-    rear = (vx - tx) * x + (vy - ty) * y + (vz - tz) * z
-    if rear >= 0.0 or g == 0.0:
+    wx, wy, wz, lx, ly, lz = pose.motion
+    # From the axis to the element; velocity of the centre of mass, and the element's about it.
+    rx, ry, rz = x - pose.com[0], y - pose.com[1], z - pose.com[2]
+    cx, cy, cz = pose.com[0] - pose.tree[0], pose.com[1] - pose.tree[1], pose.com[2] - pose.tree[2]
+    tx, ty, tz = wy * rz - wz * ry, wz * rx - wx * rz, wx * ry - wy * rx
+    vx, vy, vz = lx + wy * cz - wz * cy, ly + wz * cx - wx * cz, lz + wx * cy - wy * cx
+    if vx * rx + vy * ry + vz * rz >= 0.0 or g == 0.0:
         return depth
     turning = tx * tx + ty * ty + tz * tz  # (r w)^2
     return max(depth - turning / g, 0.0)

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.law.kernel import LawKernel
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
 from mjgranular.registry import Registry
@@ -71,14 +72,10 @@ class Law(ABC):
         """Parameters of law and medium as the kernel reads them: structured, shape (1,)."""
 
     @abstractmethod
-    def kernel(self, surface: Surface, scene: np.dtype) -> Any:
-        """The compiled law under that kind of surface; fills the wrench of every body.
+    def kernel(self, surface: Surface) -> LawKernel:
+        """The compiled law under that kind of surface (see `law.kernel`).
 
-        `scene` is a record of two: `law`, made by `parameters`, and `surface`.
-
-        Called as `kernel(table, lead)`, with the simulation's table (`kernel.memory`) and the time
-        by which velocities are extrapolated [s]. It reads the elements and the scene, and writes
-        the `wrench` of every body and every element's contact (`kernel.records`).
+        Its `law` is the record made by `parameters`, its `surface` that of the surface.
         """
 
 

@@ -21,13 +21,14 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.link_kernel import (
     LINK_DTYPE,
     LINK_KEYS,
-    distributed_resistance,
+    distributed_limits,
     link_kernel,
-    lumped_resistance,
+    lumped_limits,
 )
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
@@ -43,7 +44,7 @@ _LINK_PAPER = (
 class _LinkForm(Law):
     """What both forms of the law share: coefficients, and a kernel over rods."""
 
-    resistance: ClassVar[Any]
+    limits: ClassVar[Any]
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("slope", math.radians(10), "written for a level surface; 10 degrees is chosen"),
     )
@@ -67,8 +68,8 @@ class _LinkForm(Law):
         parameters["density"] = medium.density.value
         return parameters
 
-    def kernel(self, surface: Surface, scene: np.dtype) -> Any:
-        return link_kernel(type(self).resistance, type(surface).probe, scene)
+    def kernel(self, surface: Surface) -> LawKernel:
+        return link_kernel(type(self).limits, type(surface).probe)
 
 
 @register_law
@@ -96,7 +97,7 @@ class LinkLaw(_LinkForm):
     name: ClassVar[str] = "link"
     title: ClassVar[str] = "slender link, lumped: static force by depth, drag by speed squared"
     citation: ClassVar[str] = _LINK_PAPER
-    resistance: ClassVar[Any] = lumped_resistance
+    limits: ClassVar[Any] = lumped_limits
 
     eta_d: float
     eta_h: float
@@ -136,7 +137,7 @@ class DistributedLinkLaw(_LinkForm):
     name: ClassVar[str] = "link_distributed"
     title: ClassVar[str] = "slender link, spread along its axis: resists rotation too"
     citation: ClassVar[str] = f"{_LINK_PAPER}; differentiated along the axis"
-    resistance: ClassVar[Any] = distributed_resistance
+    limits: ClassVar[Any] = distributed_limits
 
     eta_d: float
     eta_h: float

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.law.facet_kernel import facet_kernel
+from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law
 from mjgranular.law.validity import Limit
 from mjgranular.shape import facets_from_model
@@ -48,5 +49,5 @@ class RftLaw(Law):
             return facets_from_model(model, geoms)
         return facets_from_model(model, geoms, resolution)
 
-    def kernel(self, surface: Surface, scene: np.dtype) -> Any:
-        return facet_kernel(type(self).stress, type(surface).probe, scene)
+    def kernel(self, surface: Surface) -> LawKernel:
+        return facet_kernel(type(self).stress, type(surface).probe)

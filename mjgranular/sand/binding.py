@@ -1,4 +1,4 @@
-"""What the sand keeps for one `MjData`: the table of addresses and the wrenches it wrote."""
+"""What the sand keeps for one `MjData`: addresses, the wrenches it wrote, the last good state."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mjgranular.kernel.keep import Kept
 from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
+from mjgranular.scheme.scheme import Desk, Scheme
 from mjgranular.shape.select import last_dof
 
 
@@ -24,10 +26,16 @@ class Binding:
     address: int  # of the table: what the compiled calls take
     bodies: np.ndarray
     contacts: np.ndarray
+    kept: Kept
+    desk: Desk
 
 
 def bind(
-    model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray, scene: np.ndarray
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    elements: np.ndarray,
+    scene: np.ndarray,
+    scheme: Scheme,
 ) -> Binding:
     """Makes the binding of elements (fields `body`, `slot`) to a simulation."""
     bodies = np.zeros(len(np.unique(elements["slot"])), BODY_DTYPE)
@@ -39,7 +47,16 @@ def bind(
         row["last_dof"] = last_dof(model, body)
     bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
+    kept = Kept.of(model, data)
+    desk = scheme.desk(model, data, elements)
     table = simulation_table(
-        model, data, elements=elements, bodies=bodies, scene=scene, contacts=contacts
+        model,
+        data,
+        elements=elements,
+        bodies=bodies,
+        scene=scene,
+        contacts=contacts,
+        spans=kept.spans,
+        desk=desk.table,
     )
-    return Binding(table, table.ctypes.data, bodies, contacts)
+    return Binding(table, table.ctypes.data, bodies, contacts, kept, desk)

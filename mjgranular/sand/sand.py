@@ -16,15 +16,24 @@ from mjgranular.kernel import entry
 from mjgranular.law import Law, get_law, make_scene
 from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
+from mjgranular.sand.company import company_of
+from mjgranular.sand.guard import FINE, finish_step, guarded_program
 from mjgranular.sand.report import Names, Report, describe
 from mjgranular.scheme import Scheme, get_scheme
-from mjgranular.scheme.explicit import take_back_wrenches
 from mjgranular.shape import select_geoms
+from mjgranular.shape.select import body_name
 from mjgranular.surface import Plane, Surface
 
-_FINE = -1  # what a program returns when all is well
 _step1 = mujoco.mj_step1
 _step2 = mujoco.mj_step2
+_POSTURE = int(
+    mujoco.mjtState.mjSTATE_QPOS
+    | mujoco.mjtState.mjSTATE_QVEL
+    | mujoco.mjtState.mjSTATE_MOCAP_POS
+    | mujoco.mjtState.mjSTATE_MOCAP_QUAT
+)
+_WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_NOBODY: tuple[Callable[[], mujoco.MjData | None], int] = (lambda: None, 0)
 
 
 class Sand:
@@ -33,20 +42,34 @@ class Sand:
     Everything is checked and prepared here, once. One `Sand` serves any number of `MjData` of its
     model, also from several threads (one `MjData` a thread, as for MuJoCo itself).
 
+    Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each
+    once between `mj_step1` and `mj_step2`: a `step` of each would be two steps of time. They may
+    have different bodies as they are; if both are to act on the same, each takes `shared=True`.
+
+        first = Sand(model, surface=Bed("dry"), medium="glass_beads", shared=True)
+        second = Sand(model, surface=Bed("wet"), medium="play_sand", shared=True)
+        mujoco.mj_step1(model, data)
+        first.apply(data)
+        second.apply(data)
+        mujoco.mj_step2(model, data)
+
     Args:
         model: the model; kept, not copied.
         medium: a medium, its name, or a YAML file (`medium.file`).
         law: a law, its name, or None for the medium's own.
         surface: where the sand is; None for the plane z = 0.
         scheme: how forces become a step: a scheme or its name.
-        bodies: names of the bodies that meet the sand.
-        geoms: names of the geoms that meet the sand. With neither, every collision geom of every
-            body that can move.
+        bodies: names of the bodies that meet the sand, with all their collision geoms; or "all".
+        geoms: names of the geoms that meet the sand; or "all".
+        groups: geom groups whose collision geoms meet the sand, those of bodies that can move. What
+            `bodies`, `geoms` and `groups` name is taken together; with none of them, as with "all",
+            every collision geom of every body that can move.
         resolution: how finely geoms are cut into elements, in the law's own measure; None for its
             default.
+        shared: lets another `Sand`, shared too, act on the same bodies of the same `MjData`.
 
     Raises:
-        UnknownNameError: a name that does not exist; lists those that do.
+        UnknownNameError: a name or group that does not exist; lists those that do.
         InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
     """
 
@@ -60,7 +83,9 @@ class Sand:
         scheme: str | Scheme = "explicit",
         bodies: Sequence[str] | str | None = None,
         geoms: Sequence[str] | str | None = None,
+        groups: Sequence[int] | int | None = None,
         resolution: int | None = None,
+        shared: bool = False,
     ) -> None:
         self._arguments: dict[str, Any] = {
             "medium": medium,
@@ -69,7 +94,9 @@ class Sand:
             "scheme": scheme,
             "bodies": bodies,
             "geoms": geoms,
+            "groups": groups,
             "resolution": resolution,
+            "shared": shared,
         }
         self._model = model
         self._medium = get_medium(medium)
@@ -78,14 +105,20 @@ class Sand:
         self._scheme = get_scheme(scheme)
         self._scheme.check(model)
         chosen = select_geoms(
-            model, bodies=bodies, geoms=geoms, leave_out=self._surface.geoms(model)
+            model,
+            bodies=bodies,
+            geoms=geoms,
+            groups=groups,
+            leave_out=self._surface.geoms(model),
         )
         self._elements = self._law.elements(model, chosen, resolution)
         self._scene = make_scene(self._law, self._medium, self._surface, model)
-        self._kernel = self._law.kernel(self._surface, self._scene.dtype)
-        self._program = entry(self._scheme.program(self._kernel), types.int64, types.float64)
-        self._take_back = entry(take_back_wrenches, types.int64)
+        kernel = self._law.kernel(self._surface)
+        program = guarded_program(self._scheme.program(kernel, self._scene.dtype))
+        self._program = entry(program, types.int64, types.float64)
+        self._finish = entry(finish_step, types.int64)
         self._lead = self._scheme.lead
+        self._shared = shared
         self._options = model.opt  # its `timestep` may change between steps
         self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
             weakref.WeakKeyDictionary()
@@ -98,7 +131,7 @@ class Sand:
         ]
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: what a loop over one simulation needs.
-        self._recent: tuple[Callable[[], mujoco.MjData | None], int] = (lambda: None, 0)
+        self._recent = _NOBODY
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -140,8 +173,11 @@ class Sand:
         found: what a user writes there acts beside the sand and stays.
 
         Raises:
-            UnstableError: a force is not finite, and then the step is not finished and
-                `xfrc_applied` is as it was; or MuJoCo has found the state bad and reset it.
+            UnstableError: a force is not finite, and then the step is not finished; or MuJoCo has
+                found the state bad, and then `data` holds the last good state, its time, controls
+                and `xfrc_applied` included.
+            InputError: at the first step with this `data`: it belongs to another model, or another
+                `Sand` acts on one of the bodies.
         """
         recent, address = self._recent
         if recent() is not data:
@@ -149,10 +185,12 @@ class Sand:
         model = self._model
         _step1(model, data)
         failed = self._program(address, self._lead * self._options.timestep)
-        if failed != _FINE:
+        if failed != FINE:
             raise self._unstable(data, failed)
         _step2(model, data)
-        self._take_back(address)
+        failed = self._finish(address)
+        if failed != FINE:
+            raise self._unstable(data, failed)
 
     def apply(self, data: mujoco.MjData) -> None:
         """Adds the sand's wrenches to `data.xfrc_applied`, for a stepping loop of your own.
@@ -162,15 +200,27 @@ class Sand:
         written in between is taken to be wholly yours.
 
         Raises:
-            UnstableError: a force is not finite, or MuJoCo has found the state bad; nothing is
-                written.
+            UnstableError: a force is not finite, and then nothing is written; or MuJoCo has found
+                the state bad, and then `data` holds the last good state but for `xfrc_applied`.
+            InputError: as `step`.
         """
         recent, address = self._recent
         if recent() is not data:
             address = self._bind(data)
         failed = self._program(address, self._lead * self._options.timestep)
-        if failed != _FINE:
-            raise self._unstable(data, failed)
+        if failed != FINE:
+            raise self._unstable(data, failed, own=False)
+
+    def release(self, data: mujoco.MjData) -> None:
+        """Lets a simulation go, so that another `Sand` may act on the same bodies of it.
+
+        What `apply` has left in `data.xfrc_applied` is taken back. A later `step` or `apply` begins
+        anew; without an earlier one there is nothing to let go.
+        """
+        binding = self._bindings.pop(data, None)
+        if binding is not None:
+            self._recent = _NOBODY
+            company_of(data).leave(self, binding)
 
     def report(self, data: mujoco.MjData) -> Report:
         """What the sand does at the state in `data` (`qpos`, `qvel`), which is left untouched."""
@@ -181,15 +231,20 @@ class Sand:
             probe, binding = self._probes.pop()
         except IndexError:
             probe = mujoco.MjData(model)
-            binding = bind(model, probe, self._elements, self._scene)
-        probe.qpos[:] = data.qpos
-        probe.qvel[:] = data.qvel
-        probe.mocap_pos[:] = data.mocap_pos
-        probe.mocap_quat[:] = data.mocap_quat
-        mujoco.mj_kinematics(model, probe)
-        mujoco.mj_comPos(model, probe)
-        mujoco.mj_comVel(model, probe)
-        self._kernel(binding.table, 0.0)
+            binding = bind(model, probe, self._elements, self._scene, self._scheme)
+        lead = 0.0
+        if self._scheme.whole_state:
+            lead = self._lead * self._options.timestep
+            mujoco.mj_copyState(model, data, probe, _WHOLE_STATE)
+            probe.xfrc_applied[:] = self._own_applied(data)
+        else:
+            mujoco.mj_copyState(model, data, probe, _POSTURE)
+        mujoco.mj_fwdPosition(model, probe)
+        mujoco.mj_fwdVelocity(model, probe)
+        binding.bodies["written"] = np.nan  # what is there now is the user's
+        failed = self._program(binding.address, lead)
+        if failed != FINE:
+            raise self._unstable(data, failed, binding)
         probe.time = data.time
         report = describe(
             probe,
@@ -205,6 +260,16 @@ class Sand:
         self._probes.append((probe, binding))
         return report
 
+    def _own_applied(self, data: mujoco.MjData) -> np.ndarray:
+        """`xfrc_applied` without what `apply` has left in it."""
+        applied = data.xfrc_applied.copy()
+        binding = self._bindings.get(data)
+        if binding is not None:
+            for row in binding.bodies:
+                if (applied[row["body"]] == row["written"]).all():
+                    applied[row["body"]] = row["own"]
+        return applied
+
     def _check_owner(self, data: mujoco.MjData) -> None:
         if data.model is not self._model and data.model._address != self._model._address:
             raise InputError(
@@ -217,32 +282,78 @@ class Sand:
         if binding is None:
             self._check_owner(data)
             self._scheme.check(self._model)
-            binding = bind(self._model, data, self._elements, self._scene)
+            binding = bind(self._model, data, self._elements, self._scene, self._scheme)
+            company_of(data).join(self, self._model, binding, shared=self._shared)
             self._bindings[data] = binding
-        self._recent = (weakref.ref(data), binding.address)
+        if self._shared:  # comes here at every call: the others' shares are to be seen to
+            company_of(data).begin(binding)
+        else:
+            self._recent = (weakref.ref(data), binding.address)
         return binding.address
 
-    def _unstable(self, data: mujoco.MjData, failed: int) -> UnstableError:
-        step = f"a time step below {self._options.timestep:g} s may keep it"
+    def _unstable(
+        self,
+        data: mujoco.MjData,
+        failed: int,
+        binding: Binding | None = None,
+        *,
+        own: bool = True,
+    ) -> UnstableError:
+        """What to raise when a program has failed; brings the last good state back.
+
+        Args:
+            data: the simulation.
+            failed: what the program has returned.
+            binding: what it was called with; None for that of `data`.
+            own: whether `xfrc_applied` was wholly the user's when the state was kept.
+        """
+        model = self._model
+        if binding is None:
+            binding = self._bindings[data]
+        advice = f"a time step below {self._options.timestep:g} s may do better"
         if failed >= 0:
-            body = int(self._bindings[data].bodies[failed]["body"])
             return UnstableError(
-                f"the sand's force on body {self._names.bodies[body]!r} is not finite at "
-                f"t = {data.time:.6g} s: the state has left reason; {step}"
+                f"the sand's force on body {body_name(model, binding.bodies[failed]['body'])} is "
+                f"not finite at {self._moment(data.time)}: the state has left reason; {advice}"
             )
-        for what in ("QPOS", "QVEL", "QACC"):
-            warning = data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}"))]
-            if warning.number:
-                warning.number = 0  # told
-                dof = min(int(warning.lastinfo), self._model.nv - 1)
-                body = self._model.body(int(self._model.dof_bodyid[dof]))
-                kept = self._options.disableflags & int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-                return UnstableError(
-                    f"the state left reason: MuJoCo found NaN, infinite or huge numbers in "
-                    f"{what.lower()} of body {body.name or body.id!r}"
-                    f"{'' if kept else ' and has reset the simulation'}; {step}"
-                )
-        return UnstableError(f"the state left reason; {step}")
+        what, body = self._blame(data)
+        found = f"MuJoCo found NaN, infinite or huge numbers in {what} of body "
+        found += body_name(model, body)
+        time = binding.kept.time
+        if time is None:
+            reset = not self._options.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+            return UnstableError(
+                f"{found} before the sand's first step"
+                f"{' and has reset the simulation' if reset else ''}: start from finite numbers"
+            )
+        applied = data.xfrc_applied.copy()
+        binding.kept.restore(model, data)
+        if not own:
+            data.xfrc_applied[:] = applied
+        return UnstableError(
+            f"{found} at {self._moment(time)}: the state has left reason, and the data hold the "
+            f"last good one, from before that step; {advice}"
+        )
+
+    def _moment(self, time: float) -> str:
+        """When, in words; the first step is step 1."""
+        return f"t = {time:.6g} s, step {round(time / self._options.timestep) + 1}"
+
+    def _blame(self, data: mujoco.MjData) -> tuple[str, int]:
+        """What MuJoCo has found bad, and in which body; its warnings count as told then."""
+        model = self._model
+        warnings = {
+            what: data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what.upper()}"))]
+            for what in ("qpos", "qvel", "qacc")
+        }
+        what = next(what for what, warning in warnings.items() if warning.number)
+        index = int(warnings[what].lastinfo)
+        for warning in warnings.values():
+            warning.number = 0
+        if what == "qpos":
+            joint = np.searchsorted(model.jnt_qposadr, index, side="right") - 1
+            return what, int(model.jnt_bodyid[joint])
+        return what, int(model.dof_bodyid[index])
 
     def __copy__(self) -> Sand:
         """Sand of its own on the same model: addresses are not copied."""

@@ -1,6 +1,7 @@
 """How forces become a step."""
 
 from mjgranular.scheme.explicit import Explicit as Explicit
+from mjgranular.scheme.implicit import Implicit as Implicit
 from mjgranular.scheme.scheme import Scheme as Scheme
 from mjgranular.scheme.scheme import get_scheme as get_scheme
 from mjgranular.scheme.scheme import schemes as schemes

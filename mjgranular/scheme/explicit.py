@@ -8,6 +8,9 @@ led by half a step, `v + (h/2) a` with `a` the acceleration of the last step (Ad
 second order for the velocity, leapfrog for the position). It costs one sum along the joint chain.
 """
 
+# What belongs to a body is read when its first element comes, which a type checker cannot follow.
+# pyright: reportPossiblyUnboundVariable=false
+
 from __future__ import annotations
 
 import math
@@ -16,21 +19,25 @@ from functools import cache
 from typing import Any, ClassVar
 
 import mujoco
+import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
-    NBODY,
-    WARNINGS,
-    XFRC,
-    floats,
-    ints,
+    CONTACTS,
+    ELEMENT_COUNT,
+    ELEMENTS,
+    SCENE,
+    records,
     table_at,
 )
-from mjgranular.kernel.records import body_records
-from mjgranular.scheme.scheme import Scheme, schemes
+from mjgranular.kernel.motion import add_force, velocity_at, velocity_change
+from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.law.kernel import LawKernel
+from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
+from mjgranular.scheme.wrenches import BAD_STATE, add_wrenches, gravity_of, is_bad, pose_of
 
 
 @dataclass(frozen=True)
@@ -51,96 +58,67 @@ class Explicit(Scheme):
     def lead(self) -> float:
         return 0.5 if self.half_step else 0.0
 
-    def program(self, kernel: Any) -> Any:
-        return explicit_program(kernel)
+    def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        return explicit_program(kernel, scene)
 
     def check(self, model: mujoco.MjModel) -> None:
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-            raise InputError(
-                "the integrator RK4 cannot be stepped with a force from outside: mj_step1 and "
-                "mj_step2 would silently be Euler; set the model's integrator to Euler, implicit "
-                "or implicitfast"
-            )
+        refuse_runge_kutta(model)
 
 
 schemes.add(Explicit.name, Explicit)
 
 
-@compiled
-def add_wrenches(table):
-    """Adds the bodies' wrenches to `xfrc_applied`, and takes back those of the last call.
-
-    A row that still holds what the last call wrote is first restored to what it was before that
-    call; a row that does not has been written by the user since (or reset, or copied), and is
-    wholly the user's.
-
-    Args:
-        table: the simulation's (`kernel.memory`).
-
-    Returns:
-        -1, or the row in `bodies` of the first wrench that is not finite; then nothing is written.
-    """
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
-    xfrc = floats(table[XFRC], 6 * table[NBODY])
-    for slot in range(len(bodies)):
-        total = 0.0
-        for k in range(6):
-            total += bodies[slot].wrench[k]
-        if not math.isfinite(total):
-            return slot
-    for slot in range(len(bodies)):
-        body = bodies[slot]
-        row = xfrc[6 * body.body : 6 * body.body + 6]
-        untouched = True
-        for k in range(6):
-            untouched = untouched and row[k] == body.written[k]
-        for k in range(6):
-            if not untouched:
-                body.own[k] = row[k]
-            row[k] = body.own[k] + body.wrench[k]
-            body.written[k] = row[k]
-    return -1
-
-
-@compiled
-def take_back_wrenches(address):
-    """Restores `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
-    table = table_at(address)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
-    xfrc = floats(table[XFRC], 6 * table[NBODY])
-    for slot in range(len(bodies)):
-        body = bodies[slot]
-        for k in range(6):
-            xfrc[6 * body.body + k] = body.own[k]
-            body.written[k] = body.own[k]
-
-
-BAD_STATE = -2
-"""What a program returns when MuJoCo has found numbers in the state that are none."""
-
-_BAD = tuple(
-    2 * int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")
-)
-
-
-@compiled
-def is_bad(table):
-    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it."""
-    # mjWarningStat is {int lastinfo; int number;}: the address is that of the first number.
-    numbers = ints(table[WARNINGS], _BAD[2] + 1)
-    return numbers[_BAD[0]] + numbers[_BAD[1]] + numbers[_BAD[2]] > 0
-
-
 @cache
-def explicit_program(kernel: Any) -> Any:
-    """One compiled call for law and scheme: the wrenches of `kernel`, added to `xfrc_applied`."""
+def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
+    element_records, immerse, resist = kernel.elements, kernel.immerse, kernel.resist
+    scene_records = records(scene_dtype)
+
+    @compiled
+    def forces(table, lead):
+        elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        scene = scene_records(table[SCENE], 1)
+        law = scene[0].law
+        surface = scene[0].surface
+        g = gravity_of(table)
+        for slot in range(len(bodies)):
+            bodies[slot].wrench[:] = 0.0
+
+        slot = -1
+        for i in range(len(elements)):
+            element = elements[i]
+            if element.slot != slot:  # elements come body by body
+                slot = element.slot
+                body = bodies[slot]
+                pose = pose_of(table, body)
+                tx, ty, tz = pose.tree
+                change = velocity_change(table, body.last_dof, lead)
+            immersed = immerse(element, pose, law, surface, g)
+            contact = contacts[i]
+            contact.depth = immersed[0]
+            if immersed[0] <= 0.0:
+                continue
+            contact.length = immersed[1]
+            x, y, z = immersed[2], immersed[3], immersed[4]
+            vx, vy, vz = velocity_at(pose.motion, x - tx, y - ty, z - tz)
+            # Drag takes the velocity ahead, static resistance the direction of the velocity now:
+            # led as well, it creeps five times faster under load.
+            cx, cy, cz = velocity_at(change, x - tx, y - ty, z - tz)
+            fx, fy, fz = resist(immersed, law, g, (vx, vy, vz), (vx + cx, vy + cy, vz + cz))
+            contact.point[0], contact.point[1], contact.point[2] = x, y, z
+            contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
+            contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
+            ix, iy, iz = pose.com
+            add_force(body.wrench, fx, fy, fz, x - ix, y - iy, z - iz)
 
     @compiled
     def program(address, lead):
         table = table_at(address)
         if is_bad(table):
             return BAD_STATE
-        kernel(table, lead)
+        forces(table, lead)
         return add_wrenches(table)
 
     return program

@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import mujoco
+import numpy as np
 
+from mjgranular.errors import InputError
+from mjgranular.law.kernel import LawKernel
 from mjgranular.registry import Registry
 
 schemes: Registry[type[Scheme]] = Registry("scheme")
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Where a scheme works: made once for a simulation, so that no step allocates.
+
+    Attributes:
+        table: sizes and addresses, int64, as the scheme's program reads them.
+        holds: arrays whose addresses are in the table, to be kept alive.
+        account: what the program counts, by name; see the scheme.
+    """
+
+    table: np.ndarray
+    holds: tuple[Any, ...] = ()
+    account: np.ndarray | None = None
 
 
 class Scheme(ABC):
@@ -18,10 +37,13 @@ class Scheme(ABC):
     Attributes:
         name: the name it is known by.
         title: one line for lists.
+        whole_state: whether its forces depend on more than `qpos` and `qvel`: on actuators, applied
+            and passive forces, constraints.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
+    whole_state: ClassVar[bool] = False
 
     @property
     @abstractmethod
@@ -29,13 +51,21 @@ class Scheme(ABC):
         """How far ahead of the state velocities are taken, as a fraction of the time step."""
 
     @abstractmethod
-    def program(self, kernel: Any) -> Any:
-        """One compiled call that takes a law's kernel to `xfrc_applied`.
+    def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        """One compiled call that takes a law's kernels to `xfrc_applied`.
 
         Called as `program(address, lead)` with the address of the simulation's table
         (`kernel.memory`) and the lead in seconds; returns -1, the row of the
         first body whose wrench is not finite, or -2 if MuJoCo has found the state bad.
+
+        Args:
+            kernel: of the law.
+            scene: record of two: `law`, made by its `parameters`, and `surface`.
         """
+
+    def desk(self, model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray) -> Desk:
+        """What the program works with in one simulation; nothing unless a scheme says so."""
+        return Desk(np.zeros(0, np.int64))
 
     @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:
@@ -53,3 +83,17 @@ def get_scheme(scheme: str | Scheme) -> Scheme:
         UnknownNameError: no such scheme; lists those that exist.
     """
     return scheme if isinstance(scheme, Scheme) else schemes[scheme]()
+
+
+def refuse_runge_kutta(model: mujoco.MjModel) -> None:
+    """Refuses the one integrator that cannot be stepped with a force from outside.
+
+    Raises:
+        InputError: the model's integrator is RK4.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        raise InputError(
+            "the integrator RK4 cannot be stepped with a force from outside: mj_step1 and "
+            "mj_step2 would silently be Euler; set the model's integrator to Euler, implicit "
+            "or implicitfast"
+        )

@@ -9,6 +9,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.memory import records
+from mjgranular.shape.facets import geom_name, half_extents
 
 ROD_DTYPE = np.dtype(
     [
@@ -42,7 +43,7 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         Rods, shape (n,), dtype `ROD_DTYPE`.
 
     Raises:
-        InputError: a geom is neither a capsule nor a cylinder.
+        InputError: a geom is neither a capsule nor a cylinder, or has a size of zero.
     """
     rods = np.zeros(len(geoms), ROD_DTYPE)
     slots: dict[int, int] = {}
@@ -50,11 +51,12 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         kind = int(model.geom_type[geom])
         if kind not in (_CAPSULE, _CYLINDER):
             shape = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
-            name = model.geom(geom).name or f"number {geom}"
             raise InputError(
-                f"geom {name!r} is a {shape}: the link law acts on slender bodies, "
+                f"geom {geom_name(model, geom)} is a {shape}: the link law acts on slender bodies, "
                 "capsules and cylinders; choose them with geoms=[...] or bodies=[...]"
             )
+        if not (half_extents(model, geom) > 0).all():
+            raise InputError(f"geom {geom_name(model, geom)} has a size of zero: it needs a volume")
         radius, half = model.geom_size[geom][:2]
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])

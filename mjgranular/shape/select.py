@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import operator
+from collections.abc import Iterable, Sequence
 
 import mujoco
 
 from mjgranular.errors import InputError, UnknownNameError
+
+EVERY = "all"
+"""Stands for every body or geom that can meet the sand, unless one has it for a name."""
 
 
 def select_geoms(
@@ -14,47 +18,54 @@ def select_geoms(
     *,
     bodies: Sequence[str] | str | None = None,
     geoms: Sequence[str] | str | None = None,
+    groups: Sequence[int] | int | None = None,
     leave_out: Sequence[int] = (),
 ) -> list[int]:
     """The ids of the geoms that meet the sand, in the order of the model.
 
-    Without `bodies` and `geoms`: every collision geom (contype or conaffinity not zero) of a body
-    that can move. A body named in `bodies` brings its collision geoms; a geom named in `geoms` is
-    taken as it is, visual or not.
+    A body named in `bodies` brings its collision geoms (contype or conaffinity not zero), and so
+    does a group in `groups` those of bodies that can move; a geom named in `geoms` is taken as it
+    is, visual or not. What they name is taken together. "all" for `bodies` or `geoms` means every
+    collision geom of a body that can move, and so does no choice at all.
 
     Args:
         model: the model.
         bodies: a body's name, or several.
         geoms: a geom's name, or several.
+        groups: a geom group, or several.
         leave_out: ids of geoms that are the sand itself.
 
     Raises:
-        UnknownNameError: a name that the model does not have; lists those it has.
-        InputError: nothing is left, or what is named cannot move.
+        UnknownNameError: a name that the model does not have, or a group without a collision geom
+            of a body that can move; lists those there are.
+        InputError: nothing is left, what is named cannot move, or a group is no integer.
     """
-    wanted_bodies = [_id(model, mujoco.mjtObj.mjOBJ_BODY, "body", name) for name in _names(bodies)]
-    wanted_geoms = [_id(model, mujoco.mjtObj.mjOBJ_GEOM, "geom", name) for name in _names(geoms)]
-    everything = bodies is None and geoms is None
-
-    chosen = set(wanted_geoms)
-    for geom in range(model.ngeom):
-        body = int(model.geom_bodyid[geom])
-        collides = bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
-        if collides and (body in wanted_bodies or (everything and moves(model, body))):
-            chosen.add(geom)
+    meets = [
+        geom
+        for geom in range(model.ngeom)
+        if collides(model, geom) and moves(model, int(model.geom_bodyid[geom]))
+    ]
+    chosen = set(_in_groups(model, meets, groups))
+    if bodies is None and geoms is None and groups is None:
+        chosen.update(meets)
+    for name in _names(bodies):
+        body = _find(model, "body", name)
+        chosen.update(meets if body is None else _of_body(model, body))
+    for name in _names(geoms):
+        geom = _find(model, "geom", name)
+        chosen.update(meets if geom is None else _that_moves(model, geom))
     chosen.difference_update(leave_out)
-    for body in {*wanted_bodies, *(int(model.geom_bodyid[g]) for g in wanted_geoms)}:
-        if not moves(model, body):
-            raise InputError(
-                f"body {model.body(body).name!r} is fixed to the world: sand cannot act on it; "
-                "name a body that has a joint above it"
-            )
     if not chosen:
         raise InputError(
             "no geom of the model can meet the sand: a body with a joint and a collision geom "
             "(contype or conaffinity not 0) is needed, or geoms=[...] to name one"
         )
     return sorted(chosen)
+
+
+def collides(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom is there for contacts, not only to be seen."""
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def moves(model: mujoco.MjModel, body: int) -> bool:
@@ -69,16 +80,75 @@ def last_dof(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_dofadr[body] + model.body_dofnum[body] - 1) if body > 0 else -1
 
 
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """A body's name in quotes, or its number."""
+    name = model.body(body).name
+    return repr(name) if name else f"number {body}"
+
+
 def _names(names: Sequence[str] | str | None) -> Sequence[str]:
     if names is None:
         return ()
     return (names,) if isinstance(names, str) else names
 
 
-def _id(model: mujoco.MjModel, kind: mujoco.mjtObj, word: str, name: str) -> int:
-    found = mujoco.mj_name2id(model, kind, name)
-    if found < 0:
-        count = model.nbody if word == "body" else model.ngeom
-        known = [mujoco.mj_id2name(model, kind, i) for i in range(count)]
-        raise UnknownNameError(f"{word} of the model", name, [k for k in known if k])
-    return found
+def _find(model: mujoco.MjModel, kind: str, name: str) -> int | None:
+    """The id of a body or geom, None for all of them."""
+    objects, count = {
+        "body": (mujoco.mjtObj.mjOBJ_BODY, model.nbody),
+        "geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom),
+    }[kind]
+    found = mujoco.mj_name2id(model, objects, name)
+    if found >= 0:
+        return found
+    if name == EVERY:
+        return None
+    known = (mujoco.mj_id2name(model, objects, i) for i in range(count))
+    raise UnknownNameError(f"{kind} of the model", name, [name for name in known if name])
+
+
+def _of_body(model: mujoco.MjModel, body: int) -> list[int]:
+    _refuse_fixed(model, body)
+    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+    return [geom for geom in range(first, first + count) if collides(model, geom)]
+
+
+def _that_moves(model: mujoco.MjModel, geom: int) -> list[int]:
+    _refuse_fixed(model, int(model.geom_bodyid[geom]))
+    return [geom]
+
+
+def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:
+    if not moves(model, body):
+        raise InputError(
+            f"body {body_name(model, body)} is fixed to the world: sand cannot act on it; "
+            "name a body that has a joint above it"
+        )
+
+
+def _in_groups(
+    model: mujoco.MjModel, meets: Sequence[int], groups: Sequence[int] | int | None
+) -> list[int]:
+    """Those geoms of `meets` that are in the groups."""
+    members: dict[int, list[int]] = {}
+    for geom in meets:
+        members.setdefault(int(model.geom_group[geom]), []).append(geom)
+    chosen = []
+    for group in _numbers(groups):
+        if group not in members:
+            kind = "collision geoms of bodies that can move in geom group"
+            raise UnknownNameError(kind, group, map(str, sorted(members)))
+        chosen.extend(members[group])
+    return chosen
+
+
+def _numbers(groups: Sequence[int] | int | None) -> list[int]:
+    if groups is None:
+        return []
+    try:
+        several = groups if isinstance(groups, Iterable) else (groups,)
+        return [operator.index(group) for group in several]
+    except TypeError:
+        raise InputError(
+            f"groups takes the number of a geom group, or several, not {groups!r}"
+        ) from None

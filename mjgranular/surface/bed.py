@@ -51,7 +51,8 @@ class Bed(Surface):
 
     Beside and under the box there is no sand. Its lower face is no floor by itself: put an ordinary
     geom there (a plane, or another box), which bodies meet by MuJoCo's own contact. The box's own
-    contacts are switched off in the model when the sand is bound; an explicit contact pair is not.
+    contacts are switched off in the model when the sand is bound; an explicit contact pair, which
+    cannot be, is refused.
 
     Attributes:
         geom: name of the box geom; it must be fixed to the world.

@@ -21,7 +21,7 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
 
     Raises:
         UnknownNameError: no such geom; lists those of the type.
-        InputError: a geom of another type, or on a body that moves.
+        InputError: a geom of another type, on a body that moves, or in an explicit contact pair.
     """
     geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     shape = kind.name.removeprefix("mjGEOM_").lower()
@@ -37,9 +37,23 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
             f"geom {name!r} is on body {model.body(body).name!r}, which can move: a {word} must "
             "be fixed to the world"
         )
+    _refuse_pairs(model, geom, word)
     model.geom_contype[geom] = 0
     model.geom_conaffinity[geom] = 0
     return geom
+
+
+def _refuse_pairs(model: mujoco.MjModel, geom: int, word: str) -> None:
+    """Explicit pairs collide whatever contype and conaffinity are, and cannot be switched off."""
+    for number in range(model.npair):
+        ends = [int(model.pair_geom1[number]), int(model.pair_geom2[number])]
+        if geom in ends:
+            pair = model.pair(number).name or number
+            first, second = (model.geom(end).name or end for end in ends)
+            raise InputError(
+                f"the contact pair {pair!r} makes geoms {first!r} and {second!r} collide, but "
+                f"{model.geom(geom).name!r} is a {word}, which bodies sink into: remove that <pair>"
+            )
 
 
 def world_pose(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,227 @@
+"""`mjgranular elements`: what a law cuts a model into."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import mujoco
+import numpy as np
+import tyro
+from rich.table import Table
+from rich.text import Text
+
+from mjgranular.cli.console import out, print_json, show_error
+from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
+from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
+from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
+from mjgranular.sand import Sand
+from mjgranular.sand.report import Names
+
+_CSV = "elements.csv"
+_FIGURE = "elements.png"
+
+
+@dataclass(frozen=True)
+class ElementsCommand:
+    """What a law cuts your MJCF model into: rods, facets or blobs, counted and drawn.
+
+    Prints for each geom how many elements there are, with their area or length. With --figure
+    FILE, draws them; with --out DIR, writes figure, table and every element there.
+    """
+
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
+    """The MJCF file."""
+    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
+    """The sand, or a YAML file; `mjgranular media` lists what there is."""
+    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How finely geoms are cut into elements. Default: the law's."""
+    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Bodies that meet the sand. Default: all that can move."""
+    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Geoms that meet the sand."""
+    keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Keyframe of the model to draw. Default: the model as it is."""
+    color: Literal["body", "geom", "depth"] = "body"
+    """What colours of the figure stand for; depth is that below the plane z = 0."""
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """File for the figure, .png, .svg or .pdf."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for figure, table and elements; nothing is written without it or --figure."""
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace what is there already."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        if self.out is not None and self.figure is not None:
+            raise InputError("give --figure FILE for the figure alone or --out DIR, not both")
+        if self.figure is not None:
+            check_file(self.figure)
+        if self.out is not None:
+            target, figure = self.out, _FIGURE
+            names = (CONFIG, SUMMARY, _CSV, _FIGURE)
+        elif self.figure is not None:
+            target, figure = self.figure.parent, self.figure.name
+            names = (figure,)
+        else:
+            sand, _ = self._cut()
+            self._show(self._summary(sand))
+            return 0
+        with ResultFolder(target, names).claimed(overwrite=self.overwrite) as folder:
+            sand, qpos = self._cut()
+            summary = self._summary(sand)
+            if self.out is not None:
+                folder.write_config("elements", {**self._config(), "law": sand.law.name})
+                folder.write(_CSV, lambda path: _write_csv(path, sand))
+                folder.write_json(SUMMARY, summary)
+            self._show(summary)
+            try:
+                folder.write(
+                    figure,
+                    lambda path: draw_elements(
+                        sand, qpos=qpos, color=self.color, title=self.model.name, file=path
+                    ),
+                )
+            except MissingExtraError as error:
+                kept = "" if self.out is None else f" (the numbers are in {self.out})"
+                show_error(f"{error}{kept}")
+                return 2
+        if not self.json:
+            out.print(f"written to {self.out or self.figure}", highlight=False, markup=False)
+        return 0
+
+    def _cut(self) -> tuple[Sand, np.ndarray]:
+        """The model on its sand, and where its bodies are drawn."""
+        try:
+            model = mujoco.MjSpec.from_file(str(self.model)).compile()
+        except (ValueError, OSError, mujoco.FatalError) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(f"MuJoCo cannot load {self.model}: {reason}") from None
+        qpos = model.qpos0
+        if self.keyframe is not None:
+            key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, self.keyframe)
+            if key < 0:
+                known = [model.key(k).name for k in range(model.nkey)]
+                raise UnknownNameError("keyframe of the model", self.keyframe, known)
+            qpos = model.key_qpos[key]
+        sand = Sand(
+            model,
+            medium=self.medium,
+            law=self.law,
+            bodies=self.bodies or None,
+            geoms=self.geoms or None,
+            resolution=self.resolution,
+        )
+        return sand, qpos
+
+    def _config(self) -> dict[str, Any]:
+        """What was asked for, in plain values."""
+        left_out = ("figure", "out", "overwrite", "json")
+        config = {key: value for key, value in asdict(self).items() if key not in left_out}
+        return {**config, "model": str(self.model)}
+
+    def _summary(self, sand: Sand) -> dict[str, Any]:
+        """What the elements come to, SI units."""
+        rows = list(_rows(sand))
+        return {
+            "model": self.model.name,
+            "law": sand.law.name,
+            "medium": self.medium,
+            "kind": kind_of(sand),
+            "elements": len(sand.elements),
+            "area": _total(rows, "area"),
+            "length": _total(rows, "length"),
+            "geoms": rows,
+        }
+
+    def _show(self, summary: dict[str, Any]) -> None:
+        if self.json:
+            print_json(summary)
+            return
+        kind = summary["kind"]
+        table = Table(
+            title=f"{summary['model']} in {summary['medium']}: {summary['law']} law, "
+            f"{count(summary['elements'], kind)}",
+            title_justify="left",
+            show_footer=len(summary["geoms"]) > 1,
+        )
+        # What is summed up over the elements: heading, factor from SI units.
+        sums = {"area": ("area\n[cm^2]", 1e4), "length": ("length\n[mm]", 1e3)}
+        sums = {key: sums[key] for key in sums if summary[key] is not None}
+        table.add_column(Text("body"), footer="together")
+        table.add_column(Text("geom"))
+        table.add_column(Text("shape"))
+        table.add_column(Text(kind), justify="right", footer=str(summary["elements"]))
+        for key, (heading, factor) in sums.items():
+            footer = f"{summary[key] * factor:.4g}"
+            table.add_column(Text(heading), justify="right", footer=footer)
+        table.add_column(Text("width\n[mm]"), justify="right")
+        for row in summary["geoms"]:
+            table.add_row(
+                Text(row["body"]),
+                Text(row["geom"]),
+                row["shape"],
+                str(row["elements"]),
+                *(f"{row[key] * factor:.4g}" for key, (_, factor) in sums.items()),
+                f"{row['width'] * 1e3:.4g}",
+            )
+        out.print(table)
+
+
+def _rows(sand: Sand) -> Iterator[dict[str, Any]]:
+    """One row a geom, body by body as the elements are, SI units."""
+    model, elements, kind = sand.model, sand.elements, kind_of(sand)
+    names = Names.of(model, elements)
+    for geom in dict.fromkeys(elements["geom"].tolist()):
+        mine = elements[elements["geom"] == geom]
+        shape = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+        yield {
+            "body": names.bodies[int(mine["body"][0])],
+            "geom": names.geoms[geom],
+            "shape": shape,
+            "elements": len(mine),
+            "area": float(mine["area"].sum()) if kind == "facets" else None,
+            "length": float(2 * mine["half_length"].sum()) if kind == "rods" else None,
+            "width": float(mine["width"][0]),
+        }
+
+
+def _total(rows: list[dict[str, Any]], key: str) -> float | None:
+    values = [row[key] for row in rows]
+    return None if None in values else float(sum(values))
+
+
+def _write_csv(path: Path, sand: Sand) -> None:
+    """Every element with all that the law keeps of it, in the frame of its body."""
+    elements, names = sand.elements, Names.of(sand.model, sand.elements)
+    header = ["body", "geom"]
+    columns: list[list[Any]] = [
+        [names.bodies[body] for body in elements["body"].tolist()],
+        [names.geoms[geom] for geom in elements["geom"].tolist()],
+    ]
+    units = {"normal": "-", "axis": "-", "axes": "-", "area": "m^2"}
+    for field in elements.dtype.names or ():
+        if field in ("body", "geom", "slot"):
+            continue
+        values = elements[field].reshape(len(elements), -1)
+        for k, column in enumerate(values.T):
+            name = field if values.shape[1] == 1 else f"{field}_{_place(k, values.shape[1])}"
+            header.append(f"{name} [{units.get(field, 'm')}]")
+            columns.append(column.tolist())
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows(zip(*columns, strict=True))
+
+
+def _place(k: int, size: int) -> str:
+    """What the k-th of so many numbers is called: x, y, z of one vector; 1x to 3z of several."""
+    axis = "xyz"[k % 3]
+    return axis if size == 3 else f"{k // 3 + 1}{axis}"

@@ -1,0 +1,157 @@
+"""MuJoCo's own functions and constraint rows, for kernels that ask the engine while it steps.
+
+Machine code that is kept on disk must not hold addresses: functions go by their names, which are
+looked up when the code is loaded, and fields of `mjData` by their offsets, which are measured on a
+small model and compared with what MuJoCo's Python arrays say.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+import mujoco
+import numpy as np
+from mujoco.introspect.structs import STRUCTS
+from numba import types
+
+_PATTERN = {"win32": "mujoco.dll", "darwin": "libmujoco*.dylib"}.get(sys.platform, "libmujoco.so*")
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The library that `import mujoco` has loaded.
+
+    Raises:
+        ImportError: it does not lie beside the Python package `mujoco`.
+    """
+    folder = Path(str(mujoco.__file__)).parent
+    found = sorted(folder.glob(_PATTERN))
+    if not found:
+        raise ImportError(f"MuJoCo's library {_PATTERN} is not in {folder}")
+    return ctypes.CDLL(str(found[0]))
+
+
+def _function(name: str, *arguments: Any) -> Any:
+    """A function of the engine that returns nothing; pointers are passed as integers."""
+    address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
+    llvm.add_symbol(name, address)
+    return types.ExternalFunction(name, types.void(*arguments))
+
+
+_ADDRESS, _INT = types.int64, types.int32
+forward_actuation = _function("mj_fwdActuation", _ADDRESS, _ADDRESS)
+forward_acceleration = _function("mj_fwdAcceleration", _ADDRESS, _ADDRESS)
+solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)
+smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
+
+
+# Offsets in `mjData` of what describes its constraint rows [bytes], and the size of a contact. The
+# rows lie in an arena that is laid out anew at every step: their pointers are read at every step.
+_POINTERS = {
+    "contact": "contact",
+    "kind": "efc_type",
+    "owner": "efc_id",
+    "row_size": "efc_J_rownnz",
+    "row_start": "efc_J_rowadr",
+    "column": "efc_J_colind",
+    "jacobian": "efc_J",
+    "loss": "efc_frictionloss",
+    "mass": "efc_D",
+    "reference": "efc_aref",
+}
+ROWS_DTYPE = np.dtype([(name, np.int64) for name in ("count", *_POINTERS)])
+
+# A ball pressed into a plane and a hinge beyond its range: contacts and limits at the first step.
+_PROBE = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body pos="0 0 0.09"><freejoint/><geom size="0.1"/></body>
+    <body pos="3 0 1">
+      <joint axis="0 1 0" range="0.5 1" limited="true"/><geom size="0.1" pos="0.3 0 0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@cache
+def constraint_rows() -> tuple[int, ...]:
+    """Where `mjData` keeps its constraint rows: a record of `ROWS_DTYPE`.
+
+    Raises:
+        ImportError: this MuJoCo lays `mjData` out in another way than its own description says.
+    """
+    model = mujoco.MjModel.from_xml_string(_PROBE)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    names = [field.name for field in STRUCTS["mjData"].fields]
+    # Pointers lie one after the other, in the order of the description, behind one that is known.
+    known = names.index("cfrc_ext")
+    begin = (data.energy.ctypes.data - data._address) // 8  # in front of all pointers
+    words = (ctypes.c_uint64 * (begin + known)).from_address(data._address)
+    try:
+        anchor = words[begin:].index(data.cfrc_ext.ctypes.data) + begin
+    except ValueError:
+        raise _unknown_layout() from None
+    pointers = [8 * (anchor + names.index(name) - known) for name in _POINTERS.values()]
+    # Integers of sizes lie behind the timers: {double, int}, padded to 16 bytes, one each.
+    first = data.warning.number.ctypes.data - data._address - 4
+    timers = int(mujoco.mjtTimer.mjNTIMER)
+    sizes = first + 8 * int(mujoco.mjtWarning.mjNWARNING)
+    sizes += (-sizes) % 8 + 16 * timers
+    count = sizes + 4 * (names.index("nefc") - names.index("ncon"))
+    rows = dict(zip(ROWS_DTYPE.names or (), (count, *pointers), strict=True))
+    _verify(rows, data)
+    return tuple(rows.values())
+
+
+def _verify(rows: dict[str, int], data: mujoco.MjData) -> None:
+    ok = ctypes.c_int.from_address(data._address + rows["count"]).value == data.nefc > 0
+    for key, name in _POINTERS.items():
+        if key == "contact":
+            array = data.contact.dist
+            offset = CONTACT_DTYPE.fields["dist"][1]  # pyright: ignore[reportOptionalSubscript]
+        else:
+            array, offset = getattr(data, name), 0
+        if array.size == 0:
+            continue
+        pointer = ctypes.c_uint64.from_address(data._address + rows[key]).value
+        ok = ok and pointer + offset == array.ctypes.data
+    ok = ok and data.contact.mu[0] == _first(rows, data, "mu")
+    ok = ok and data.contact.dim[0] == _first(rows, data, "dim")
+    ok = ok and data.contact.efc_address[0] == _first(rows, data, "efc_address")
+    if not ok:
+        raise _unknown_layout()
+
+
+def _unknown_layout() -> ImportError:
+    return ImportError(
+        f"mjData of MuJoCo {mujoco.mj_versionString()} is not laid out as MuJoCo describes it: the "
+        "implicit scheme was tested with MuJoCo 4.0; scheme='explicit' works without"
+    )
+
+
+def _first(rows: dict[str, int], data: mujoco.MjData, name: str) -> Any:
+    pointer = ctypes.c_uint64.from_address(data._address + rows["contact"]).value
+    memory = (ctypes.c_char * CONTACT_DTYPE.itemsize).from_address(pointer)
+    return np.frombuffer(memory, CONTACT_DTYPE)[0][name]
+
+
+def _contact_dtype() -> np.dtype:
+    """`mjContact` as a record, as MuJoCo describes it."""
+    kinds = {"mjtNum": np.float64, "int": np.int32}
+    fields = []
+    for field in STRUCTS["mjContact"].fields:
+        kind, _, size = str(field.type).partition(" [")
+        shape = tuple(int(n) for n in size.rstrip("]").split("][")) if size else ()
+        fields.append((field.name, kinds[kind], shape))
+    return np.dtype(fields, align=True)
+
+
+CONTACT_DTYPE = _contact_dtype()

@@ -1,0 +1,104 @@
+"""The last good state of a simulation, kept so that a bad step can be undone.
+
+Where MuJoCo finds NaN, infinite or huge numbers it resets the simulation: what led to them is gone
+before anybody can look. So a few doubles are copied once a step, in compiled code, laid out as
+`mj_getState` does it: `mj_setState` brings them back.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import KEEP, floats, records
+
+_SPAN_DTYPE = np.dtype([("source", np.int64), ("target", np.int64), ("size", np.int64)])
+_PARTS = {  # of mjSTATE_INTEGRATION, in its order, but for the time, which comes first
+    "QPOS": "qpos",
+    "QVEL": "qvel",
+    "ACT": "act",
+    "HISTORY": "history",
+    "WARMSTART": "qacc_warmstart",
+    "CTRL": "ctrl",
+    "QFRC_APPLIED": "qfrc_applied",
+    "XFRC_APPLIED": "xfrc_applied",
+    "EQ_ACTIVE": "eq_active",
+    "MOCAP_POS": "mocap_pos",
+    "MOCAP_QUAT": "mocap_quat",
+    "USERDATA": "userdata",
+    "PLUGIN": "plugin_state",
+    "PLASTIC": "plastic",
+}
+_STATE = sum(int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) for part in ("TIME", *_PARTS))
+_MOST = len(_PARTS) + 2  # spans: a part each, the time, the end
+
+_spans = records(_SPAN_DTYPE)
+_bytes = records(np.dtype(np.uint8))
+
+
+@compiled
+def keep(table):
+    """Copies the state of a simulation to where it is kept.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+    """
+    spans = _spans(table[KEEP], _MOST)
+    first = spans[0]
+    flags, kept = _bytes(first.source, first.size), floats(first.target, first.size)
+    for i in range(first.size):
+        kept[i] = flags[i]
+    k = 1
+    while spans[k].size > 0:
+        span = spans[k]
+        values, kept = floats(span.source, span.size), floats(span.target, span.size)
+        for i in range(span.size):
+            kept[i] = values[i]
+        k += 1
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Where the state of one simulation is kept, and how it gets there.
+
+    Attributes:
+        spans: from where, to where, how many numbers: those that are bytes (`eq_active`), then
+            those that are doubles, then an end of size 0.
+        state: as of `mj_getState`; the time, its first number, is NaN until something is kept.
+    """
+
+    spans: np.ndarray
+    state: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Kept:
+        """Room for the state of `data`; nothing is kept in it yet."""
+        state = np.full(mujoco.mj_stateSize(model, _STATE), math.nan)
+        # Python gives no address for `time`: in mjdata.h it is the number before `energy`.
+        spans = [(data.energy.ctypes.data - data.energy.itemsize, state.ctypes.data, 1)]
+        target = state[1:].ctypes.data
+        for name in _PARTS.values():
+            array = getattr(data, name)
+            span = (array.ctypes.data, target, array.size)
+            if name == "eq_active":
+                spans.insert(0, span)
+            elif array.size:
+                spans.append(span)
+            target += array.size * state.itemsize
+        return cls(np.array([*spans, (0, 0, 0)], _SPAN_DTYPE), state)
+
+    @property
+    def time(self) -> float | None:
+        """Of the state that is kept [s]; None if none is."""
+        time = float(self.state[0])
+        return None if math.isnan(time) else time
+
+    def restore(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Brings the state back into `data`, positions and velocities of bodies included."""
+        mujoco.mj_setState(model, data, self.state, _STATE)
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)

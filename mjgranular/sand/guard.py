@@ -1,0 +1,36 @@
+"""What stands around a scheme's program: a state to go back to, and a look whether it is needed."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.keep import keep
+from mjgranular.kernel.memory import table_at
+from mjgranular.scheme.wrenches import BAD_STATE, is_bad, take_back_wrenches
+
+FINE = -1
+"""What a program returns when all is well."""
+
+
+@cache
+def guarded_program(program: Any) -> Any:
+    """A scheme's program, called alike, that keeps the state it is called with if it is good."""
+
+    @compiled
+    def guarded(address, lead):
+        table = table_at(address)
+        if is_bad(table):
+            return BAD_STATE
+        keep(table)
+        return program(address, lead)
+
+    return guarded
+
+
+@compiled
+def finish_step(address):
+    """Takes the wrenches back when `mj_step2` is through; `FINE`, or `BAD_STATE` if it was not."""
+    take_back_wrenches(address)
+    return BAD_STATE if is_bad(table_at(address)) else FINE

@@ -1,0 +1,399 @@
+"""The balance of momentum over one step, in generalized coordinates: residual and derivative.
+
+Written for numba, over the arrays of a `desk.Room`. Matrices are dense, row by row; degrees of
+freedom are eliminated from the leaves of the kinematic tree to its root, where a matrix with the
+sparsity of the inertia stays as sparse as it is.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, smooth_derivative, solve_inertia
+from mjgranular.kernel.memory import floats, ints, longs, records
+from mjgranular.scheme import desk as d
+
+_EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+_FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)  # and of a joint, one below
+_ELLIPTIC = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC)
+_contacts = records(CONTACT_DTYPE)
+_rows = records(ROWS_DTYPE)
+
+
+@compiled
+def prepare_inertia(desk, room, h):
+    """What resists a change of velocity over a step: inertia, and what the integrator adds to it.
+
+    Euler adds the damping of joints, h B; the implicit integrators add -h times the derivative of
+    all smooth forces by velocity.
+    """
+    nv = desk[d.NV]
+    inertia, extra = room.inertia, room.extra
+    inertia[:] = 0.0
+    m = desk[d.INERTIA]
+    size, start = ints(desk[d.M_SIZE], nv), ints(desk[d.M_START], nv)
+    total = start[nv - 1] + size[nv - 1]
+    column, values = ints(desk[d.M_COLUMN], total), floats(m, total)
+    for i in range(nv):
+        for k in range(start[i], start[i] + size[i]):
+            j = column[k]
+            inertia[i * nv + j] = values[k]
+            inertia[j * nv + i] = values[k]
+    kind = desk[d.INTEGRATOR]
+    if kind == d.PLAIN:
+        return
+    extra[:] = 0.0
+    if kind == d.DAMPED:
+        damping = floats(desk[d.DAMPING], nv)
+        for i in range(nv):
+            extra[i * nv + i] = h * damping[i]
+    else:
+        smooth_derivative(desk[d.MODEL], desk[d.DATA], 1 if kind == d.IMPLICIT_FULL else 0)
+        size, start = ints(desk[d.D_SIZE], nv), ints(desk[d.D_START], nv)
+        total = start[nv - 1] + size[nv - 1]
+        column, values = ints(desk[d.D_COLUMN], total), floats(desk[d.DERIVATIVE], total)
+        for i in range(nv):
+            for k in range(start[i], start[i] + size[i]):
+                j = column[k]
+                if kind == d.IMPLICIT_FULL:
+                    extra[i * nv + j] = -h * values[k]
+                elif j <= i:  # implicitfast takes the lower half for both
+                    extra[i * nv + j] = -h * values[k]
+                    extra[j * nv + i] = -h * values[k]
+    for k in range(nv * nv):
+        inertia[k] += extra[k]
+
+
+@compiled
+def norm(residual, inertia, nv):
+    """Size of a momentum: the square root of about twice its energy."""
+    total = 0.0
+    for j in range(nv):
+        total += residual[j] * residual[j] / inertia[j * nv + j]
+    return math.sqrt(total)
+
+
+@compiled
+def solve(matrix, right, answer, n):
+    """Solves `matrix answer = right`; False if a pivot is nothing. Destroys both."""
+    for k in range(n - 1, -1, -1):
+        row = matrix[k * n : k * n + n]
+        pivot = row[k]
+        if not abs(pivot) > 0.0:
+            return False
+        for i in range(k):
+            factor = matrix[i * n + k]
+            if factor != 0.0:
+                factor /= pivot
+                other = matrix[i * n : i * n + n]
+                for j in range(k):
+                    other[j] -= factor * row[j]
+                right[i] -= factor * right[k]
+    for k in range(n):
+        row = matrix[k * n : k * n + n]
+        total = right[k]
+        for j in range(k):
+            total -= row[j] * answer[j]
+        answer[k] = total / row[k]
+    return True
+
+
+@compiled
+def body_motions(desk, room, velocity):
+    """Spatial velocities of the bodies about the centres of their trees."""
+    nv, nbody = desk[d.NV], desk[d.NBODY]
+    cdof = floats(desk[d.CDOF], 6 * nv)
+    parents = ints(desk[d.BODY_PARENT], nbody)
+    first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
+    motion = room.motion
+    for k in range(6):
+        motion[k] = 0.0
+    for b in range(1, nbody):
+        p = 6 * parents[b]
+        w0, w1, w2 = motion[p], motion[p + 1], motion[p + 2]
+        w3, w4, w5 = motion[p + 3], motion[p + 4], motion[p + 5]
+        for dof in range(first[b], first[b] + number[b]):
+            u, c = velocity[dof], 6 * dof
+            w0 += u * cdof[c]
+            w1 += u * cdof[c + 1]
+            w2 += u * cdof[c + 2]
+            w3 += u * cdof[c + 3]
+            w4 += u * cdof[c + 4]
+            w5 += u * cdof[c + 5]
+        b *= 6
+        motion[b], motion[b + 1], motion[b + 2] = w0, w1, w2
+        motion[b + 3], motion[b + 4], motion[b + 5] = w3, w4, w5
+
+
+@compiled
+def weigh(desk, room, velocity, h):
+    """Begins residual and derivative: inertia times the change of velocity, less smooth forces."""
+    nv = desk[d.NV]
+    inertia, matrix, change = room.inertia, room.matrix, room.answer
+    for j in range(nv):
+        change[j] = velocity[j] - room.start[j]
+    for i in range(nv):
+        total = -room.smooth[i]
+        for j in range(nv):
+            m = inertia[i * nv + j]
+            matrix[i * nv + j] = m
+            total += m * change[j]
+        room.residual[i] = total
+
+
+@compiled
+def add_bodies(desk, room, h):
+    """The sand's wrenches as momentum, and their derivative, added to the matrix.
+
+    As composite inertias: what acts on a body acts on all joints below it, and wrenches about the
+    centre of one tree can be summed.
+    """
+    nv, nbody = desk[d.NV], desk[d.NBODY]
+    cdof = floats(desk[d.CDOF], 6 * nv)
+    parents = ints(desk[d.BODY_PARENT], nbody)
+    dof_body, dof_parent = ints(desk[d.DOF_BODY], nv), ints(desk[d.DOF_PARENT], nv)
+    total, stiffness, wet, matrix = room.total, room.stiffness, room.wet, room.matrix
+    for k in range(6 * nbody):
+        total[k] = room.own[k]
+    for b in range(nbody - 1, 0, -1):
+        p = parents[b]
+        if wet[b] != 0.0 and p > 0:
+            for k in range(6):
+                total[6 * p + k] += total[6 * b + k]
+            for k in range(36):
+                stiffness[36 * p + k] += stiffness[36 * b + k]
+    for j in range(nv):
+        b = dof_body[j]
+        room.sand[j] = 0.0
+        if wet[b] == 0.0:
+            continue
+        s = stiffness[36 * b : 36 * b + 36]
+        c = cdof[6 * j : 6 * j + 6]
+        w = total[6 * b : 6 * b + 6]
+        room.sand[j] = h * (
+            c[0] * w[0] + c[1] * w[1] + c[2] * w[2] + c[3] * w[3] + c[4] * w[4] + c[5] * w[5]
+        )
+        # Down (columns) and across (rows): the stiffness need not be symmetric.
+        y0, y1, y2, y3, y4, y5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        z0, z1, z2, z3, z4, z5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(6):
+            u = h * c[k]
+            y0 += u * s[k]
+            y1 += u * s[6 + k]
+            y2 += u * s[12 + k]
+            y3 += u * s[18 + k]
+            y4 += u * s[24 + k]
+            y5 += u * s[30 + k]
+            z0 += u * s[6 * k]
+            z1 += u * s[6 * k + 1]
+            z2 += u * s[6 * k + 2]
+            z3 += u * s[6 * k + 3]
+            z4 += u * s[6 * k + 4]
+            z5 += u * s[6 * k + 5]
+        i = j
+        while i >= 0:
+            e = cdof[6 * i : 6 * i + 6]
+            matrix[i * nv + j] += (
+                e[0] * y0 + e[1] * y1 + e[2] * y2 + e[3] * y3 + e[4] * y4 + e[5] * y5
+            )
+            if i != j:
+                matrix[j * nv + i] += (
+                    e[0] * z0 + e[1] * z1 + e[2] * z2 + e[3] * z3 + e[4] * z4 + e[5] * z5
+                )
+            i = dof_parent[i]
+
+
+@compiled
+def bound_forces(desk, room, velocity, h):
+    """Momentum of MuJoCo's constraints at a velocity, and its derivative, added to the matrix.
+
+    MuJoCo's constraints are soft: a row's force is a function of the acceleration along it, which
+    is, up to damping that the integrator takes implicitly, the change of velocity over the step.
+    Equalities, friction losses, limits, and contacts with pyramidal and elliptic cones, as in the
+    engine's documentation.
+    """
+    nv = desk[d.NV]
+    data = desk[d.DATA]
+    rows = _rows(desk[d.ROWS], 1)[0]
+    count = ints(data + rows.count, 1)[0]
+    room.bound[:] = 0.0
+    if count == 0:
+        return
+    accelerate(desk, room, velocity, h)
+    kind = ints(longs(data + rows.kind, 1)[0], count)
+    loss = floats(longs(data + rows.loss, 1)[0], count)
+    mass = floats(longs(data + rows.mass, 1)[0], count)
+    reference = floats(longs(data + rows.reference, 1)[0], count)
+    owner = ints(longs(data + rows.owner, 1)[0], count)
+    i = 0
+    while i < count:
+        if kind[i] == _ELLIPTIC:
+            contact = _contacts(longs(data + rows.contact, 1)[0], owner[i] + 1)[owner[i]]
+            add_cone(desk, room, rows, i, contact, mass, reference, h)
+            i += contact.dim
+            continue
+        x = row_value(desk, room, rows, i, room.acceleration) - reference[i]
+        force = -mass[i] * x
+        stiff = mass[i]
+        if kind[i] == _EQUALITY:
+            pass
+        elif kind[i] <= _FRICTION:
+            if abs(force) > loss[i]:
+                force = math.copysign(loss[i], force)
+                stiff = 0.0
+        elif x >= 0.0:
+            force, stiff = 0.0, 0.0
+        if force != 0.0 or stiff != 0.0:
+            read_row(desk, room, rows, i, 1.0, True)
+            push(desk, room, force, stiff, h)
+        i += 1
+
+
+@compiled
+def accelerate(desk, room, velocity, h):
+    """MuJoCo's acceleration for a velocity at the end of the step.
+
+    The integrator's own damping comes after its constraints: M a = A (v' - v) / h.
+    """
+    nv = desk[d.NV]
+    for j in range(nv):
+        room.acceleration[j] = (velocity[j] - room.start[j]) / h
+    if desk[d.INTEGRATOR] == d.PLAIN:
+        return
+    spread(desk, room, room.acceleration)
+    for j in range(nv):
+        room.acceleration[j] += room.answer[j]
+
+
+@compiled
+def spread(desk, room, x):
+    """Leaves M^-1 C x in `answer`, with C what the integrator adds to the inertia M."""
+    nv = desk[d.NV]
+    extra = room.extra
+    for i in range(nv):
+        total = 0.0
+        for j in range(nv):
+            total += extra[i * nv + j] * x[j]
+        room.product[i] = total
+    solve_inertia(desk[d.MODEL], desk[d.DATA], room.answer.ctypes.data, room.product.ctypes.data, 1)
+
+
+@compiled
+def row_value(desk, room, rows, i, x):
+    """The product of a constraint's row with a vector."""
+    nv = desk[d.NV]
+    data = desk[d.DATA]
+    jacobian = longs(data + rows.jacobian, 1)[0]
+    total = 0.0
+    if desk[d.SPARSE]:
+        size = ints(longs(data + rows.row_size, 1)[0], i + 1)[i]
+        start = ints(longs(data + rows.row_start, 1)[0], i + 1)[i]
+        column = ints(longs(data + rows.column, 1)[0] + 4 * start, size)
+        values = floats(jacobian + 8 * start, size)
+        for k in range(size):
+            total += values[k] * x[column[k]]
+    else:
+        values = floats(jacobian + 8 * i * nv, nv)
+        for k in range(nv):
+            total += values[k] * x[k]
+    return total
+
+
+@compiled
+def read_row(desk, room, rows, i, factor, fresh):
+    """Adds a multiple of a constraint's row to `row`, or begins it."""
+    nv = desk[d.NV]
+    data = desk[d.DATA]
+    row = room.row
+    if fresh:
+        row[:] = 0.0
+    jacobian = longs(data + rows.jacobian, 1)[0]
+    if desk[d.SPARSE]:
+        size = ints(longs(data + rows.row_size, 1)[0], i + 1)[i]
+        start = ints(longs(data + rows.row_start, 1)[0], i + 1)[i]
+        column = ints(longs(data + rows.column, 1)[0] + 4 * start, size)
+        values = floats(jacobian + 8 * start, size)
+        for k in range(size):
+            row[column[k]] += factor * values[k]
+    else:
+        values = floats(jacobian + 8 * i * nv, nv)
+        for k in range(nv):
+            row[k] += factor * values[k]
+
+
+@compiled
+def push(desk, room, force, stiff, h):
+    """Adds a force along `row` to the constraints' momentum, and its stiffness to the matrix."""
+    nv = desk[d.NV]
+    row, matrix, bound = room.row, room.matrix, room.bound
+    for j in range(nv):
+        bound[j] += h * force * row[j]
+    if stiff == 0.0:
+        return
+    answer = room.answer
+    if desk[d.INTEGRATOR] == d.PLAIN:
+        for j in range(nv):
+            answer[j] = row[j]
+    else:
+        # The row's acceleration is row (1 + M^-1 C) of the change of velocity over h.
+        solve_inertia(
+            desk[d.MODEL], desk[d.DATA], room.product.ctypes.data, row.ctypes.data, 1
+        )
+        extra = room.extra
+        for j in range(nv):
+            answer[j] = row[j]
+        for i in range(nv):
+            u = room.product[i]
+            if u != 0.0:
+                for j in range(nv):
+                    answer[j] += u * extra[i * nv + j]
+    for i in range(nv):
+        u = stiff * row[i]
+        if u != 0.0:
+            for j in range(nv):
+                matrix[i * nv + j] += u * answer[j]
+
+
+@compiled
+def add_cone(desk, room, rows, i, contact, mass, reference, h):
+    """A contact with an elliptic cone, rows i to i + dim.
+
+    In coordinates scaled by friction, U = (mu x_0, friction_k x_k), N the first of them and T the
+    size of the others: above the cone (N >= mu T) nothing; below its polar (mu N + T <= 0) all
+    rows are springs; between, one spring D_m along the distance N - mu T from the cone.
+    """
+    dim = contact.dim
+    mu = contact.mu
+    x0 = row_value(desk, room, rows, i, room.acceleration) - reference[i]
+    n = x0 * mu
+    t = 0.0
+    for k in range(1, dim):
+        x = row_value(desk, room, rows, i + k, room.acceleration) - reference[i + k]
+        t += (x * contact.friction[k - 1]) ** 2
+    t = math.sqrt(t)
+    if n >= mu * t or (t <= 0.0 and n >= 0.0):
+        return
+    if mu * n + t <= 0.0 or (t <= 0.0 and n < 0.0):
+        for k in range(dim):
+            x = row_value(desk, room, rows, i + k, room.acceleration) - reference[i + k]
+            read_row(desk, room, rows, i + k, 1.0, True)
+            push(desk, room, -mass[i + k] * x, mass[i + k], h)
+        return
+    stiff = mass[i] / (mu * mu * (1.0 + mu * mu))
+    away = n - mu * t
+    # Along the gradient of the distance: mu for the normal row, -mu U_k / T friction_k for others.
+    read_row(desk, room, rows, i, mu, True)
+    for k in range(1, dim):
+        x = row_value(desk, room, rows, i + k, room.acceleration) - reference[i + k]
+        friction = contact.friction[k - 1]
+        read_row(desk, room, rows, i + k, -mu * (x * friction / t) * friction, False)
+    push(desk, room, -stiff * away, stiff, h)
+    # The gradient turns with U: curvature of T, taken with no regard to its direction.
+    bend = -stiff * away * mu / t
+    for k in range(1, dim):
+        friction = contact.friction[k - 1]
+        read_row(desk, room, rows, i + k, friction, True)
+        push(desk, room, 0.0, bend, h)

@@ -1,0 +1,198 @@
+"""Where the implicit scheme works in one simulation: addresses, room for its numbers, counters."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows
+from mjgranular.kernel.memory import floats, longs, records
+from mjgranular.law.kernel import GEOMETRY_SIZE
+from mjgranular.scheme.scheme import Desk
+
+IMMERSED_SIZE = 5 + GEOMETRY_SIZE
+WET_DTYPE = np.dtype(
+    [
+        ("index", np.int64),  # of the element
+        ("slot", np.int64),
+        ("body", np.int64),
+        ("arm", np.float64, (3,)),  # from the centre of the tree to where force acts [m]
+        ("immersed", np.float64, (IMMERSED_SIZE,)),  # what the law's `immerse` gave
+    ]
+)
+wet_records = records(WET_DTYPE)
+
+ACCOUNT_DTYPE = np.dtype(
+    [
+        ("steps", np.int64),  # with an element in the sand
+        ("evaluations", np.int64),  # of forces and derivatives, in all of them
+        ("most", np.int64),  # in one step
+        ("softened", np.int64),  # steps that made do with a softer rest
+        ("unfinished", np.int64),  # steps that did not reach the tolerance with it either
+        ("residual", np.float64),  # of the last, in parts of the momentum that it moves
+        ("worst", np.float64),  # of all
+    ]
+)
+account_records = records(ACCOUNT_DTYPE)
+
+# The desk's table: sizes and switches, then addresses. The order is that of `make_desk`.
+NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE = range(6)
+OF_MODEL = (
+    "M_rownnz",
+    "M_rowadr",
+    "M_colind",
+    "D_rownnz",
+    "D_rowadr",
+    "D_colind",
+    "dof_bodyid",
+    "dof_parentid",
+    "body_parentid",
+    "body_rootid",
+    "body_dofadr",
+    "body_dofnum",
+    "dof_damping",
+)
+OF_DATA = ("qvel", "cdof", "M", "qDeriv", "qfrc_smooth", "qacc_smooth", "subtree_com", "xipos")
+FIRST_OF_MODEL = 6
+FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
+WET, NUMBERS, ACCOUNT, ROWS = range(
+    FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 4
+)
+DESK_SIZE = ROWS + 1
+(
+    M_SIZE, M_START, M_COLUMN, D_SIZE, D_START, D_COLUMN,
+    DOF_BODY, DOF_PARENT, BODY_PARENT, BODY_ROOT, BODY_DOF, BODY_DOFS, DAMPING,
+) = range(FIRST_OF_MODEL, FIRST_OF_DATA)  # fmt: skip
+QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM = range(FIRST_OF_DATA, WET)
+
+# What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
+PLAIN, DAMPED, IMPLICIT_FAST, IMPLICIT_FULL = range(4)
+
+Room = namedtuple(  # noqa: PYI024
+    "Room",
+    [
+        "velocity",  # sought, at the end of the step
+        "start",  # at the beginning
+        "trial",
+        "change",
+        "good",  # the last of the solver's velocities that solved something
+        "smooth",  # momentum of all forces but sand and constraints
+        "residual",
+        "sand",  # momentum of the sand
+        "bound",  # momentum of the constraints
+        "acceleration",
+        "row",
+        "answer",
+        "product",
+        "inertia",  # what resists a change of velocity over the step, nv x nv
+        "extra",  # of it, what is not inertia
+        "matrix",  # derivative of the residual
+        "motion",  # spatial velocities of bodies
+        "own",  # wrenches on bodies about the centre of their tree: moment, force
+        "total",  # the same with those of the bodies that they carry
+        "stiffness",  # derivative of the wrench, 6 x 6 each
+        "wet",  # whether a body or one that it carries has an element in the sand
+    ],
+)
+
+
+def room_size(nv: int, nbody: int) -> int:
+    """How many numbers `open_room` divides."""
+    return 13 * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
+
+
+@compiled
+def open_room(desk):
+    """The arrays that the solver works on."""
+    nv, nbody = desk[NV], desk[NBODY]
+    n = floats(desk[NUMBERS], 13 * nv + 3 * nv * nv + 55 * nbody)
+    square = nv * nv
+    m = 13 * nv
+    b = m + 3 * square
+    return Room(
+        n[0:nv],
+        n[nv : 2 * nv],
+        n[2 * nv : 3 * nv],
+        n[3 * nv : 4 * nv],
+        n[4 * nv : 5 * nv],
+        n[5 * nv : 6 * nv],
+        n[6 * nv : 7 * nv],
+        n[7 * nv : 8 * nv],
+        n[8 * nv : 9 * nv],
+        n[9 * nv : 10 * nv],
+        n[10 * nv : 11 * nv],
+        n[11 * nv : 12 * nv],
+        n[12 * nv : 13 * nv],
+        n[m : m + square],
+        n[m + square : m + 2 * square],
+        n[m + 2 * square : b],
+        n[b : b + 6 * nbody],
+        n[b + 6 * nbody : b + 12 * nbody],
+        n[b + 12 * nbody : b + 18 * nbody],
+        n[b + 18 * nbody : b + 54 * nbody],
+        n[b + 54 * nbody : b + 55 * nbody],
+    )
+
+
+@compiled
+def desk_at(address):
+    """The desk's table at an address."""
+    return longs(address, DESK_SIZE)
+
+
+def make_desk(
+    model: mujoco.MjModel,
+    elements: int,
+    *,
+    model_address: int,
+    data_address: int,
+    of_model: Callable[[str], int],
+    of_data: Callable[[str], int],
+) -> Desk:
+    """Lays out the desk for one simulation.
+
+    Args:
+        model: the model.
+        elements: how many there are.
+        model_address: of `mjModel`.
+        data_address: of `mjData`.
+        of_model: address of an array of the model by its name.
+        of_data: address of an array of the data by its name.
+    """
+    wet = np.zeros(elements, WET_DTYPE)
+    numbers = np.zeros(room_size(model.nv, model.nbody))
+    account = np.zeros(1, ACCOUNT_DTYPE)
+    rows = np.array([constraint_rows()], ROWS_DTYPE)
+    sizes = (
+        model.nbody,
+        model.nv,
+        model_address,
+        data_address,
+        integrator_of(model),
+        int(mujoco.mj_isSparse(model)),
+    )
+    holds: tuple[Any, ...] = (wet, numbers, account, rows)
+    addresses = (
+        *(of_model(name) for name in OF_MODEL),
+        *(of_data(name) for name in OF_DATA),
+        *(array.ctypes.data for array in holds),
+    )
+    return Desk(np.array([*sizes, *addresses], np.int64), holds, account)
+
+
+def integrator_of(model: mujoco.MjModel) -> int:
+    """How the model's integrator turns forces into velocities, one of the four above."""
+    kind = model.opt.integrator
+    if kind == mujoco.mjtIntegrator.mjINT_IMPLICIT:
+        return IMPLICIT_FULL
+    if kind == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        return IMPLICIT_FAST
+    off = mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_DAMPER
+    if model.opt.disableflags & off or not model.dof_damping.any():
+        return PLAIN
+    return DAMPED

@@ -1,0 +1,495 @@
+"""The implicit scheme: forces at the velocities of the end of the step, found before it is made.
+
+Static resistance is dry friction with a limit. Taken at the start of a step it chatters, creeps or
+explodes; taken at the end of it, it holds what it can hold. With v' the velocities at the end, f
+the sand's forces on its elements and J their Jacobian, one step of MuJoCo is
+
+    A (v' - v) = h (q + q_c(v') + J^T f(v'))
+
+where A is the inertia (with the integrator's own implicit damping), q all smooth forces and q_c
+those of MuJoCo's constraints, which answer to the sand as the sand does to them. It is solved for
+v' by Newton's method: nv equations, whatever the number of elements, since what the elements of a
+body add to the derivative is one 6 x 6 matrix, as if it were inertia.
+
+Rest is made soft over a speed eps far below anything visible: a static force grows in proportion up
+to eps and is its limit from there. The solver goes from a coarse eps to the fine one, and what holds
+keeps its force from one to the next. Nothing is carried from step to step: the force is a function
+of MuJoCo's own state, so that what is copied, saved or reset goes on alike, to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import forward_acceleration, forward_actuation
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CONTACTS,
+    DESK,
+    ELEMENT_COUNT,
+    ELEMENTS,
+    SCENE,
+    floats,
+    ints,
+    records,
+    table_at,
+)
+from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.law.kernel import LawKernel
+from mjgranular.scheme import desk as d
+from mjgranular.scheme.balance import (
+    add_bodies,
+    body_motions,
+    bound_forces,
+    norm,
+    prepare_inertia,
+    solve,
+    weigh,
+)
+from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
+from mjgranular.scheme.wrenches import (
+    BAD_STATE,
+    add_wrenches,
+    gravity_of,
+    is_bad,
+    pose_of,
+    withdraw_wrenches,
+)
+
+# Speed up to which a static force that holds lets go [m/s]: what holds for a year moves 0.3 mm at
+# its limit. Beside it, a share of the speeds that cancel in the element's own: below that a hold
+# would drown in rounding. Both chosen.
+_SOFT = 1e-11
+_SOFT_SHARE = 1e-7
+# From one softness to the next. Chosen by counting evaluations: 1e-2 and 1e-5 need more.
+_FINER = 1e-3
+# Residuals, in parts of the momentum at hand: of a coarse softness, of the last, where a start at the
+# last is worth trying, and what may be rounding. Chosen by counting too.
+_COARSE, _FINE, _NEAR, _ROUNDED = 1e-3, 1e-9, 0.1, 1e-6
+_STEPS, _STEPS_NEAR = 6, 4  # of Newton's method at one softness
+_SHORTEST = 0.2  # of a step
+_NO_ENERGY = 1e-14  # [J]
+
+
+@dataclass(frozen=True)
+class Implicit(Scheme):
+    """Forces at the end of the step: holds still, for steps of any size.
+
+    Attributes:
+        evaluations: of all forces in one step, after which it makes do with a softer rest for this
+            step, and counts it (`Sand.account`).
+    """
+
+    name: ClassVar[str] = "implicit"
+    title: ClassVar[str] = "forces at the end of the step: exact rest, large steps"
+    whole_state: ClassVar[bool] = True
+
+    evaluations: int = 40
+
+    def __post_init__(self) -> None:
+        if self.evaluations < 1:
+            raise InputError(f"Implicit: evaluations must be at least 1, not {self.evaluations}")
+
+    @property
+    def lead(self) -> float:
+        return 1.0
+
+    def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        return implicit_program(kernel, scene, self.evaluations)
+
+    def desk(self, model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray) -> Desk:
+        return d.make_desk(
+            model,
+            len(elements),
+            model_address=model._address,
+            data_address=data._address,
+            of_model=lambda name: getattr(model, name).ctypes.data,
+            of_data=lambda name: getattr(data, name).ctypes.data,
+        )
+
+    def check(self, model: mujoco.MjModel) -> None:
+        refuse_runge_kutta(model)
+
+
+schemes.add(Implicit.name, Implicit)
+
+
+@cache
+def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
+    """One compiled call for law and scheme: the wrenches that the end of the step asks for.
+
+    Args:
+        kernel: of the law.
+        scene_dtype: record of law and surface.
+        most: evaluations in one step.
+    """
+    element_records, immerse, respond = kernel.elements, kernel.immerse, kernel.respond
+    scene_records = records(scene_dtype)
+    size = 5 + kernel.numbers
+
+    @compiled
+    def immerse_all(table, desk):
+        """Finds the elements in the sand; their number."""
+        elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+        scene = scene_records(table[SCENE], 1)
+        law = scene[0].law
+        surface = scene[0].surface
+        g = gravity_of(table)
+        count = 0
+        slot = -1
+        for i in range(len(elements)):
+            element = elements[i]
+            if element.slot != slot:  # elements come body by body
+                slot = element.slot
+                body = bodies[slot]
+                pose = pose_of(table, body)
+                tx, ty, tz = pose.tree
+            immersed = immerse(element, pose, law, surface, g)
+            contact = contacts[i]
+            contact.depth = immersed[0]
+            if immersed[0] <= 0.0:
+                continue
+            contact.length = immersed[1]
+            x, y, z = immersed[2], immersed[3], immersed[4]
+            contact.point[0], contact.point[1], contact.point[2] = x, y, z
+            vx, vy, vz = velocity_at(pose.motion, x - tx, y - ty, z - tz)
+            contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
+            entry = wet[count]
+            entry.index, entry.slot, entry.body = i, slot, body.body
+            entry.arm[0], entry.arm[1], entry.arm[2] = x - tx, y - ty, z - tz
+            for k in range(size):
+                entry.immersed[k] = immersed[k]
+            count += 1
+        return count
+
+    @compiled
+    def evaluate(table, desk, room, velocity, count, h, eps, reach):
+        """Residual and its derivative at a velocity; the residual's norm.
+
+        Forces on the elements are left in their contacts.
+        """
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+        scene = scene_records(table[SCENE], 1)
+        law = scene[0].law
+        g = gravity_of(table)
+        body_motions(desk, room, velocity)
+        room.own[:] = 0.0
+        room.stiffness[:] = 0.0
+        motion, wrench, stiffness = room.motion, room.own, room.stiffness
+        for i in range(count):
+            entry = wet[i]
+            b = 6 * entry.body
+            w = (
+                motion[b], motion[b + 1], motion[b + 2],
+                motion[b + 3], motion[b + 4], motion[b + 5],
+            )  # fmt: skip
+            x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
+            immersed = to_fixed_tuple(entry.immersed, size)
+            fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8 = respond(
+                immersed, law, g, velocity_at(w, x, y, z), eps, reach
+            )
+            contact = contacts[entry.index]
+            contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
+            wrench[b] += y * fz - z * fy
+            wrench[b + 1] += z * fx - x * fz
+            wrench[b + 2] += x * fy - y * fx
+            wrench[b + 3] += fx
+            wrench[b + 4] += fy
+            wrench[b + 5] += fz
+            # K on the point becomes B^T K B on the body, with B = (-[r]x, 1).
+            t0, t1, t2 = y * k6 - z * k3, y * k7 - z * k4, y * k8 - z * k5
+            t3, t4, t5 = z * k0 - x * k6, z * k1 - x * k7, z * k2 - x * k8
+            t6, t7, t8 = x * k3 - y * k0, x * k4 - y * k1, x * k5 - y * k2
+            s = stiffness[6 * b : 6 * b + 36]
+            add_row(s, 0, t0, t1, t2, x, y, z)
+            add_row(s, 6, t3, t4, t5, x, y, z)
+            add_row(s, 12, t6, t7, t8, x, y, z)
+            add_row(s, 18, k0, k1, k2, x, y, z)
+            add_row(s, 24, k3, k4, k5, x, y, z)
+            add_row(s, 30, k6, k7, k8, x, y, z)
+        weigh(desk, room, velocity, h)
+        add_bodies(desk, room, h)
+        bound_forces(desk, room, velocity, h)
+        nv = desk[d.NV]
+        for j in range(nv):
+            room.residual[j] -= room.sand[j] + room.bound[j]
+        return norm(room.residual, room.inertia, nv)
+
+    @compiled
+    def newton(table, desk, room, count, h, eps, goal, steps):
+        """Newton's method at one softness, from `room.velocity`, which ends where it got to.
+
+        Stops at the goal, after so many steps, or where no step makes the residual smaller.
+
+        Returns:
+            (evaluations, residual).
+        """
+        nv = desk[d.NV]
+        velocity, trial, change = room.velocity, room.trial, room.change
+        error = evaluate(table, desk, room, velocity, count, h, eps, eps)
+        done = 1
+        for _ in range(steps):
+            if error <= goal or not solve(room.matrix, room.residual, change, nv):
+                break
+            share = 1.0
+            found = math.inf
+            while not found < error and share > _SHORTEST:
+                for j in range(nv):
+                    trial[j] = velocity[j] - share * change[j]
+                found = evaluate(table, desk, room, trial, count, h, eps, eps)
+                done += 1
+                share *= 0.5
+            if not found < error:
+                break
+            velocity[:] = trial
+            error = found
+        return done, error
+
+    @compiled
+    def find_velocity(table, desk, room, count, h, coarse, fine, scale):
+        """Goes from a coarse softness to the fine one.
+
+        Returns:
+            (evaluations, residual in parts of `scale`, the softness that was reached).
+        """
+        nv = desk[d.NV]
+        velocity, start, change, good = room.velocity, room.start, room.change, room.good
+        # At rest what was is what will be, and a few steps are enough.
+        done, error = newton(table, desk, room, count, h, fine, _FINE * scale, 0)
+        if error < _NEAR * scale:
+            more, error = newton(table, desk, room, count, h, fine, _FINE * scale, _STEPS_NEAR)
+            done += more - 1
+        if error <= _FINE * scale:
+            return done, error / scale if scale > 0.0 else 0.0, fine
+
+        velocity[:] = start
+        eps = max(coarse, fine)
+        stride = _FINER
+        firm = -1.0  # the last softness that was solved for, `good` its velocity
+        while done < most:
+            goal = (_COARSE if eps > fine else _FINE) * scale
+            more, error = newton(table, desk, room, count, h, eps, goal, _STEPS)
+            done += more
+            if error <= goal or (eps <= fine and error <= _ROUNDED * scale):
+                if eps <= fine:
+                    break
+                firm = eps
+                good[:] = velocity
+                stride = max(stride * stride, _FINER)
+            elif firm > 0.0:  # too far at once: back, and on with a shorter stride
+                stride = math.sqrt(eps / firm)
+                eps = firm
+                velocity[:] = good
+            else:
+                eps *= 10.0
+                velocity[:] = start
+                continue
+            finer = stride * eps
+            if finer < 1.5 * fine:
+                finer = fine
+            # What holds keeps its force where it becomes stiffer.
+            evaluate(table, desk, room, velocity, count, h, finer, eps)
+            done += 1
+            if not solve(room.matrix, room.residual, change, nv):
+                break
+            for j in range(nv):
+                velocity[j] -= change[j]
+            eps = finer
+        if eps > fine and firm > 0.0:  # out of breath: as soft as was solved for, but that exactly
+            eps = firm
+            velocity[:] = good
+            more, error = newton(table, desk, room, count, h, eps, _FINE * scale, _STEPS)
+            done += more
+        elif error > 0.0:  # the last trial may have been a step too far
+            error = evaluate(table, desk, room, velocity, count, h, eps, eps)
+            done += 1
+        return done, error / scale, eps
+
+    @compiled
+    def program(address, lead):
+        table = table_at(address)
+        if is_bad(table):
+            return BAD_STATE
+        desk = d.desk_at(table[DESK])
+        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        withdraw_wrenches(table)
+        for slot in range(len(bodies)):
+            bodies[slot].wrench[:] = 0.0
+        count = immerse_all(table, desk)
+        if count > 0:
+            forward_actuation(desk[d.MODEL], desk[d.DATA])
+            forward_acceleration(desk[d.MODEL], desk[d.DATA])
+            room = d.open_room(desk)
+            wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+            coarse, fine, scale = begin(desk, room, wet, count, lead)
+            done, error, soft = find_velocity(table, desk, room, count, lead, coarse, fine, scale)
+            share = 1.0
+            if power_bound(desk, room, error * scale) > _NO_ENERGY:
+                share = passive_share(desk, room, lead)
+            hand_over(desk, room, bodies, share)
+            if share != 1.0:
+                for i in range(count):
+                    force = contacts[wet[i].index].force
+                    for k in range(3):
+                        force[k] *= share
+            account = d.account_records(desk[d.ACCOUNT], 1)[0]
+            account.steps += 1
+            account.evaluations += done
+            account.most = max(account.most, done)
+            account.softened += soft > fine
+            account.unfinished += not error <= _ROUNDED
+            account.residual = error
+            account.worst = max(account.worst, error)
+        return add_wrenches(table)
+
+    return program
+
+
+@compiled
+def add_row(s, i, a, b, c, x, y, z):
+    """Adds a row (a, b, c) (-[r]x, 1) to a 6 x 6 matrix."""
+    s[i] += y * c - z * b
+    s[i + 1] += z * a - x * c
+    s[i + 2] += x * b - y * a
+    s[i + 3] += a
+    s[i + 4] += b
+    s[i + 5] += c
+
+
+@compiled
+def begin(desk, room, wet, count, h):
+    """Reads the state, and says how softly to begin and to end.
+
+    Returns:
+        (coarse softness [m/s], fine softness [m/s], size of the momentum at hand).
+    """
+    nv, nbody = desk[d.NV], desk[d.NBODY]
+    qvel = floats(desk[d.QVEL], nv)
+    smooth = floats(desk[d.SMOOTH], nv)
+    acceleration = floats(desk[d.ACCELERATION], nv)
+    cdof = floats(desk[d.CDOF], 6 * nv)
+    parents = ints(desk[d.BODY_PARENT], nbody)
+    dof_parent = ints(desk[d.DOF_PARENT], nv)
+    first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
+    prepare_inertia(desk, room, h)
+    room.wet[:] = 0.0
+    for i in range(count):
+        body = wet[i].body
+        while body > 0 and room.wet[body] == 0.0:
+            room.wet[body] = 1.0
+            body = parents[body]
+    size = 0.0
+    for j in range(nv):
+        room.start[j] = qvel[j]
+        room.velocity[j] = qvel[j]
+        room.smooth[j] = h * smooth[j]
+        room.trial[j] = h * acceleration[j]
+        size += abs(room.smooth[j]) / math.sqrt(room.inertia[j * nv + j])
+        size += abs(qvel[j]) * math.sqrt(room.inertia[j * nv + j])
+
+    # How much the elements' velocities would change in the step without sand: what is slower than
+    # that may stop.
+    body_motions(desk, room, room.trial)
+    coarse, large = 0.0, 0.0
+    last = -1
+    for i in range(count):
+        entry = wet[i]
+        b = 6 * entry.body
+        m = room.motion
+        w = (m[b], m[b + 1], m[b + 2], m[b + 3], m[b + 4], m[b + 5])
+        x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
+        vx, vy, vz = velocity_at(w, x, y, z)
+        coarse = max(coarse, vx * vx + vy * vy + vz * vz)
+        if entry.body != last:
+            # Velocities of joints that cancel in that of a body: the rounding of its rest.
+            last = entry.body
+            arm = abs(x) + abs(y) + abs(z)
+            body = last
+            while body > 0 and number[body] == 0:
+                body = parents[body]
+            dof = first[body] + number[body] - 1 if body > 0 else -1
+            total = 0.0
+            while dof >= 0:
+                c = cdof[6 * dof : 6 * dof + 6]
+                turning = abs(c[0]) + abs(c[1]) + abs(c[2])
+                total += abs(qvel[dof]) * (arm * turning + abs(c[3]) + abs(c[4]) + abs(c[5]))
+                dof = dof_parent[dof]
+            large = max(large, total)
+    return math.sqrt(coarse), _SOFT + _SOFT_SHARE * large, size
+
+
+@compiled
+def power_bound(desk, room, error):
+    """What the sand may add to the energy at most [J], by the velocity found and its residual."""
+    nv = desk[d.NV]
+    work = 0.0
+    for j in range(nv):
+        work += room.sand[j] * room.velocity[j]
+    return work + 10.0 * error * norm(room.sand, room.inertia, nv)
+
+
+@compiled
+def passive_share(desk, room, h):
+    """The share of the sand's momentum that takes out as much energy as it can without giving any.
+
+    Where Newton's method stops short, its forces are bounded but need not oppose the velocities
+    they lead to. The power of a share s of them, s p.v_free + s^2 p.A^-1 p, is not positive up to
+    this share; 1 where the whole is passive already. Constraints are taken as found.
+    """
+    nv = desk[d.NV]
+    for k in range(nv * nv):
+        room.matrix[k] = room.inertia[k]
+    for j in range(nv):
+        room.trial[j] = room.smooth[j] + room.bound[j]
+    if not solve(room.matrix, room.trial, room.change, nv):
+        return 1.0
+    for k in range(nv * nv):
+        room.matrix[k] = room.inertia[k]
+    for j in range(nv):
+        room.trial[j] = room.sand[j]
+    solve(room.matrix, room.trial, room.answer, nv)
+    free, own = 0.0, 0.0
+    for j in range(nv):
+        free += room.sand[j] * (room.start[j] + room.change[j])
+        own += room.sand[j] * room.answer[j]
+    if not own > 0.0:
+        return 1.0
+    return min(max(-free / own, 0.0), 1.0)
+
+
+@compiled
+def hand_over(desk, room, bodies, share):
+    """The bodies' wrenches about their own centres of mass."""
+    nbody = desk[d.NBODY]
+    trees = floats(desk[d.TREE_COM], 3 * nbody)
+    coms = floats(desk[d.COM], 3 * nbody)
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        if room.wet[body.body] == 0.0:
+            continue
+        w = room.own[6 * body.body : 6 * body.body + 6]
+        x = coms[3 * body.body] - trees[3 * body.root]
+        y = coms[3 * body.body + 1] - trees[3 * body.root + 1]
+        z = coms[3 * body.body + 2] - trees[3 * body.root + 2]
+        body.wrench[0] = share * w[3]
+        body.wrench[1] = share * w[4]
+        body.wrench[2] = share * w[5]
+        body.wrench[3] = share * (w[0] - (y * w[5] - z * w[4]))
+        body.wrench[4] = share * (w[1] - (z * w[3] - x * w[5]))
+        body.wrench[5] = share * (w[2] - (x * w[4] - y * w[3]))

@@ -1,0 +1,142 @@
+"""What every scheme's program does beside its own work: where bodies are, and `xfrc_applied`."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    GRAVITY,
+    NBODY,
+    SUBTREE_COM,
+    WARNINGS,
+    XFRC,
+    XIPOS,
+    XMAT,
+    XPOS,
+    floats,
+    ints,
+    table_at,
+)
+from mjgranular.kernel.motion import body_velocity
+from mjgranular.kernel.records import body_records
+from mjgranular.law.kernel import Pose
+
+
+@compiled
+def pose_of(table, body):
+    """Where a body of the sand is and how it moves.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+        body: record of the body (`kernel.records`).
+    """
+    nbody = table[NBODY]
+    xpos = floats(table[XPOS], 3 * nbody)
+    xmat = floats(table[XMAT], 9 * nbody)
+    xipos = floats(table[XIPOS], 3 * nbody)
+    subtree_com = floats(table[SUBTREE_COM], 3 * nbody)
+    b, m, root = 3 * body.body, 9 * body.body, 3 * body.root
+    return Pose(
+        (xpos[b], xpos[b + 1], xpos[b + 2]),
+        (
+            xmat[m], xmat[m + 1], xmat[m + 2], xmat[m + 3], xmat[m + 4],
+            xmat[m + 5], xmat[m + 6], xmat[m + 7], xmat[m + 8],
+        ),
+        (xipos[b], xipos[b + 1], xipos[b + 2]),
+        (subtree_com[root], subtree_com[root + 1], subtree_com[root + 2]),
+        body_velocity(table, body.body),
+    )  # fmt: skip
+
+
+@compiled
+def gravity_of(table):
+    """Size of gravity [m/s^2]."""
+    g = floats(table[GRAVITY], 3)
+    return math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+
+
+@compiled
+def add_wrenches(table):
+    """Adds the bodies' wrenches to `xfrc_applied`, and takes back those of the last call.
+
+    A row that still holds what the last call wrote is first restored to what it was before that
+    call; a row that does not has been written by the user since (or reset, or copied), and is
+    wholly the user's.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+
+    Returns:
+        -1, or the row in `bodies` of the first wrench that is not finite; then nothing is written.
+    """
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    xfrc = floats(table[XFRC], 6 * table[NBODY])
+    for slot in range(len(bodies)):
+        total = 0.0
+        for k in range(6):
+            total += bodies[slot].wrench[k]
+        if not math.isfinite(total):
+            return slot
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        row = xfrc[6 * body.body : 6 * body.body + 6]
+        untouched = True
+        for k in range(6):
+            untouched = untouched and row[k] == body.written[k]
+        for k in range(6):
+            if not untouched:
+                body.own[k] = row[k]
+            row[k] = body.own[k] + body.wrench[k]
+            body.written[k] = row[k]
+    return -1
+
+
+@compiled
+def take_back_wrenches(address):
+    """Restores `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
+    table = table_at(address)
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    xfrc = floats(table[XFRC], 6 * table[NBODY])
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        for k in range(6):
+            xfrc[6 * body.body + k] = body.own[k]
+            body.written[k] = body.own[k]
+
+
+BAD_STATE = -2
+"""What a program returns when MuJoCo has found numbers in the state that are none."""
+
+_BAD = tuple(
+    2 * int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")
+)
+
+
+@compiled
+def is_bad(table):
+    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it."""
+    # mjWarningStat is {int lastinfo; int number;}: the address is that of the first number.
+    numbers = ints(table[WARNINGS], _BAD[2] + 1)
+    return numbers[_BAD[0]] + numbers[_BAD[1]] + numbers[_BAD[2]] > 0
+
+
+@compiled
+def withdraw_wrenches(table):
+    """Takes back those rows of `xfrc_applied` that still hold what the sand wrote."""
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    xfrc = floats(table[XFRC], 6 * table[NBODY])
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        row = xfrc[6 * body.body : 6 * body.body + 6]
+        untouched = True
+        for k in range(6):
+            untouched = untouched and row[k] == body.written[k]
+        if untouched:
+            for k in range(6):
+                row[k] = body.own[k]
+                body.written[k] = body.own[k]

@@ -1,0 +1,347 @@
+"""Elements to look at: what is drawn is what the law acts on, in figures, scenes and tables."""
+
+import csv
+import importlib
+import json
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import MissingExtraError, OutputError, Sand, errors
+from mjgranular.cli import main
+from mjgranular.models import model_path
+from mjgranular.picture import elements
+from mjgranular.picture.elements import add_elements, draw_elements, kind_of
+
+FOOT = """
+<mujoco><worldbody><body name="foot" pos="0.1 0 0"><freejoint/>
+  <geom name="sole" type="box" size="0.08 0.05 0.015"/>
+  <body name="shin"><joint axis="0 1 0" pos="0 0 0.02"/>
+    <geom name="shin" type="capsule" size="0.02" fromto="0 0 0.035 0.05 0 0.17"/></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def foot():
+    return mujoco.MjModel.from_xml_string(FOOT)
+
+
+@pytest.fixture(scope="module")
+def facets(foot):
+    return Sand(foot, medium="quikrete_medium")
+
+
+@pytest.fixture(scope="module")
+def rods():
+    model = mujoco.MjModel.from_xml_path(str(model_path("double_pendulum")))
+    return Sand(model, law="link_distributed")
+
+
+@pytest.fixture(scope="module")
+def blobs(foot):
+    return Sand(foot, medium="glass_beads", law="depth_velocity")
+
+
+def at_qpos0(sand):
+    data = mujoco.MjData(sand.model)
+    mujoco.mj_forward(sand.model, data)
+    return data
+
+
+def polygons(sand):
+    return elements._polygons(elements._Shown.at(sand, at_qpos0(sand), "body"))
+
+
+def test_facets_are_drawn_with_their_true_areas(facets):
+    drawn, owners = polygons(facets)
+    areas = np.linalg.norm(elements._area_vectors(drawn), axis=1)
+    assert (owners == np.arange(len(facets.elements))).all()
+    np.testing.assert_allclose(areas, facets.elements["area"], rtol=1e-12)
+
+
+def test_facets_with_edges_are_parallelograms_of_their_true_areas():
+    kept = [("point", float, (3,)), ("normal", float, (3,)), ("area", float)]
+    facet = np.zeros(1, [*kept, ("edges", float, (2, 3))])
+    facet["point"], facet["normal"], facet["area"] = (1, 2, 3), (0, 0, 1), 0.5
+    facet["edges"] = [(0.3, 0.1, 0), (0, 0.2, 0)]
+    corners = elements._facet_corners(facet)
+    assert corners.shape == (1, 4, 3)
+    np.testing.assert_allclose(elements._area_vectors(corners), [[0, 0, 0.5]], atol=1e-15)
+    np.testing.assert_allclose(corners.mean(axis=1), facet["point"])
+    _, sizes, axes = elements._facet_bodies(facet)
+    volume = 8 * sizes.prod() * np.linalg.det(axes[0])
+    assert volume == pytest.approx(2 * sizes[0, 2] * 0.5 * elements._GAP**2)
+
+
+def test_rods_are_drawn_from_end_to_end(rods):
+    drawn, owners = polygons(rods)
+    # The pendulum hangs straight down in qpos0, its pivot 0.36 m above the sand, 0.4 m long.
+    assert drawn[..., 2].max() == pytest.approx(0.36)
+    assert drawn[..., 2].min() == pytest.approx(-0.04)
+    assert np.abs(drawn[..., 0]).max() == pytest.approx(0.005)
+    assert set(owners) == set(range(40))
+
+
+def test_blobs_are_drawn_as_far_as_they_reach(blobs):
+    drawn, owners = polygons(blobs)
+    sole, shin = drawn[owners == 0].reshape(-1, 3), drawn[owners == 1].reshape(-1, 3)
+    np.testing.assert_allclose(sole.max(axis=0), [0.18, 0.05, 0.015])
+    np.testing.assert_allclose(sole.min(axis=0), [0.02, -0.05, -0.015])
+    # A capsule's outermost points lie on it: at its radius from its middle line.
+    ends = np.array([[0.1, 0, 0.035], [0.15, 0, 0.17]])
+    way = ends[1] - ends[0]
+    share = np.clip((shin - ends[0]) @ way / (way @ way), 0, 1)
+    distance = np.linalg.norm(shin - ends[0] - share[:, None] * way, axis=1)
+    np.testing.assert_allclose(distance, 0.02, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("geom", "reach"),
+    [
+        ("type='sphere' size='0.05'", (0.05, 0.05, 0.05)),
+        ("type='ellipsoid' size='0.06 0.04 0.02'", (0.06, 0.04, 0.02)),
+        ("type='cylinder' size='0.04 0.07'", (0.04, 0.04, 0.07)),
+    ],
+)
+def test_blobs_of_every_shape(geom, reach):
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody><body><freejoint/><geom {geom}/></body></worldbody></mujoco>"
+    )
+    sand = Sand(model, medium="glass_beads", law="depth_velocity")
+    drawn, _ = polygons(sand)
+    # None of the directions that are drawn lies along an axis.
+    np.testing.assert_allclose(drawn.max(axis=(0, 1)), reach, rtol=0.04)
+    assert (drawn.max(axis=(0, 1)) <= np.array(reach) * (1 + 1e-12)).all()
+    scene = mujoco.MjvScene(model, maxgeom=1)
+    assert add_elements(scene, sand, at_qpos0(sand)) == 1
+    size = scene.geoms[0].size
+    np.testing.assert_allclose(size, reach, rtol=1e-6)
+
+
+def test_the_figure_says_what_it_shows(facets, rods, blobs):
+    for sand, words in (
+        (facets, "420 facets of 2 geoms on 2 bodies, rft3d law"),
+        (rods, "40 rods of 2 geoms on 2 bodies, link_distributed law"),
+        (blobs, "2 blobs of 2 geoms on 2 bodies, depth_velocity law"),
+    ):
+        figure = draw_elements(sand, title="mine")
+        assert figure.get_suptitle() == f"mine\n{words}"
+    named = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert named == ["foot", "shin"]
+
+
+def test_axes_of_the_figure_have_one_scale(facets):
+    axes = draw_elements(facets).axes[0]
+    ranges = [np.ptp(getattr(axes, f"get_{name}lim")()) for name in "xyz"]
+    aspect = axes._box_aspect / axes._box_aspect.max()
+    np.testing.assert_allclose(aspect, np.array(ranges) / max(ranges))
+    assert axes.get_xlabel() == "x [m]"
+
+
+def test_the_figure_follows_qpos_and_depth(facets, tmp_path):
+    qpos = facets.model.qpos0.copy()
+    qpos[2] += 1.0
+    qvel = np.full(facets.model.nv, -0.1)
+    for name, options in (
+        ("raised.png", {"qpos": qpos}),
+        ("depth.svg", {"color": "depth", "forces": True, "qvel": qvel}),
+        ("bare.pdf", {"color": "geom", "normals": False, "forces": True}),
+    ):
+        figure = draw_elements(facets, file=tmp_path / name, **options)
+        assert (tmp_path / name).stat().st_size > 10_000
+        low = figure.axes[0].get_zlim()[0]
+        assert (low > 0.9) == (name == "raised.png")
+    assert len(draw_elements(facets, color="depth").axes) == 2  # with a scale of depth
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"qpos": [0.0, 1.0]}, errors.InputError, r"qpos must have shape \(8,\), not \(2,\)"),
+        ({"qvel": [math.nan] * 7}, errors.InputError, "qvel must be finite"),
+        ({"color": "red"}, errors.UnknownNameError, "body, geom, depth"),
+        ({"file": "foot.bmp"}, errors.InputError, r"\.png, \.svg or \.pdf, not '\.bmp'"),
+        ({"file": "nowhere/foot.png"}, OutputError, "cannot write"),
+    ],
+)
+def test_mistakes_in_a_figure(facets, options, error, words):
+    with pytest.raises(error, match=words):
+        draw_elements(facets, **options)
+
+
+def test_elements_of_another_kind_are_refused(facets, monkeypatch):
+    monkeypatch.setattr(facets, "_elements", np.zeros(1, [("geom", int), ("hair", float)]))
+    with pytest.raises(errors.InputError, match="of its own"):
+        kind_of(facets)
+
+
+def scene_of(sand, data, room=2000):
+    scene = mujoco.MjvScene(sand.model, maxgeom=room)
+    everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+    options, camera = mujoco.MjvOption(), mujoco.MjvCamera()
+    mujoco.mjv_updateScene(sand.model, data, options, None, camera, everything, scene)
+    return scene
+
+
+def test_a_scene_gets_elements_normals_and_forces(facets):
+    data = at_qpos0(facets)
+    data.qvel[2] = -0.1
+    scene = scene_of(facets, data)
+    before = scene.ngeom
+    assert add_elements(scene, facets, data, normals=False) == 420
+    assert scene.ngeom == before + 420
+    for k in (0, 200, 419):
+        e = facets.elements[k]
+        at = data.xpos[e["body"]] + data.xmat[e["body"]].reshape(3, 3) @ e["point"]
+        np.testing.assert_allclose(scene.geoms[before + k].pos, at, atol=1e-7)
+    assert {scene.geoms[k].rgba[3] for k in range(before)} == {0.25}
+    assert add_elements(scene, facets, data) == 840
+    pushed = (np.linalg.norm(facets.report(data).table.force, axis=1) > 0).sum()
+    assert pushed > 0
+    scene.ngeom = 0
+    assert add_elements(scene, facets, data, forces=True, force_scale=1.0) == 840 + pushed
+    longest = max(float(scene.geoms[k].size[2]) for k in range(840, scene.ngeom))
+    greatest = np.linalg.norm(facets.report(data).table.force, axis=1).max()
+    assert longest == pytest.approx(greatest, rel=0.05)  # without the head of the arrow
+
+
+def test_a_scene_gets_rods_and_blobs(rods, blobs):
+    scene = scene_of(rods, at_qpos0(rods))
+    before = scene.ngeom
+    assert add_elements(scene, rods, at_qpos0(rods), color="depth") == 40
+    np.testing.assert_allclose(
+        scene.geoms[before].size, [0.005, 0.005, 0.005 * elements._GAP], rtol=1e-6
+    )
+    scene = scene_of(blobs, at_qpos0(blobs))
+    before = scene.ngeom
+    assert add_elements(scene, blobs, at_qpos0(blobs)) == 2
+    np.testing.assert_allclose(scene.geoms[before].size, [0.08, 0.05, 0.015], rtol=1e-6)
+
+
+def test_a_scene_without_room_is_left_as_it_is(facets):
+    data = at_qpos0(facets)
+    scene = scene_of(facets, data, room=500)
+    before = scene.ngeom
+    with pytest.raises(errors.InputError, match=r"room for \d+ more geoms and 840 are needed"):
+        add_elements(scene, facets, data)
+    assert scene.ngeom == before
+    assert scene.geoms[0].rgba[3] == 1.0
+
+
+def test_data_of_another_model_is_refused(facets, rods):
+    with pytest.raises(errors.InputError, match="another model"):
+        add_elements(mujoco.MjvScene(rods.model, maxgeom=10), facets, at_qpos0(rods))
+
+
+def test_elements_are_seen_in_a_picture(facets):
+    data = at_qpos0(facets)
+    with mujoco.Renderer(facets.model, 120, 160) as renderer:
+        renderer.update_scene(data)
+        bare = renderer.render()
+        renderer.update_scene(data)
+        add_elements(renderer.scene, facets, data)
+        picture = renderer.render().astype(int)
+    assert (picture != bare).any(axis=2).mean() > 0.02
+    red, _, blue = picture[..., 0], picture[..., 1], picture[..., 2]
+    assert (blue > red + 40).any()  # the foot
+    assert (red > blue + 40).any()  # the shin
+
+
+@pytest.fixture
+def foot_file(tmp_path):
+    path = tmp_path / "foot.xml"
+    path.write_text(FOOT)
+    return path
+
+
+def test_the_command_counts(foot_file, capfd):
+    assert main(["elements", str(foot_file), "--json"]) == 0
+    printed = json.loads(capfd.readouterr().out)
+    assert (printed["law"], printed["kind"], printed["elements"]) == ("rft3d", "facets", 420)
+    assert [row["geom"] for row in printed["geoms"]] == ["sole", "shin"]
+    sole, shin = printed["geoms"]
+    assert sole["area"] == pytest.approx(8 * (0.08 * 0.05 + 0.05 * 0.015 + 0.015 * 0.08))
+    length = math.hypot(0.05, 0.135)
+    skin = 2 * math.pi * 0.02 * length + 4 * math.pi * 0.02**2
+    assert shin["area"] == pytest.approx(skin, rel=0.01)
+    assert printed["area"] == pytest.approx(sole["area"] + shin["area"])
+    assert printed["length"] is None
+    assert (sole["shape"], sole["width"]) == ("box", pytest.approx(0.1))
+
+    assert main(["elements", str(foot_file), "--geoms", "shin", "--resolution", "4"]) == 0
+    shown = capfd.readouterr().out
+    assert "shin" in shown
+    assert "sole" not in shown
+
+
+def test_the_command_writes_what_it_promises(tmp_path, capfd):
+    pendulum = ["elements", str(model_path("double_pendulum")), "--medium", "play_sand"]
+    folder = tmp_path / "cut"
+    assert main([*pendulum, "--keyframe", "start", "--out", str(folder)]) == 0
+    assert "written to" in capfd.readouterr().out
+    names = ["config.json", "elements.csv", "elements.png", "summary.json"]
+    assert sorted(path.name for path in folder.iterdir()) == names
+    with (folder / "elements.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["body"] for row in rows] == ["link0", "link1"]
+    assert float(rows[0]["half_length [m]"]) == 0.1
+    assert float(rows[0]["axis_z [-]"]) == 1.0
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["length"] == pytest.approx(0.4)
+    assert summary["area"] is None
+    assert json.loads((folder / "config.json").read_text())["config"]["law"] == "link"
+
+    figure = tmp_path / "deep" / "cut.svg"
+    assert main([*pendulum, "--figure", str(figure), "--color", "depth"]) == 0
+    assert [path.name for path in figure.parent.iterdir()] == ["cut.svg"]
+    assert main([*pendulum, "--figure", str(figure)]) == 2
+    assert "--overwrite" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--figure", "foot.bmp"], ["a figure is written as", "'.bmp'"]),
+        (["--figure", "foot.png", "--out", "feet"], ["not both"]),
+        (["--keyframe", "stand"], ["keyframe", "stand"]),
+        (["--geoms", "toe"], ["toe", "sole, shin"]),
+        (["--law", "link", "--medium", "play_sand"], ["sole", "capsules and cylinders"]),
+        (["--resolution", "1"], ["at least 2"]),
+    ],
+)
+def test_mistakes_on_the_command_line(foot_file, tmp_path, monkeypatch, capfd, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(["elements", str(foot_file), *arguments]) == 2
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert all(word in captured.err for word in words)
+    assert "Traceback" not in captured.err
+    assert [path.name for path in tmp_path.iterdir()] == ["foot.xml"]
+
+
+def test_a_model_that_is_not_there(tmp_path, capfd):
+    assert main(["elements", str(tmp_path / "none.xml")]) == 2
+    assert "MuJoCo cannot load" in capfd.readouterr().err
+
+
+def test_without_matplotlib_the_numbers_are_still_written(
+    foot_file, facets, tmp_path, monkeypatch, capfd
+):
+    real = importlib.import_module
+
+    def absent(name, *rest):
+        if name.partition(".")[0] == "matplotlib":
+            raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
+        return real(name, *rest)
+
+    monkeypatch.setattr("importlib.import_module", absent)
+    with pytest.raises(MissingExtraError, match="figures"):
+        draw_elements(facets)
+    folder = tmp_path / "cut"
+    assert main(["elements", str(foot_file), "--out", str(folder)]) == 2
+    captured = capfd.readouterr()
+    assert "pip install 'mjgranular[figures]'" in captured.err
+    assert "420" in captured.out
+    assert (folder / "elements.csv").exists()

@@ -1,0 +1,405 @@
+"""Several Sands on one simulation; the last good state when a step goes wrong; warnings."""
+
+import copy
+import gc
+import types
+import warnings
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import Bed, GranularWarning, InputError, Sand, UnstableError
+from mjgranular.errors import warn_user
+from mjgranular.kernel.keep import Kept, keep
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+def state(model, data):
+    out = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, out, STATE)
+    return out
+
+
+def restored(model, saved):
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, saved, STATE)
+    return data
+
+
+# Two Sands on one body
+
+
+def test_a_second_sand_on_the_same_body_is_refused(chain_model):
+    first, second = Sand(chain_model), Sand(chain_model, bodies=["hand", "probe"])
+    data = mujoco.MjData(chain_model)
+    first.step(data)
+    before = state(chain_model, data)
+    message = r"body 'hand' of this MjData.*an MjData for each.*shared=True.*release\(data\)"
+    for call in (second.step, second.apply):
+        with pytest.raises(InputError, match=message):
+            call(data)
+    assert np.array_equal(state(chain_model, data), before)
+    first.step(data)  # goes on
+
+
+def test_a_copy_is_a_second_sand(link_model):
+    sand, data = Sand(link_model), mujoco.MjData(link_model)
+    sand.step(data)
+    with pytest.raises(InputError, match="another Sand acts on body 'link'"):
+        copy.copy(sand).step(data)
+
+
+@pytest.mark.parametrize("shared", [(True, False), (False, True)])
+def test_both_have_to_say_so(link_model, shared):
+    first, second = (Sand(link_model, shared=each) for each in shared)
+    data = mujoco.MjData(link_model)
+    first.step(data)
+    with pytest.raises(InputError, match="make both with shared=True"):
+        second.step(data)
+
+
+def test_what_is_no_second_sand(chain_model):
+    data = mujoco.MjData(chain_model)
+    first, idle = Sand(chain_model, bodies="arm"), Sand(chain_model)
+    first.step(data)
+    idle.report(data)  # looking is not acting
+    Sand(chain_model, bodies=["hand", "probe"]).apply(data)  # other bodies
+    Sand(chain_model).step(mujoco.MjData(chain_model))  # other data
+    Sand(chain_model).step(copy.copy(data))
+    first.step(data)
+    del first
+    gc.collect()
+    idle.step(data)  # nobody is left
+
+
+def test_a_released_simulation_can_be_taken_over(link_model):
+    first, second = Sand(link_model), Sand(link_model, law="link_distributed")
+    data = mujoco.MjData(link_model)
+    mujoco.mj_resetDataKeyframe(link_model, data, 0)
+    data.qpos[1] -= 0.01
+    data.xfrc_applied[1] = own = [0.1, 0, 0.2, 0, 0.3, 0]
+    mujoco.mj_step1(link_model, data)
+    first.release(data)  # nothing yet to let go
+    first.apply(data)
+    assert not np.array_equal(data.xfrc_applied[1], own)
+    first.release(data)
+    assert np.array_equal(data.xfrc_applied[1], own)
+    second.step(data)
+    with pytest.raises(InputError, match="another Sand"):
+        first.step(data)
+    second.release(data)
+    first.step(data)
+    assert np.array_equal(data.xfrc_applied[1], own)
+
+
+def beds():
+    """A rod over two beds, which together are a third."""
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><option timestep="1e-4"/><worldbody>
+             <geom name="left" type="box" size="1 1 .5" pos="-1 0 -.5"/>
+             <geom name="right" type="box" size="1 1 .5" pos="1 0 -.5"/>
+             <geom name="both" type="box" size="2 1 .5" pos="0 0 -.5"/>
+             <body name="rod" pos="0 0 -.02">
+               <freejoint/>
+               <geom type="capsule" fromto="-.2 0 0 .3 .02 .01" size=".01" mass=".3"/>
+             </body>
+           </worldbody></mujoco>"""
+    )
+    return spec.compile()
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_two_beds_side_by_side_are_one(order):
+    """Of the same medium, and cut into pieces none of which is in both."""
+    model = beds()
+    options = {"law": "rft3d", "medium": "quikrete_medium"}
+    one = Sand(model, surface=Bed("both"), **options)
+    parts = [Sand(model, surface=Bed(name), shared=True, **options) for name in ("left", "right")]
+    whole, halves = mujoco.MjData(model), mujoco.MjData(model)
+    own = np.array([0.3, 0.1, 0.2, 0.01, 0.02, 0.03])
+    for data in (whole, halves):
+        data.qvel[:3] = [0.5, 0.1, -1.0]
+        data.xfrc_applied[1] = own
+    for step in range(40):  # later on, a last bit may decide whether a facet leads
+        if step == 20:
+            own *= -1
+            whole.xfrc_applied[1] = halves.xfrc_applied[1] = own
+        one.step(whole)
+        mujoco.mj_step1(model, halves)
+        for index in order:
+            parts[index].apply(halves)
+        mujoco.mj_step2(model, halves)
+    assert halves.qpos == pytest.approx(whole.qpos, rel=1e-9, abs=1e-12)
+    assert halves.qvel == pytest.approx(whole.qvel, rel=1e-7, abs=1e-10)
+    parts[0].release(halves)
+    assert np.array_equal(halves.xfrc_applied[1], own)  # the other's share goes too, until it acts
+
+
+def test_shared_sands_leave_the_users_forces(link_model):
+    parts = [Sand(link_model, law=law, shared=True) for law in ("link", "link_distributed")]
+    data = mujoco.MjData(link_model)
+    mujoco.mj_resetDataKeyframe(link_model, data, 0)
+    data.qpos[1] -= 0.01
+    data.xfrc_applied[1] = own = [0.1, 0, 0.3, 0, 1 / 3, 0]
+    for step in range(50):
+        mujoco.mj_step1(link_model, data)
+        if step == 20:
+            data.xfrc_applied[1] = own = [0.7, 0, 0.1, 0, -1 / 3, 0]
+        for sand in parts:
+            sand.apply(data)
+        mujoco.mj_step2(link_model, data)
+    shares = sum(np.concatenate([b.force, b.moment]) for b in _now(parts, data))
+    assert data.xfrc_applied[1] - own == pytest.approx(shares, rel=0.05)
+    parts[1].release(data)
+    assert np.array_equal(data.xfrc_applied[1], own)
+
+
+def _now(parts, data):
+    return [sand.report(data)["link"] for sand in parts]
+
+
+# The last good state
+
+
+@pytest.fixture
+def everything():
+    """A model with something in every part of the state that a model can have."""
+    return mujoco.MjModel.from_xml_string(
+        """
+        <mujoco>
+          <option timestep="1e-4"/>
+          <size nuserdata="3"/>
+          <worldbody>
+            <body name="handle" mocap="true" pos="0 0 1"/>
+            <body name="hand" pos="0 0 1">
+              <freejoint/>
+              <geom type="capsule" size=".01 .1"/>
+              <body name="arm" pos="0 0 .2">
+                <joint name="ball" type="ball"/>
+                <geom type="capsule" size=".01 .1"/>
+                <body name="tip" pos="0 0 .2">
+                  <joint name="tip" damping=".1" axis="0 1 0"/>
+                  <geom type="capsule" size=".01 .1"/>
+                </body>
+              </body>
+            </body>
+          </worldbody>
+          <equality>
+            <weld body1="handle" body2="hand"/>
+            <connect body1="tip" body2="handle" anchor="0 0 0" active="false"/>
+          </equality>
+          <actuator>
+            <general joint="tip" dyntype="filter" dynprm=".01"/>
+            <motor joint="tip" delay=".001" nsample="12"/>
+          </actuator>
+        </mujoco>"""
+    )
+
+
+def excite(model, data):
+    """A state without a zero in it."""
+    rng = np.random.default_rng(1)
+    data.time = 0.125
+    data.ctrl[:] = [0.1, 0.2]
+    data.xfrc_applied[:] = rng.normal(scale=0.01, size=data.xfrc_applied.shape)
+    data.qfrc_applied[:] = rng.normal(scale=0.01, size=model.nv)
+    data.userdata[:] = 1, 2, 3
+    data.mocap_pos[0] = 0.01, 0.02, 1.03
+    data.mocap_quat[0] = 0.8, 0.6, 0, 0
+    data.qvel[:] = rng.normal(scale=0.1, size=model.nv)
+    data.eq_active[:] = [False, True]
+
+
+def test_what_is_kept_is_the_state_of_mujoco(everything):
+    sand, data = Sand(everything), mujoco.MjData(everything)
+    excite(everything, data)
+    for _ in range(20):
+        sand.step(data)
+    assert Kept.of(everything, data).time is None
+    binding = sand._bindings[data]
+    keep(binding.table)
+    saved = state(everything, data)
+    assert np.array_equal(binding.kept.state, saved)
+    mujoco.mj_resetData(everything, data)
+    binding.kept.restore(everything, data)
+    assert np.array_equal(state(everything, data), saved)
+    assert binding.kept.time == data.time > 0.125
+
+
+@pytest.fixture
+def quiet(monkeypatch, tmp_path):
+    """MuJoCo logs bad states to a file in the working directory."""
+    monkeypatch.chdir(tmp_path)
+
+
+def set_autoreset(model, on):
+    if not on:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize("autoreset", [True, False])
+@pytest.mark.parametrize("field", ["qpos", "qvel"])
+def test_data_hold_the_last_good_state(everything, field, autoreset):
+    """The user spoils the state: that from before the last step is what was good."""
+    set_autoreset(everything, autoreset)
+    sand, data = Sand(everything), mujoco.MjData(everything)
+    excite(everything, data)
+    for _ in range(20):
+        good = state(everything, data)
+        sand.step(data)
+    spoiled = getattr(data, field)
+    spoiled[-1] = np.nan
+    with pytest.raises(UnstableError, match=rf"{field} of body 'tip' at t = 0\.1269 s, step 1270:"):
+        sand.step(data)
+    assert np.array_equal(state(everything, data), good)
+    assert data.xpos == pytest.approx(_positions(everything, good), abs=1e-12)
+    # The failure is over and done with: what comes next is as if there had been none.
+    sand.step(data)
+    alone = restored(everything, good)
+    Sand(everything).step(alone)
+    assert np.array_equal(state(everything, data), state(everything, alone))
+
+
+def _positions(model, saved):
+    data = restored(model, saved)
+    mujoco.mj_kinematics(model, data)
+    return data.xpos
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize("autoreset", [True, False])
+def test_a_bad_acceleration_ends_the_step_that_has_it(everything, autoreset):
+    set_autoreset(everything, autoreset)
+    sand, data = Sand(everything), mujoco.MjData(everything)
+    excite(everything, data)
+    for _ in range(5):
+        sand.step(data)
+    data.qfrc_applied[7] = np.inf
+    before = state(everything, data)
+    with pytest.raises(UnstableError, match=r"qacc of body '(hand|arm|tip)' at t = 0\.1255 s"):
+        sand.step(data)
+    assert np.array_equal(state(everything, data), before)
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize(
+    ("index", "body"),
+    [
+        (0, "trunk"),
+        (3, "trunk"),
+        (6, "trunk"),
+        (7, "arm"),
+        (8, "hand"),
+        (11, "hand"),
+        (12, "probe"),
+    ],
+)
+def test_the_body_is_named_by_position(chain_model, index, body):
+    """Free and ball joints have more positions than velocities."""
+    sand, data = Sand(chain_model), mujoco.MjData(chain_model)
+    sand.step(data)
+    data.qpos[index] = np.inf
+    with pytest.raises(UnstableError, match=f"qpos of body '{body}' at t = 0 s, step 1:"):
+        sand.step(data)
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize(
+    ("index", "body"), [(0, "trunk"), (5, "trunk"), (6, "arm"), (7, "hand"), (10, "probe")]
+)
+def test_the_body_is_named_by_velocity(chain_model, index, body):
+    sand, data = Sand(chain_model), mujoco.MjData(chain_model)
+    sand.step(data)
+    data.qvel[index] = 1e11
+    with pytest.raises(UnstableError, match=f"qvel of body '{body}'"):
+        sand.step(data)
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize("autoreset", [True, False])
+def test_nothing_good_was_known(link_model, autoreset):
+    set_autoreset(link_model, autoreset)
+    sand, data = Sand(link_model), mujoco.MjData(link_model)
+    data.qvel[2] = np.nan
+    with pytest.raises(UnstableError) as caught:
+        sand.step(data)
+    message = str(caught.value)
+    assert "qvel of body 'link' before the sand's first step" in message
+    assert ("has reset the simulation" in message) is autoreset
+    data.qvel[2] = 0
+    sand.step(data)
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize("autoreset", [True, False])
+def test_apply_brings_the_state_back_too(everything, autoreset):
+    set_autoreset(everything, autoreset)
+    sand, data = Sand(everything), mujoco.MjData(everything)
+    excite(everything, data)
+    own = data.xfrc_applied.copy()
+    for _ in range(20):
+        good = data.time, data.qpos.copy(), data.qvel.copy(), data.mocap_pos.copy()
+        mujoco.mj_step1(everything, data)
+        sand.apply(data)
+        mujoco.mj_step2(everything, data)
+    data.qvel[3] = np.nan
+    mujoco.mj_step1(everything, data)
+    with pytest.raises(UnstableError, match="qvel of body 'hand'"):
+        sand.apply(data)
+    for found, expected in zip(
+        (data.time, data.qpos, data.qvel, data.mocap_pos), good, strict=True
+    ):
+        assert np.array_equal(found, expected)
+    sand.release(data)
+    # What MuJoCo has reset stays so; what it has not is the user's.
+    assert np.array_equal(data.xfrc_applied, 0 * own if autoreset else own)
+
+
+@pytest.mark.usefixtures("quiet")
+@pytest.mark.parametrize("autoreset", [True, False])
+def test_a_run_that_blows_up_of_itself(everything, autoreset):
+    set_autoreset(everything, autoreset)
+    everything.dof_damping[-1] = -10
+    sand, data = Sand(everything), mujoco.MjData(everything)
+    excite(everything, data)
+    time, failed = 0.0, None
+    while failed is None:
+        time = data.time
+        try:
+            sand.step(data)
+        except UnstableError as error:
+            failed = str(error)
+    step = round(data.time / 1e-4) + 1
+    assert f"at t = {data.time:.6g} s, step {step}: " in failed
+    assert "time step below 0.0001 s" in failed
+    assert time - 1.5e-4 < data.time <= time
+    assert np.isfinite(state(everything, data)).all()
+    assert 1e3 < np.abs(data.qvel).max() < 1e10
+
+
+# Warnings
+
+
+def module(name, source):
+    """A module of that name, as if it had been imported from a file of it."""
+    made = types.ModuleType(name)
+    vars(made)["warn_user"] = warn_user
+    exec(compile(source, f"{name}.py", "exec"), vars(made))
+    return made
+
+
+@pytest.mark.parametrize("depth", [0, 1, 5])
+def test_warnings_point_at_the_users_line(depth):
+    source = "def dig(depth):\n    return dig(depth - 1) if depth else warn_user('mind this')"
+    inner = module("mjgranular.inner", source)
+    outer = module("mjgranular_user", "def use(dig, depth):\n\n    dig(depth)")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        outer.use(inner.dig, depth)
+    (warning,) = caught
+    assert warning.category is GranularWarning
+    assert str(warning.message) == "mind this"
+    assert (warning.filename, warning.lineno) == ("mjgranular_user.py", 3)
