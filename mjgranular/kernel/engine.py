@@ -46,6 +46,7 @@ def _function(name: str, *arguments: Any) -> Any:
 _ADDRESS, _INT = types.int64, types.int32
 forward_actuation = _function("mj_fwdActuation", _ADDRESS, _ADDRESS)
 forward_acceleration = _function("mj_fwdAcceleration", _ADDRESS, _ADDRESS)
+forward_constraint = _function("mj_fwdConstraint", _ADDRESS, _ADDRESS)
 solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)
 smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
 

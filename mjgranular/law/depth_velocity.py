@@ -13,7 +13,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip, in_world
+from mjgranular.law.kernel import LawKernel, grip, in_world, speed_of_all
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
@@ -39,11 +39,11 @@ def depth_velocity_resist(blob, law, g, v, d):
 
 
 @compiled
-def depth_velocity_respond(blob, law, g, v, eps, reach):
+def depth_velocity_respond(blob, law, g, v, eps, reach, shares):
     """Resistance and its derivative, rest made soft (see `law.kernel`)."""
     vx, vy, vz = v
     speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    gain, along, across = grip(speed, blob[5], eps, reach)
+    gain, along, across = grip(speed, blob[5], eps, reach, shares[0])
     # d(A |v| v)/dv = A (|v| + v v / |v|)
     turn = 0.0
     if speed > 0.0:
@@ -95,6 +95,7 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
         depth_velocity_immerse,
         depth_velocity_resist,
         depth_velocity_respond,
+        speed_of_all,
         numbers=1,
     )
 

@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip, in_world
+from mjgranular.law.kernel import LawKernel, grip, in_world, speed_of_all
 from mjgranular.shape.facets import facet_records
 
 # Below this speed [m/s] an element has no direction of motion. Chosen: far below any motion, far
@@ -82,7 +82,7 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
         return lead * sx, lead * sy, lead * sz
 
     @compiled
-    def facet_respond(facet, law, g, v, eps, reach):
+    def facet_respond(facet, law, g, v, eps, reach, shares):
         nx, ny, nz, zx, zy, zz, gain, push = facet[5:]
         vx, vy, vz = v
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
@@ -104,7 +104,7 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
                 law, g, nx, ny, nz,
                 ux + _TURN * qx, uy + _TURN * qy, uz + _TURN * qz, zx, zy, zz,
             )  # fmt: skip
-            strength, along, level = grip(speed, gain, eps, reach)
+            strength, along, level = grip(speed, gain, eps, reach, shares[0])
             strength *= speed
             fx, fy, fz = strength * sx, strength * sy, strength * sz
             t = -level / _TURN
@@ -137,7 +137,7 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
             k8 += inertial * nz * nz
         return fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8
 
-    return LawKernel(facet_records, facet_immerse, facet_resist, facet_respond, numbers=8)
+    return LawKernel(facet_records, facet_immerse, facet_resist, facet_respond, speed_of_all, numbers=8)
 
 
 @compiled

@@ -45,16 +45,19 @@ class LawKernel:
         resist: kernel `resist(immersed, law, g, v, d)`: the force [N] (x, y, z) on the element
             that `immerse` described, from the velocity of its point [m/s] for what depends on the
             direction of motion (`v`) and for what grows with speed (`d`, which may lead).
-        respond: kernel `respond(immersed, law, g, v, eps, reach)`: the force and, row by row, the
-            nine numbers of minus its derivative by velocity [N s/m]. Static resistance, which
-            jumps where the motion turns round, grows to its limit over speeds of the size of `eps`;
-            an element slower than `reach` >= `eps` is taken to hold (see `grip`).
+        respond: kernel `respond(immersed, law, g, v, eps, reach, shares)`: the force and, row by
+            row, the nine numbers of minus its derivative by velocity [N s/m]. Static resistance,
+            which jumps where the motion turns round, is made soft by `grip`, with which it is to
+            be written; a law may have two such limits, each with its share.
+        speeds: kernel `speeds(immersed, v, c)`: the two speeds that `grip` is given, and how they
+            change with a change `c` of the velocity; `speed_of_all` where there is one.
     """
 
     elements: Any
     immerse: Any
     resist: Any
     respond: Any
+    speeds: Any
     numbers: int
 
 
@@ -70,8 +73,14 @@ def in_world(pose, x, y, z):
 
 
 @compiled
-def grip(speed, limit, eps, reach):
+def grip(speed, limit, eps, reach, share):
     """Dry friction with a limit, made soft: limit v / sqrt(v^2 + eps^2).
+
+    The derivative along the motion falls to nothing where the limit is reached, and Newton's method
+    leaps from there. So it takes the share of the limit that the element was last found to need
+    for one of the two factors phi in 1 - phi^2: that is right at the solution and stiff on the way
+    (the primal-dual method of Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999), for the same
+    function in image processing).
 
     Below `reach`, the softness it was last solved for, an element is taken to hold: it is looked at
     with the force it had then, at the speed that gives this force now, and goes on from there along
@@ -82,6 +91,7 @@ def grip(speed, limit, eps, reach):
         limit: of the friction [N].
         eps: speed at which it has grown to 0.7 of its limit [m/s].
         reach: at least `eps` [m/s].
+        share: of the limit that was needed; negative where that is not known.
 
     Returns:
         (gain, along, across) [N s/m]: the force is `-gain v`, and minus its derivative `along` in
@@ -95,4 +105,31 @@ def grip(speed, limit, eps, reach):
         return across * (eps / reach) + along * (1.0 - eps / reach), along, across
     size = math.sqrt(speed * speed + eps * eps)
     across = limit / size
-    return across, across * (eps / size) * (eps / size), across
+    along = across * (eps / size) * (eps / size)
+    if share >= 0.0:
+        along = across * (1.0 - share * (speed / size))
+    return across, along, across
+
+
+@compiled
+def new_share(speed, change, eps, share):
+    """The share of its limit that an element needs after a step of Newton's method.
+
+    Args:
+        speed: before the step [m/s].
+        change: of the speed [m/s].
+        eps: as in `grip`.
+        share: that the step was made with.
+    """
+    size = math.sqrt(speed * speed + eps * eps)
+    if share < 0.0:
+        share = speed / size
+    return min(max((speed + (1.0 - share * (speed / size)) * change) / size, 0.0), 1.0)
+
+
+@compiled
+def speed_of_all(immersed, v, c):
+    """Speed and its change for a change `c` of velocity, where one limit holds against both."""
+    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    change = v[0] * c[0] + v[1] * c[1] + v[2] * c[2]
+    return speed, 0.0, change / speed if speed > 0.0 else 0.0, 0.0

@@ -79,7 +79,7 @@ def link_resist(rod, law, g, v, d):
 
 
 @compiled
-def link_respond(rod, law, g, v, eps, reach):
+def link_respond(rod, law, g, v, eps, reach, shares):
     """Resistance and its derivative, rest made soft (see `law.kernel`)."""
     ux, uy, uz, nx, ny, nz, limit_n, limit_t, drag = rod[5:]
     vx, vy, vz = v
@@ -87,8 +87,8 @@ def link_respond(rod, law, g, v, eps, reach):
     tx, ty, tz = vx - normal_v * nx, vy - normal_v * ny, vz - normal_v * nz
     tangent_v = math.sqrt(tx * tx + ty * ty + tz * tz)
 
-    gain_n, stiff_n, _ = grip(abs(normal_v), limit_n, eps, reach)
-    gain_t, along_t, across_t = grip(tangent_v, limit_t, eps, reach)
+    gain_n, stiff_n, _ = grip(abs(normal_v), limit_n, eps, reach, shares[0])
+    gain_t, along_t, across_t = grip(tangent_v, limit_t, eps, reach, shares[1])
     turn = 0.0
     if tangent_v > 0.0:
         turn = (across_t - along_t) / (tangent_v * tangent_v)
@@ -118,6 +118,20 @@ def link_respond(rod, law, g, v, eps, reach):
         level * nz * ny - turn * tz * ty + vz * py,
         same + level * nz * nz - turn * tz * tz + vz * pz,
     )
+
+
+@compiled
+def link_speeds(rod, v, c):
+    """Speeds along the normal and along the surface, and their changes (see `law.kernel`)."""
+    nx, ny, nz = rod[8], rod[9], rod[10]
+    normal_v = v[0] * nx + v[1] * ny + v[2] * nz
+    normal_c = c[0] * nx + c[1] * ny + c[2] * nz
+    tx, ty, tz = v[0] - normal_v * nx, v[1] - normal_v * ny, v[2] - normal_v * nz
+    tangent_v = math.sqrt(tx * tx + ty * ty + tz * tz)
+    tangent_c = tx * c[0] + ty * c[1] + tz * c[2]
+    if tangent_v > 0.0:
+        tangent_c /= tangent_v
+    return abs(normal_v), tangent_v, math.copysign(1.0, normal_v) * normal_c, tangent_c
 
 
 @cache
@@ -153,4 +167,4 @@ def link_kernel(limits: Any, probe: Any) -> LawKernel:
         drag = law.eta_d * law.density * rod.width * length
         return depth, length, cx, cy, cz, ux, uy, uz, nx, ny, nz, limit_n, limit_t, drag
 
-    return LawKernel(rod_records, link_immerse, link_resist, link_respond, numbers=9)
+    return LawKernel(rod_records, link_immerse, link_resist, link_respond, link_speeds, numbers=9)

@@ -20,7 +20,7 @@ _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)  # and of a joint, one below
 _ELLIPTIC = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC)
 _contacts = records(CONTACT_DTYPE)
-_rows = records(ROWS_DTYPE)
+rows_of = records(ROWS_DTYPE)
 
 
 @compiled
@@ -51,20 +51,49 @@ def prepare_inertia(desk, room, h):
         for i in range(nv):
             extra[i * nv + i] = h * damping[i]
     else:
-        smooth_derivative(desk[d.MODEL], desk[d.DATA], 1 if kind == d.IMPLICIT_FULL else 0)
-        size, start = ints(desk[d.D_SIZE], nv), ints(desk[d.D_START], nv)
-        total = start[nv - 1] + size[nv - 1]
-        column, values = ints(desk[d.D_COLUMN], total), floats(desk[d.DERIVATIVE], total)
-        for i in range(nv):
-            for k in range(start[i], start[i] + size[i]):
-                j = column[k]
-                if kind == d.IMPLICIT_FULL:
-                    extra[i * nv + j] = -h * values[k]
-                elif j <= i:  # implicitfast takes the lower half for both
-                    extra[i * nv + j] = -h * values[k]
-                    extra[j * nv + i] = -h * values[k]
+        full = kind == d.IMPLICIT_FULL
+        if full or desk[d.LONE_COUNT] > 0:
+            smooth_derivative(desk[d.MODEL], desk[d.DATA], 1)
+            take_derivative(desk, extra, h, True)
+        if not full:
+            # implicitfast leaves out the bias, but for lone free bodies.
+            if desk[d.LONE_COUNT] > 0:
+                keep_lone(desk, extra)
+            smooth_derivative(desk[d.MODEL], desk[d.DATA], 0)
+            take_derivative(desk, extra, h, False)
     for k in range(nv * nv):
         inertia[k] += extra[k]
+
+
+@compiled
+def take_derivative(desk, extra, h, whole):
+    """Sets -h times the derivative of the smooth forces, where `extra` holds nothing yet."""
+    nv = desk[d.NV]
+    size, start = ints(desk[d.D_SIZE], nv), ints(desk[d.D_START], nv)
+    total = start[nv - 1] + size[nv - 1]
+    column, values = ints(desk[d.D_COLUMN], total), floats(desk[d.DERIVATIVE], total)
+    for i in range(nv):
+        for k in range(start[i], start[i] + size[i]):
+            j = column[k]
+            if whole:
+                extra[i * nv + j] = -h * values[k]
+            elif j <= i and extra[i * nv + j] == 0.0:  # implicitfast reads the lower half
+                extra[i * nv + j] = -h * values[k]
+                extra[j * nv + i] = -h * values[k]
+
+
+@compiled
+def keep_lone(desk, extra):
+    """Clears all but the blocks of lone free bodies."""
+    nv = desk[d.NV]
+    lone = ints(desk[d.LONE], desk[d.LONE_COUNT])
+    for i in range(nv):
+        for j in range(nv):
+            within = False
+            for k in range(len(lone)):
+                within = within or (lone[k] <= i < lone[k] + 6 and lone[k] <= j < lone[k] + 6)
+            if not within:
+                extra[i * nv + j] = 0.0
 
 
 @compiled
@@ -217,7 +246,7 @@ def bound_forces(desk, room, velocity, h):
     """
     nv = desk[d.NV]
     data = desk[d.DATA]
-    rows = _rows(desk[d.ROWS], 1)[0]
+    rows = rows_of(desk[d.ROWS], 1)[0]
     count = ints(data + rows.count, 1)[0]
     room.bound[:] = 0.0
     if count == 0:

@@ -22,6 +22,11 @@ WET_DTYPE = np.dtype(
         ("slot", np.int64),
         ("body", np.int64),
         ("arm", np.float64, (3,)),  # from the centre of the tree to where force acts [m]
+        ("velocity", np.float64, (3,)),  # last looked at [m/s]
+        ("shares", np.float64, (2,)),  # of its limits that it needs, negative: not known
+        ("base_velocity", np.float64, (3,)),  # both before a step of Newton's method,
+        ("base_shares", np.float64, (2,)),
+        ("change", np.float64, (3,)),  # and the change of velocity in the whole of that step
         ("immersed", np.float64, (IMMERSED_SIZE,)),  # what the law's `immerse` gave
     ]
 )
@@ -41,7 +46,7 @@ ACCOUNT_DTYPE = np.dtype(
 account_records = records(ACCOUNT_DTYPE)
 
 # The desk's table: sizes and switches, then addresses. The order is that of `make_desk`.
-NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE = range(6)
+NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT = range(7)
 OF_MODEL = (
     "M_rownnz",
     "M_rowadr",
@@ -57,18 +62,31 @@ OF_MODEL = (
     "body_dofnum",
     "dof_damping",
 )
-OF_DATA = ("qvel", "cdof", "M", "qDeriv", "qfrc_smooth", "qacc_smooth", "subtree_com", "xipos")
-FIRST_OF_MODEL = 6
-FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
-WET, NUMBERS, ACCOUNT, ROWS = range(
-    FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 4
+OF_DATA = (
+    "qvel",
+    "cdof",
+    "M",
+    "qDeriv",
+    "qfrc_smooth",
+    "qacc_smooth",
+    "subtree_com",
+    "xipos",
+    "qfrc_constraint",
+    "qacc_warmstart",
 )
-DESK_SIZE = ROWS + 1
+FIRST_OF_MODEL = 7
+FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
+WET, NUMBERS, ACCOUNT, ROWS, LONE = range(
+    FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 5
+)
+DESK_SIZE = LONE + 1
 (
     M_SIZE, M_START, M_COLUMN, D_SIZE, D_START, D_COLUMN,
     DOF_BODY, DOF_PARENT, BODY_PARENT, BODY_ROOT, BODY_DOF, BODY_DOFS, DAMPING,
 ) = range(FIRST_OF_MODEL, FIRST_OF_DATA)  # fmt: skip
-QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM = range(FIRST_OF_DATA, WET)
+(
+    QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM, CONSTRAINT, WARMSTART,
+) = range(FIRST_OF_DATA, WET)  # fmt: skip
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
 PLAIN, DAMPED, IMPLICIT_FAST, IMPLICIT_FULL = range(4)
@@ -168,6 +186,7 @@ def make_desk(
     numbers = np.zeros(room_size(model.nv, model.nbody))
     account = np.zeros(1, ACCOUNT_DTYPE)
     rows = np.array([constraint_rows()], ROWS_DTYPE)
+    lone = lone_free_joints(model)
     sizes = (
         model.nbody,
         model.nv,
@@ -175,8 +194,9 @@ def make_desk(
         data_address,
         integrator_of(model),
         int(mujoco.mj_isSparse(model)),
+        len(lone),
     )
-    holds: tuple[Any, ...] = (wet, numbers, account, rows)
+    holds: tuple[Any, ...] = (wet, numbers, account, rows, lone)
     addresses = (
         *(of_model(name) for name in OF_MODEL),
         *(of_data(name) for name in OF_DATA),
@@ -196,3 +216,18 @@ def integrator_of(model: mujoco.MjModel) -> int:
     if model.opt.disableflags & off or not model.dof_damping.any():
         return PLAIN
     return DAMPED
+
+
+def lone_free_joints(model: mujoco.MjModel) -> np.ndarray:
+    """First degree of freedom of each free body that carries no joint, int32.
+
+    For these `implicitfast` takes the gyroscopic moment implicitly too (measured with MuJoCo 4.0).
+    """
+    root_dofs = np.bincount(model.body_rootid[model.dof_bodyid], minlength=model.nbody)
+    lone = [
+        int(model.jnt_dofadr[joint])
+        for joint in range(model.njnt)
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        and root_dofs[model.body_rootid[model.jnt_bodyid[joint]]] == 6
+    ]
+    return np.array(lone, np.int32)

@@ -30,7 +30,12 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import forward_acceleration, forward_actuation
+from mjgranular.kernel.engine import (
+    forward_acceleration,
+    forward_actuation,
+    forward_constraint,
+    solve_inertia,
+)
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -46,7 +51,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import body_records, contact_records
-from mjgranular.law.kernel import LawKernel
+from mjgranular.law.kernel import LawKernel, new_share
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
     add_bodies,
@@ -54,6 +59,7 @@ from mjgranular.scheme.balance import (
     bound_forces,
     norm,
     prepare_inertia,
+    rows_of,
     solve,
     weigh,
 )
@@ -76,10 +82,12 @@ _SOFT_SHARE = 1e-7
 _FINER = 1e-3
 # Residuals, in parts of the momentum at hand: of a coarse softness, of the last, where a start at the
 # last is worth trying, and what may be rounding. Chosen by counting too.
-_COARSE, _FINE, _NEAR, _ROUNDED = 1e-3, 1e-9, 0.1, 1e-6
-_STEPS, _STEPS_NEAR = 6, 4  # of Newton's method at one softness
-_SHORTEST = 0.2  # of a step
+_COARSE, _FINE, _NEAR, _ROUNDED = 1e-3, 1e-9, 0.7, 1e-6
+_STEPS, _STEPS_NEAR = 6, 6  # of Newton's method at one softness
+_SHORTEST = 0.1  # of a step
 _NO_ENERGY = 1e-14  # [J]
+_ENGINE = 1e-8  # residual of MuJoCo's constraint solver, in parts of the momentum at hand; chosen
+_HALVINGS = 20  # a share to one in a million
 
 
 @dataclass(frozen=True)
@@ -95,7 +103,7 @@ class Implicit(Scheme):
     title: ClassVar[str] = "forces at the end of the step: exact rest, large steps"
     whole_state: ClassVar[bool] = True
 
-    evaluations: int = 40
+    evaluations: int = 80
 
     def __post_init__(self) -> None:
         if self.evaluations < 1:
@@ -134,7 +142,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         scene_dtype: record of law and surface.
         most: evaluations in one step.
     """
-    element_records, immerse, respond = kernel.elements, kernel.immerse, kernel.respond
+    element_records, immerse = kernel.elements, kernel.immerse
+    respond, speeds = kernel.respond, kernel.speeds
     scene_records = records(scene_dtype)
     size = 5 + kernel.numbers
 
@@ -200,8 +209,10 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             )  # fmt: skip
             x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
             immersed = to_fixed_tuple(entry.immersed, size)
+            v = velocity_at(w, x, y, z)
+            entry.velocity[0], entry.velocity[1], entry.velocity[2] = v[0], v[1], v[2]
             fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8 = respond(
-                immersed, law, g, velocity_at(w, x, y, z), eps, reach
+                immersed, law, g, v, eps, reach, (entry.shares[0], entry.shares[1])
             )
             contact = contacts[entry.index]
             contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
@@ -231,6 +242,41 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         return norm(room.residual, room.inertia, nv)
 
     @compiled
+    def forget_shares(table, desk, count):
+        """What the elements' limits are needed for is not known."""
+        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+        for i in range(count):
+            wet[i].shares[:] = -1.0
+
+    @compiled
+    def set_out(table, desk, room, count):
+        """Notes where a step of Newton's method by -`room.change` begins."""
+        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+        body_motions(desk, room, room.change)
+        m = room.motion
+        for i in range(count):
+            entry = wet[i]
+            b = 6 * entry.body
+            w = (m[b], m[b + 1], m[b + 2], m[b + 3], m[b + 4], m[b + 5])
+            cx, cy, cz = velocity_at(w, entry.arm[0], entry.arm[1], entry.arm[2])
+            entry.change[0], entry.change[1], entry.change[2] = -cx, -cy, -cz
+            for k in range(3):
+                entry.base_velocity[k] = entry.velocity[k]
+            entry.base_shares[0], entry.base_shares[1] = entry.shares[0], entry.shares[1]
+
+    @compiled
+    def foresee_shares(table, desk, count, part, eps):
+        """What the elements' limits are needed for after a part of that step."""
+        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+        for i in range(count):
+            entry = wet[i]
+            v = (entry.base_velocity[0], entry.base_velocity[1], entry.base_velocity[2])
+            c = (part * entry.change[0], part * entry.change[1], part * entry.change[2])
+            s0, s1, c0, c1 = speeds(to_fixed_tuple(entry.immersed, size), v, c)
+            entry.shares[0] = new_share(s0, c0, eps, entry.base_shares[0])
+            entry.shares[1] = new_share(s1, c1, eps, entry.base_shares[1])
+
+    @compiled
     def newton(table, desk, room, count, h, eps, goal, steps):
         """Newton's method at one softness, from `room.velocity`, which ends where it got to.
 
@@ -246,14 +292,16 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for _ in range(steps):
             if error <= goal or not solve(room.matrix, room.residual, change, nv):
                 break
-            share = 1.0
+            set_out(table, desk, room, count)
+            part = 1.0
             found = math.inf
-            while not found < error and share > _SHORTEST:
+            while not found < error and part > _SHORTEST:
                 for j in range(nv):
-                    trial[j] = velocity[j] - share * change[j]
+                    trial[j] = velocity[j] - part * change[j]
+                foresee_shares(table, desk, count, part, eps)
                 found = evaluate(table, desk, room, trial, count, h, eps, eps)
                 done += 1
-                share *= 0.5
+                part *= 0.5
             if not found < error:
                 break
             velocity[:] = trial
@@ -270,6 +318,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         nv = desk[d.NV]
         velocity, start, change, good = room.velocity, room.start, room.change, room.good
         # At rest what was is what will be, and a few steps are enough.
+        forget_shares(table, desk, count)
         done, error = newton(table, desk, room, count, h, fine, _FINE * scale, 0)
         if error < _NEAR * scale:
             more, error = newton(table, desk, room, count, h, fine, _FINE * scale, _STEPS_NEAR)
@@ -278,6 +327,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             return done, error / scale if scale > 0.0 else 0.0, fine
 
         velocity[:] = start
+        forget_shares(table, desk, count)
         eps = max(coarse, fine)
         stride = _FINER
         firm = -1.0  # the last softness that was solved for, `good` its velocity
@@ -295,9 +345,11 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 stride = math.sqrt(eps / firm)
                 eps = firm
                 velocity[:] = good
+                forget_shares(table, desk, count)
             else:
                 eps *= 10.0
                 velocity[:] = start
+                forget_shares(table, desk, count)
                 continue
             finer = stride * eps
             if finer < 1.5 * fine:
@@ -313,6 +365,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         if eps > fine and firm > 0.0:  # out of breath: as soft as was solved for, but that exactly
             eps = firm
             velocity[:] = good
+            forget_shares(table, desk, count)
             more, error = newton(table, desk, room, count, h, eps, _FINE * scale, _STEPS)
             done += more
         elif error > 0.0:  # the last trial may have been a step too far
@@ -340,7 +393,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             coarse, fine, scale = begin(desk, room, wet, count, lead)
             done, error, soft = find_velocity(table, desk, room, count, lead, coarse, fine, scale)
             share = 1.0
-            if power_bound(desk, room, error * scale) > _NO_ENERGY:
+            if power_bound(desk, room, error, scale) > _NO_ENERGY:
                 share = passive_share(desk, room, lead)
             hand_over(desk, room, bodies, share)
             if share != 1.0:
@@ -435,42 +488,73 @@ def begin(desk, room, wet, count, h):
 
 
 @compiled
-def power_bound(desk, room, error):
+def power_bound(desk, room, error, scale):
     """What the sand may add to the energy at most [J], by the velocity found and its residual."""
     nv = desk[d.NV]
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    if ints(desk[d.DATA] + rows.count, 1)[0] > 0:  # the engine's own solver stops short as well
+        error = max(error, _ENGINE)
     work = 0.0
     for j in range(nv):
         work += room.sand[j] * room.velocity[j]
-    return work + 10.0 * error * norm(room.sand, room.inertia, nv)
+    return work + 10.0 * error * scale * norm(room.sand, room.inertia, nv)
 
 
 @compiled
 def passive_share(desk, room, h):
-    """The share of the sand's momentum that takes out as much energy as it can without giving any.
+    """The largest share of the sand's momentum that gives no energy; 1 if the whole gives none.
 
     Where Newton's method stops short, its forces are bounded but need not oppose the velocities
-    they lead to. The power of a share s of them, s p.v_free + s^2 p.A^-1 p, is not positive up to
-    this share; 1 where the whole is passive already. Constraints are taken as found.
+    they lead to. The velocity that a share s leads to is asked for, of the engine itself where it
+    has constraints; its product with the sand's momentum grows with s, so that halving finds where
+    it turns positive. What is returned has been asked for.
+    """
+    if power_of_share(desk, room, h, 1.0) <= 0.0:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        share = 0.5 * (low + high)
+        if power_of_share(desk, room, h, share) <= 0.0:
+            low = share
+        else:
+            high = share
+    return low
+
+
+@compiled
+def power_of_share(desk, room, h, share):
+    """The sand's momentum times the velocity that a share of it leads to [J].
+
+    Leaves the engine's state as it was, but for what its step computes anew.
     """
     nv = desk[d.NV]
+    smooth = floats(desk[d.SMOOTH], nv)
+    acceleration = floats(desk[d.ACCELERATION], nv)
+    warmstart = floats(desk[d.WARMSTART], nv)
+    constraint = floats(desk[d.CONSTRAINT], nv)
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    bound = ints(desk[d.DATA] + rows.count, 1)[0] > 0
+    for j in range(nv):
+        smooth[j] = (room.smooth[j] + share * room.sand[j]) / h
+    if bound:
+        solve_inertia(
+            desk[d.MODEL], desk[d.DATA], acceleration.ctypes.data, smooth.ctypes.data, 1
+        )
+        for j in range(nv):
+            room.product[j] = warmstart[j]
+        forward_constraint(desk[d.MODEL], desk[d.DATA])
+        for j in range(nv):
+            warmstart[j] = room.product[j]
+    for j in range(nv):
+        room.trial[j] = h * (smooth[j] + constraint[j] if bound else smooth[j])
     for k in range(nv * nv):
         room.matrix[k] = room.inertia[k]
+    if not solve(room.matrix, room.trial, room.answer, nv):
+        return 0.0
+    power = 0.0
     for j in range(nv):
-        room.trial[j] = room.smooth[j] + room.bound[j]
-    if not solve(room.matrix, room.trial, room.change, nv):
-        return 1.0
-    for k in range(nv * nv):
-        room.matrix[k] = room.inertia[k]
-    for j in range(nv):
-        room.trial[j] = room.sand[j]
-    solve(room.matrix, room.trial, room.answer, nv)
-    free, own = 0.0, 0.0
-    for j in range(nv):
-        free += room.sand[j] * (room.start[j] + room.change[j])
-        own += room.sand[j] * room.answer[j]
-    if not own > 0.0:
-        return 1.0
-    return min(max(-free / own, 0.0), 1.0)
+        power += room.sand[j] * (room.start[j] + room.answer[j])
+    return power
 
 
 @compiled

@@ -1,0 +1,146 @@
+"""Which part of a facet is in the sand, and which part leads.
+
+A facet is taken as a parallelogram over which depth and v.n vary linearly: `d + a s + b t`, s and t
+from -1 to 1, where a and b are the rises of the quantity along its half edges. With h >= k for the
+sizes of a and b, what is positive of that is everything, nothing, or one of
+
+- |d| <= h - k: a trapezium; the line d + a s + b t = 0 crosses the two edges that go along h;
+- |d| > h - k: a corner, or everything but a corner, with legs q/h and q/k, q = h + k - |d|.
+
+Integrals over these are polynomials in d/h, k/h or q, and each is written so that nothing cancels:
+no quantity is divided by k or q that it does not vanish with. So a and b may be of any size, and
+zero. The signs of a and b only mirror the parallelogram.
+
+The functions are scalar kernels. A facet without edges and spread (a = b = 0) is wet, and leads, as
+a whole where d > 0.
+"""
+
+from __future__ import annotations
+
+import math
+
+from mjgranular.kernel.compiled import compiled
+
+
+@compiled
+def leading_part(c, a, b):
+    """The part of a facet where c + a s + b t > 0: its share of the area, and its centroid.
+
+    Of a trapezium y h high on average, y = 1 + c/h, the share is y/2; over a strip along t at
+    s its height is y + (k/h) s, and the centroid follows from the mean of the heights and of their
+    squares. A corner is a triangle with its centroid at a third of its legs.
+
+    With the depths for c, a and b it is the wet part.
+
+    Args:
+        c: normal velocity at the facet's middle, v.n; in any unit.
+        a: its rise along the first half edge, v.spread[0] + n.(w x edges[0]) for a facet that turns
+            with w.
+        b: its rise along the second.
+
+    Returns:
+        The share, 0 to 1, and s and t of the centroid, both 0 where the share is 0 or 1.
+    """
+    reach = abs(a) + abs(b)
+    if c <= -reach:
+        return 0.0, 0.0, 0.0
+    if c >= reach:
+        return 1.0, 0.0, 0.0
+    h, k = max(abs(a), abs(b)), min(abs(a), abs(b))
+    if abs(c) <= h - k:
+        y, ratio = (h + c) / h, k / h
+        share = 0.5 * y
+        along_h = 1.0 - 0.5 * y - ratio * ratio / (6.0 * y)
+        along_k = ratio / (3.0 * y)
+    else:
+        q = reach - abs(c)
+        corner = (q / h) * (q / k) / 8.0
+        along_h, along_k = 1.0 - q / (3.0 * h), 1.0 - q / (3.0 * k)
+        share = corner
+        if c > 0.0:  # the corner is what does not lead
+            share = 1.0 - corner
+            along_h *= corner / share
+            along_k *= corner / share
+    if abs(a) >= abs(b):
+        return share, math.copysign(along_h, a), math.copysign(along_k, b)
+    return share, math.copysign(along_k, a), math.copysign(along_h, b)
+
+
+@compiled
+def wet_part(depth, a, b):
+    """Mean depth over a facet, nothing counting for negative, and where it acts.
+
+    The mean of <depth + a s + b t> and its moments, over the same trapeziums and corners as in
+    `leading_part`; the depth over a corner is a pyramid, with a mean of a third of its height and
+    its centre of pressure at a quarter of its legs. In the sand as a whole the mean is `depth`, and
+    the moments are a/3 and b/3.
+
+    Args:
+        depth: of the facet's middle [m].
+        a: its rise along the first half edge [m], -edges[0].z for a level surface with normal z.
+        b: its rise along the second [m].
+
+    Returns:
+        The mean over the whole facet [m], and s and t of the centre of pressure.
+    """
+    reach = abs(a) + abs(b)
+    if depth <= -reach:
+        return 0.0, 0.0, 0.0
+    if depth >= reach:
+        return depth, a / (3.0 * depth), b / (3.0 * depth)
+    h, k = max(abs(a), abs(b)), min(abs(a), abs(b))
+    if abs(depth) <= h - k:
+        y, ratio = (h + depth) / h, k / h
+        whole = 3.0 * y * y + ratio * ratio
+        mean = h * whole / 12.0
+        along_h = (y * y * (3.0 - y) + (1.0 - y) * ratio * ratio) / whole
+        along_k = 2.0 * ratio * y / whole
+    else:
+        q = reach - abs(depth)
+        corner = (q / h) * (q / k) * q / 24.0
+        along_h, along_k = 1.0 - q / (4.0 * h), 1.0 - q / (4.0 * k)
+        mean = corner
+        if depth > 0.0:  # the corner is what is dry: <x> = x + <-x>
+            mean = depth + corner
+            along_h = (h / 3.0 - corner * along_h) / mean
+            along_k = (k / 3.0 - corner * along_k) / mean
+    if abs(a) >= abs(b):
+        return mean, math.copysign(along_h, a), math.copysign(along_k, b)
+    return mean, math.copysign(along_k, a), math.copysign(along_h, b)
+
+
+@compiled
+def acting_part(depth, h1, h2, c, a, b):
+    """What of a facet is pushed: the part that is in the sand and leads.
+
+    The leading part is replaced by a parallelogram around its centroid, narrowed by the distance
+    of that from the middle: exact where the edge of leading runs along an edge or a corner is cut
+    off, and of second order otherwise. The force of a stress f(n, v) is then
+
+        area * load * f(n', v'),  n' = normal + ls spread[0] + lt spread[1], to be normalized,
+                                  v' = v + w x r,  r = s edges[0] + t edges[1],
+
+    and acts at `point + r`, whose velocity v' is, so that what f takes from the motion is what the
+    force takes. Where n'.v' <= 0, which is rare, there is none.
+
+    Args:
+        depth: of the facet's middle [m].
+        h1: rise of the depth along the first half edge [m].
+        h2: likewise along the second.
+        c: normal velocity at the facet's middle, in any unit.
+        a: its rise along the first half edge.
+        b: likewise along the second.
+
+    Returns:
+        load, the mean depth [m] of what acts, over the area of the whole facet; ls and lt, the
+        centroid of the leading part; s and t, the centre of pressure.
+    """
+    share, ls, lt = leading_part(c, a, b)
+    if share == 1.0:  # most facets
+        mean, s, t = wet_part(depth, h1, h2)
+        return mean, 0.0, 0.0, s, t
+    if share == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    f1, f2 = 1.0 - abs(ls), 1.0 - abs(lt)
+    mean, s, t = wet_part(depth + ls * h1 + lt * h2, f1 * h1, f2 * h2)
+    return share * mean, ls, lt, ls + f1 * s, lt + f2 * t
