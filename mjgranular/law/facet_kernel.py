@@ -8,6 +8,7 @@ from typing import Any
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.law.kernel import LawKernel, grip, in_world, speed_of_all
+from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.shape.facets import facet_records
 
 # Below this speed [m/s] an element has no direction of motion. Chosen: far below any motion, far
@@ -43,26 +44,65 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
         x, y, z = in_world(pose, facet.point[0], facet.point[1], facet.point[2])
         px, py, pz = pose.position[0] + x, pose.position[1] + y, pose.position[2] + z
         depth, zx, zy, zz = probe(surface, px, py, pz)
-        nx, ny, nz, gain = 0.0, 0.0, 0.0, 0.0
-        if depth > 0.0:
-            nx, ny, nz = in_world(pose, facet.normal[0], facet.normal[1], facet.normal[2])
-            below = depth
+        nx, ny, nz = 0.0, 0.0, 0.0
+        ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        mean, h1, h2 = 0.0, 0.0, 0.0
+        deepest = depth
+        if facet.extent > 0.0 and depth > -facet.extent:  # a patch, not a triangle
+            e1x, e1y, e1z = in_world(pose, facet.edges[0, 0], facet.edges[0, 1], facet.edges[0, 2])
+            e2x, e2y, e2z = in_world(pose, facet.edges[1, 0], facet.edges[1, 1], facet.edges[1, 2])
+            h1 = -(e1x * zx + e1y * zy + e1z * zz)
+            h2 = -(e2x * zx + e2y * zy + e2z * zz)
+            deepest += abs(h1) + abs(h2)
+            if deepest > 0.0:
+                if law.rise != 0.0:
+                    depth = lowered(depth, pose, px, py, pz, g)
+                # The force acts at the wet part's centre of pressure.
+                mean, s, t = wet_part(depth, h1, h2)
+                px, py, pz = px + s * e1x + t * e2x, py + s * e1y + t * e2y, pz + s * e1z + t * e2z
+                ax, ay, az = in_world(
+                    pose, facet.spread[0, 0], facet.spread[0, 1], facet.spread[0, 2]
+                )
+                bx, by, bz = in_world(
+                    pose, facet.spread[1, 0], facet.spread[1, 1], facet.spread[1, 2]
+                )
+        elif depth > 0.0:
             if law.rise != 0.0:
-                below = lowered(depth, pose, px, py, pz, g)
-            gain = below * facet.area
+                depth = lowered(depth, pose, px, py, pz, g)
+            mean = depth
+        if deepest > 0.0:
+            nx, ny, nz = in_world(pose, facet.normal[0], facet.normal[1], facet.normal[2])
         push = law.inertia * facet.area
-        return depth, 0.0, px, py, pz, nx, ny, nz, zx, zy, zz, gain, push
+        return (
+            deepest, 0.0, px, py, pz, nx, ny, nz, zx, zy, zz,
+            ax, ay, az, bx, by, bz, depth, h1, h2, mean, facet.area, push,
+        )  # fmt: skip
 
     @compiled
     def facet_resist(facet, law, g, v, d):
-        nx, ny, nz, zx, zy, zz, gain, push = facet[5:]
+        nx, ny, nz, zx, zy, zz, ax, ay, az, bx, by, bz, depth, h1, h2, mean, area, push = facet[5:]
         vx, vy, vz = v
         fx, fy, fz = 0.0, 0.0, 0.0
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-        if speed > _STILL and vx * nx + vy * ny + vz * nz > _EDGE * speed:  # a leading face
+        if speed > _STILL:
             s = 1.0 / speed
-            sx, sy, sz = stress(law, g, nx, ny, nz, s * vx, s * vy, s * vz, zx, zy, zz)
-            fx, fy, fz = gain * sx, gain * sy, gain * sz
+            ux, uy, uz = s * vx, s * vy, s * vz
+            c = ux * nx + uy * ny + uz * nz
+            a = ux * ax + uy * ay + uz * az
+            b = ux * bx + uy * by + uz * bz
+            load = 0.0
+            mx, my, mz = nx, ny, nz
+            if c > abs(a) + abs(b) + _EDGE:  # leads as a whole, like most facets
+                load = mean
+            elif c > -abs(a) - abs(b) and (a != 0.0 or b != 0.0):
+                load, ls, lt = load_of(depth, h1, h2, mean, c, a, b)
+                mx, my, mz = turned(nx, ny, nz, ls, ax, ay, az, lt, bx, by, bz)
+                if mx * ux + my * uy + mz * uz <= _EDGE:
+                    load = 0.0
+            if load > 0.0:
+                sx, sy, sz = stress(law, g, mx, my, mz, ux, uy, uz, zx, zy, zz)
+                gain = load * area
+                fx, fy, fz = gain * sx, gain * sy, gain * sz
         if push != 0.0:
             vn = d[0] * nx + d[1] * ny + d[2] * nz
             if vn > 0.0:
@@ -72,54 +112,64 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
         return fx, fy, fz
 
     @compiled
-    def led_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
-        """The stress times the share of the facet that leads."""
-        lead = 0.5 + 0.5 * (vx * nx + vy * ny + vz * nz) / _RAMP
-        if lead <= 0.0:
+    def led_stress(facet, law, g, ux, uy, uz):
+        """Force on a facet for a direction of motion, what leads growing over a ramp [N]."""
+        nx, ny, nz, zx, zy, zz, ax, ay, az, bx, by, bz, depth, h1, h2, mean, area, _ = facet[5:]
+        c = ux * nx + uy * ny + uz * nz
+        a = ux * ax + uy * ay + uz * az
+        b = ux * bx + uy * by + uz * bz
+        if abs(a) + abs(b) < _RAMP:
+            a = math.copysign(_RAMP - abs(b), a)
+        load, ls, lt = load_of(depth, h1, h2, mean, c, a, b)
+        if load <= 0.0:
             return 0.0, 0.0, 0.0
-        lead = min(lead, 1.0)
-        sx, sy, sz = stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz)
-        return lead * sx, lead * sy, lead * sz
+        nx, ny, nz = turned(nx, ny, nz, ls, ax, ay, az, lt, bx, by, bz)
+        sx, sy, sz = stress(law, g, nx, ny, nz, ux, uy, uz, zx, zy, zz)
+        # The fit describes faces that lead; on the ramp it is asked for some that just do not.
+        gain = load * area
+        power = sx * ux + sy * uy + sz * uz
+        if power > 0.0:
+            sx, sy, sz = sx - power * ux, sy - power * uy, sz - power * uz
+        return gain * sx, gain * sy, gain * sz
 
     @compiled
     def facet_respond(facet, law, g, v, eps, reach, shares):
-        nx, ny, nz, zx, zy, zz, gain, push = facet[5:]
+        nx, ny, nz, push = facet[5], facet[6], facet[7], facet[22]
         vx, vy, vz = v
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
         fx, fy, fz = 0.0, 0.0, 0.0
         k0, k1, k2, k3, k4, k5, k6, k7, k8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        vn = vx * nx + vy * ny + vz * nz
-        if speed > _STILL and vn > -(_RAMP + 2.0 * _TURN) * speed:
+        if speed > _STILL:
             s = 1.0 / speed
             ux, uy, uz = s * vx, s * vy, s * vz
-            # The stress depends on the direction alone: its derivative needs two turns of it.
-            px, py, pz = across(ux, uy, uz)
-            qx, qy, qz = uy * pz - uz * py, uz * px - ux * pz, ux * py - uy * px
-            sx, sy, sz = led_stress(law, g, nx, ny, nz, ux, uy, uz, zx, zy, zz)
-            ax, ay, az = led_stress(
-                law, g, nx, ny, nz,
-                ux + _TURN * px, uy + _TURN * py, uz + _TURN * pz, zx, zy, zz,
-            )  # fmt: skip
-            bx, by, bz = led_stress(
-                law, g, nx, ny, nz,
-                ux + _TURN * qx, uy + _TURN * qy, uz + _TURN * qz, zx, zy, zz,
-            )  # fmt: skip
-            strength, along, level = grip(speed, gain, eps, reach, shares[0])
-            strength *= speed
-            fx, fy, fz = strength * sx, strength * sy, strength * sz
-            t = -level / _TURN
-            ax, ay, az = t * (ax - sx), t * (ay - sy), t * (az - sz)
-            bx, by, bz = t * (bx - sx), t * (by - sy), t * (bz - sz)
-            sx, sy, sz = -along * sx, -along * sy, -along * sz
-            k0, k1, k2 = (
-                sx * ux + ax * px + bx * qx, sx * uy + ax * py + bx * qy, sx * uz + ax * pz + bx * qz,
-            )  # fmt: skip
-            k3, k4, k5 = (
-                sy * ux + ay * px + by * qx, sy * uy + ay * py + by * qy, sy * uz + ay * pz + by * qz,
-            )  # fmt: skip
-            k6, k7, k8 = (
-                sz * ux + az * px + bz * qx, sz * uy + az * py + bz * qy, sz * uz + az * pz + bz * qz,
-            )  # fmt: skip
+            sx, sy, sz = led_stress(facet, law, g, ux, uy, uz)
+            if sx != 0.0 or sy != 0.0 or sz != 0.0:
+                # The stress depends on the direction alone: its derivative needs two turns of it.
+                px, py, pz = across(ux, uy, uz)
+                qx, qy, qz = uy * pz - uz * py, uz * px - ux * pz, ux * py - uy * px
+                ax, ay, az = led_stress(
+                    facet, law, g, ux + _TURN * px, uy + _TURN * py, uz + _TURN * pz
+                )
+                bx, by, bz = led_stress(
+                    facet, law, g, ux + _TURN * qx, uy + _TURN * qy, uz + _TURN * qz
+                )
+                strength, along, level = grip(speed, 1.0, eps, reach, shares[0])
+                strength *= speed
+                fx, fy, fz = strength * sx, strength * sy, strength * sz
+                t = -level / _TURN
+                ax, ay, az = t * (ax - sx), t * (ay - sy), t * (az - sz)
+                bx, by, bz = t * (bx - sx), t * (by - sy), t * (bz - sz)
+                sx, sy, sz = -along * sx, -along * sy, -along * sz
+                k0 = sx * ux + ax * px + bx * qx
+                k1 = sx * uy + ax * py + bx * qy
+                k2 = sx * uz + ax * pz + bx * qz
+                k3 = sy * ux + ay * px + by * qx
+                k4 = sy * uy + ay * py + by * qy
+                k5 = sy * uz + ay * pz + by * qz
+                k6 = sz * ux + az * px + bz * qx
+                k7 = sz * uy + az * py + bz * qy
+                k8 = sz * uz + az * pz + bz * qz
+        vn = vx * nx + vy * ny + vz * nz
         if push != 0.0 and vn > 0.0:
             inertial = push * vn
             fx -= inertial * vn * nx
@@ -137,7 +187,36 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
             k8 += inertial * nz * nz
         return fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8
 
-    return LawKernel(facet_records, facet_immerse, facet_resist, facet_respond, speed_of_all, numbers=8)
+    return LawKernel(
+        facet_records, facet_immerse, facet_resist, facet_respond, speed_of_all, numbers=18
+    )
+
+
+@compiled
+def load_of(depth, h1, h2, mean, c, a, b):
+    """Mean depth of what leads of a facet, over the whole facet, and the centroid of that part.
+
+    The part that leads is replaced by a parallelogram around its centroid, narrowed by the distance
+    of that from the middle (`patch`).
+    """
+    share, ls, lt = leading_part(c, a, b)
+    if share == 1.0:
+        return mean, 0.0, 0.0
+    if share == 0.0:
+        return 0.0, 0.0, 0.0
+    if h1 == 0.0 and h2 == 0.0:
+        return share * max(depth, 0.0), ls, lt
+    f1, f2 = 1.0 - abs(ls), 1.0 - abs(lt)
+    wet, _, _ = wet_part(depth + ls * h1 + lt * h2, f1 * h1, f2 * h2)
+    return share * wet, ls, lt
+
+
+@compiled
+def turned(nx, ny, nz, s, ax, ay, az, t, bx, by, bz):
+    """A facet's unit normal at (s, t), with the spreads a and b of its normal."""
+    nx, ny, nz = nx + s * ax + t * bx, ny + s * ay + t * by, nz + s * az + t * bz
+    scale = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+    return scale * nx, scale * ny, scale * nz
 
 
 @compiled

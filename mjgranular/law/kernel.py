@@ -27,7 +27,7 @@ Attributes:
     motion: spatial velocity, angular [rad/s] before linear [m/s].
 """
 
-GEOMETRY_SIZE = 16
+GEOMETRY_SIZE = 18
 """The most numbers that a law may keep of an immersed element's geometry."""
 
 

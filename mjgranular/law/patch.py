@@ -4,7 +4,8 @@ A facet is taken as a parallelogram over which depth and v.n vary linearly: `d +
 from -1 to 1, where a and b are the rises of the quantity along its half edges. With h >= k for the
 sizes of a and b, what is positive of that is everything, nothing, or one of
 
-- |d| <= h - k: a trapezium; the line d + a s + b t = 0 crosses the two edges that go along h;
+- |d| <= h - k: a trapezium; the line d + a s + b t = 0 crosses the two edges along which the
+  quantity rises by h;
 - |d| > h - k: a corner, or everything but a corner, with legs q/h and q/k, q = h + k - |d|.
 
 Integrals over these are polynomials in d/h, k/h or q, and each is written so that nothing cancels:
@@ -26,9 +27,9 @@ from mjgranular.kernel.compiled import compiled
 def leading_part(c, a, b):
     """The part of a facet where c + a s + b t > 0: its share of the area, and its centroid.
 
-    Of a trapezium y h high on average, y = 1 + c/h, the share is y/2; over a strip along t at
-    s its height is y + (k/h) s, and the centroid follows from the mean of the heights and of their
-    squares. A corner is a triangle with its centroid at a third of its legs.
+    Measured along those two edges a trapezium is y + (k/h) s wide, with y = 1 + c/h and s from
+    -1 to 1, of a width of 2: the share is y/2, and the centroid follows from the means of the width
+    and of its square. A corner is a triangle, with its centroid at a third of its legs.
 
     With the depths for c, a and b it is the wet part.
 
@@ -114,8 +115,8 @@ def acting_part(depth, h1, h2, c, a, b):
     """What of a facet is pushed: the part that is in the sand and leads.
 
     The leading part is replaced by a parallelogram around its centroid, narrowed by the distance
-    of that from the middle: exact where the edge of leading runs along an edge or a corner is cut
-    off, and of second order otherwise. The force of a stress f(n, v) is then
+    of that from the middle: exact where the edge of leading runs along an edge of the facet, and
+    close enough elsewhere. The force of a stress f(n, v) is then
 
         area * load * f(n', v'),  n' = normal + ls spread[0] + lt spread[1], to be normalized,
                                   v' = v + w x r,  r = s edges[0] + t edges[1],

@@ -73,6 +73,7 @@ OF_DATA = (
     "xipos",
     "qfrc_constraint",
     "qacc_warmstart",
+    "qacc",
 )
 FIRST_OF_MODEL = 7
 FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
@@ -85,7 +86,7 @@ DESK_SIZE = LONE + 1
     DOF_BODY, DOF_PARENT, BODY_PARENT, BODY_ROOT, BODY_DOF, BODY_DOFS, DAMPING,
 ) = range(FIRST_OF_MODEL, FIRST_OF_DATA)  # fmt: skip
 (
-    QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM, CONSTRAINT, WARMSTART,
+    QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM, CONSTRAINT, WARMSTART, QACC,
 ) = range(FIRST_OF_DATA, WET)  # fmt: skip
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.

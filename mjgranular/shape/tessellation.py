@@ -1,118 +1,210 @@
-"""Cuts the skin of a shape into facets: points, outward normals, areas, in the shape's own frame.
+"""Cuts the skin of a shape into facets, in the shape's own frame.
 
-Curved skins are sampled finely on a grid of two parameters and gathered into coarser patches, so
-that a patch's area and centroid are those of the curved skin and not of a flat polygon. Every cut
+A curved skin is sampled finely on a grid of two parameters and gathered into coarser patches. A
+patch keeps what the curved skin has there: area, centroid, mean normal, and to first order how
+points and normals vary over it. So a patch can be in the sand in part, or lead in part. Every cut
 has the symmetries of its shape.
+
+How many patches a part of a shape needs for a given error was measured (docs/shapes.md).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-_FINE = 8  # samples a patch along each parameter; chosen, not measured
+Skin = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Maps parameters u, v in [0, 1], each of shape (n, m), to points [m], shape (n, m, 3). du x dv
+points outward."""
+
+_FINE = 8  # cells of a patch along each parameter; chosen, not measured
+# Where an ellipsoid is cut lies between equal shares of a sphere's skin blown up (0) and equal
+# shares of the normals (1). Measured: below 0.1 the rim of a lens, above 0.4 its sides are too
+# coarse.
+_TURNING = 0.2
 
 
 @dataclass(frozen=True)
 class Facets:
     """Facets of a skin.
 
+    A point of a facet is `point + s edges[0] + t edges[1]`, with s and t from -1 to 1, and the
+    normal there is along `normal + s spread[0] + t spread[1]`. The parallelogram has the centroid
+    and the second moments of the facet; its area may differ.
+
     Attributes:
         points: centroids [m], shape (n, 3).
         normals: unit, outward, shape (n, 3).
         areas: [m^2], shape (n,).
+        edges: half edges [m], shape (n, 2, 3).
+        spread: half differences of the unit normal along them, shape (n, 2, 3).
     """
 
     points: np.ndarray
     normals: np.ndarray
     areas: np.ndarray
+    edges: np.ndarray
+    spread: np.ndarray
 
     def __len__(self) -> int:
         return len(self.areas)
 
-    def __add__(self, other: Facets) -> Facets:
-        return Facets(
-            np.concatenate([self.points, other.points]),
-            np.concatenate([self.normals, other.normals]),
-            np.concatenate([self.areas, other.areas]),
+
+@dataclass(frozen=True)
+class Cells:
+    """Small pieces of a skin, and the patches they are to be gathered into.
+
+    Attributes:
+        points: on the skin [m], shape (n, 3).
+        vectors: area times outward normal [m^2], shape (n, 3).
+        places: two coordinates of a cell in its patch, -1 to 1, shape (n, 2).
+        patches: number of the patch of each, from 0, shape (n,).
+    """
+
+    points: np.ndarray
+    vectors: np.ndarray
+    places: np.ndarray
+    patches: np.ndarray
+
+    def only(self, chosen: np.ndarray) -> Cells:
+        """Those of a mask, shape (n,), in the same patches."""
+        return Cells(
+            self.points[chosen], self.vectors[chosen], self.places[chosen], self.patches[chosen]
         )
 
+    def gathered(self) -> Facets:
+        """One facet for each patch that has an area."""
+        areas = np.linalg.norm(self.vectors, axis=1)
+        there = areas > 0  # a capsule's side may have no length, a triangle no width
+        if not there.all():
+            return self.only(there).gathered()
+        _, patch, count = np.unique(self.patches, return_inverse=True, return_counts=True)
+        first = np.concatenate([[0], np.cumsum(count)])[:-1]
 
-def triangles(corners: np.ndarray) -> Facets:
-    """Facets of triangles, one each; those without area are left out.
+        def total(values: np.ndarray) -> np.ndarray:
+            """Sums over patches, whose cells follow each other."""
+            return np.add.reduceat(values, first) if len(first) else values
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return total((areas * values.T).T) / total(areas).reshape(-1, *[1] * (values.ndim - 1))
+
+        points, normals = mean(self.points), total(self.vectors)
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        # Slopes by least squares in each coordinate, times half the width of a flat patch whose
+        # cells would vary as much: 3 times the variance, with that within a cell.
+        away = self.places - mean(self.places)[patch]
+        variance = mean(away**2)
+        seen = variance > 1e-9  # of a patch hidden but for one row of cells there is no slope
+        per_width = np.sqrt(3 * variance + _FINE**-2) / np.where(seen, variance, np.inf)
+
+        def slopes(values: np.ndarray) -> np.ndarray:
+            return mean(away[:, :, None] * values[:, None, :]) * per_width[:, :, None]
+
+        edges, spread = slopes(self.points), slopes(self.vectors / areas[:, None])
+        return Facets(points, normals, total(areas), edges, spread)
+
+
+def triangles(corners: np.ndarray) -> Cells:
+    """Triangles, each a cell and a patch of its own, so without edges.
 
     Args:
-        corners: shape (n, 3, 3), counter-clockwise seen from outside.
+        corners: shape (n, 3, 3), counter-clockwise seen from outside [m].
     """
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(doubled, axis=1)
-    keep = size > 0
-    return Facets(corners[keep].mean(axis=1), doubled[keep] / size[keep, None], size[keep] / 2)
+    count = len(corners)
+    return Cells(corners.mean(axis=1), doubled / 2, np.zeros((count, 2)), np.arange(count))
 
 
-def patches(
-    skin: Callable[[np.ndarray, np.ndarray], np.ndarray], along: int, around: int
-) -> Facets:
-    """Facets of a skin given by two parameters in [0, 1].
-
-    Args:
-        skin: maps parameters u, v, each of shape (n, m), to points, shape (n, m, 3). du x dv points
-            outward.
-        along: number of patches over u.
-        around: number of patches over v.
-    """
+def patches(skin: Skin, along: int, around: int) -> Cells:
+    """Cells of a skin cut into `along` patches over u and `around` over v."""
     n, m = along * _FINE, around * _FINE
     u, v = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, m + 1), indexing="ij")
     grid = skin(u, v)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    vector = 0.5 * np.cross(c - a, d - b)  # area times normal of a cell, exact for a flat one
-    area = np.linalg.norm(vector, axis=2)
-    middle = (a + b + c + d) / 4
-
-    def gather(cells: np.ndarray) -> np.ndarray:
-        shape = (along, _FINE, around, _FINE, *cells.shape[2:])
-        return cells.reshape(shape).sum(axis=(1, 3)).reshape(along * around, *cells.shape[2:])
-
-    areas = gather(area)
-    keep = areas > 0  # the side of a capsule may have no length
-    areas = areas[keep]
-    if not len(areas):
-        return Facets(np.zeros((0, 3)), np.zeros((0, 3)), areas)
-    points = gather(middle * area[..., None])[keep] / areas[:, None]
-    normals = gather(vector)[keep]
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return Facets(points, normals, areas)
+    i, j = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+    middles = skin((i + 0.5) / n, (j + 0.5) / m)
+    vectors = 0.5 * np.cross(c - a, d - b)  # exact for a flat cell
+    places = np.stack([i % _FINE, j % _FINE], axis=-1) * (2 / _FINE) - (1 - 1 / _FINE)
+    patch = (i // _FINE) * around + j // _FINE
+    order = np.argsort(patch, axis=None, kind="stable")  # the cells of a patch follow each other
+    return Cells(
+        middles.reshape(-1, 3)[order],
+        vectors.reshape(-1, 3)[order],
+        places.reshape(-1, 2)[order],
+        patch.ravel()[order],
+    )
 
 
-def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Facets:
-    """An ellipsoid: `resolution` patches from pole to pole, twice as many around."""
+def rings(skin: Skin, counts: Sequence[int], turned: Sequence[float] | None = None) -> Cells:
+    """Cells of a skin cut over u into rings of equal width.
+
+    Args:
+        skin: closed in v.
+        counts: number of patches around each ring.
+        turned: by how much of a patch each ring is turned; None for not at all.
+    """
+    turned = turned or [0.0] * len(counts)
+    parts = []
+    for k, (count, turn) in enumerate(zip(counts, turned, strict=True)):
+
+        def ring(
+            u: np.ndarray, v: np.ndarray, k: int = k, turn: float = turn / count
+        ) -> np.ndarray:
+            return skin((k + u) / len(counts), v + turn)
+
+        parts.append(patches(ring, 1, count))
+    return joined(parts)
+
+
+def joined(parts: Sequence[Cells]) -> Cells:
+    """All cells of all parts, with the patches numbered anew."""
+    counts = [part.patches.max(initial=-1) + 1 for part in parts]
+    first = np.cumsum([0, *counts])
+    return Cells(
+        np.concatenate([part.points for part in parts]),
+        np.concatenate([part.vectors for part in parts]),
+        np.concatenate([part.places for part in parts]),
+        np.concatenate([part.patches + k for part, k in zip(parts, first, strict=False)]),
+    )
+
+
+def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
+    """An ellipsoid: `resolution` rings from pole to pole, twice as many patches at the equator."""
     size = np.array(radii)
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         polar, turn = math.pi * u, 2 * math.pi * v
-        unit = np.stack(
+        along = np.stack(
             [np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)], axis=-1
         )
-        return unit * size
+        along = along * size**_TURNING
+        return along / np.linalg.norm(along, axis=-1)[..., None] * size
 
-    return patches(skin, resolution, 2 * resolution)
+    # Counted from the nearer pole, so that rounding cannot tell the two apart.
+    ring = [min(k, resolution - 1 - k) for k in range(resolution)]
+    polar = [math.pi * (k + 0.5) / resolution for k in ring]
+    return rings(skin, [_around(2 * resolution * math.sin(angle)) for angle in polar])
 
 
-def tube(radius: float, half: float, along: int, around: int) -> Facets:
-    """The side of a cylinder about z."""
+def tube(radius: float, half: float, rows: int, around: int) -> Cells:
+    """The side of a cylinder about z, laid like bricks.
+
+    All rows have the same normals; turned against each other they sample twice as many. An odd
+    number of rows lies the same both ways up.
+    """
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         turn = 2 * math.pi * v
         return np.stack([radius * np.cos(turn), radius * np.sin(turn), half * (1 - 2 * u)], axis=-1)
 
-    return patches(skin, along, around)
+    return rings(skin, [around] * rows, [0.5 * (row % 2) for row in range(rows)])
 
 
-def disc(radius: float, height: float, rings: int, around: int) -> Facets:
-    """A disc at that height, facing away from z = 0."""
+def disc(radius: float, height: float, count: int) -> Cells:
+    """A disc at that height, facing away from z = 0, in `count` rings of 6, 12, ... patches."""
     up = math.copysign(1.0, height)
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -122,11 +214,11 @@ def disc(radius: float, height: float, rings: int, around: int) -> Facets:
             axis=-1,
         )
 
-    return patches(skin, rings, around)
+    return rings(skin, [6 * (k + 1) for k in range(count)])
 
 
-def cap(radius: float, height: float, rings: int, around: int) -> Facets:
-    """A half sphere whose rim is at that height, bulging away from z = 0."""
+def cap(radius: float, height: float, count: int) -> Cells:
+    """A half sphere whose rim is at that height, bulging away from z = 0, in `count` rings."""
     up = math.copysign(1.0, height)
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -140,31 +232,34 @@ def cap(radius: float, height: float, rings: int, around: int) -> Facets:
             axis=-1,
         )
 
-    return patches(skin, rings, around)
+    polar = [math.pi / 2 * (k + 0.5) / count for k in range(count)]
+    return rings(skin, [_around(4 * count * math.sin(angle)) for angle in polar])
 
 
-def cylinder(radius: float, half: float, resolution: int) -> Facets:
+def cylinder(radius: float, half: float, resolution: int) -> Cells:
     """A cylinder about z with flat ends; `2 * resolution` patches around."""
-    around = 2 * resolution
-    along = _pieces(2 * half, radius, resolution)
-    rings = max(2, resolution // 2)
-    side = tube(radius, half, along, around)
-    return side + disc(radius, half, rings, around) + disc(radius, -half, rings, around)
+    side = tube(radius, half, _rows(radius, half, resolution), 2 * resolution)
+    count = max(1, round(resolution / 6))
+    return joined([side, disc(radius, half, count), disc(radius, -half, count)])
 
 
-def capsule(radius: float, half: float, resolution: int) -> Facets:
-    """A capsule about z; `2 * resolution` patches around."""
-    around = 2 * resolution
-    along = _pieces(2 * half, radius, resolution)
-    rings = max(2, resolution // 2)
-    side = tube(radius, half, along, around)
-    return side + cap(radius, half, rings, around) + cap(radius, -half, rings, around)
+def capsule(radius: float, half: float, resolution: int) -> Cells:
+    """A capsule about z; `2 * resolution` patches around its side."""
+    side = tube(radius, half, _rows(radius, half, resolution), 2 * resolution)
+    # As fine as a sphere where the ends are all there is, coarser the less of the skin they are.
+    count = max(1, round(resolution * (0.3 + 0.2 * radius / (radius + half))))
+    return joined([side, cap(radius, half, count), cap(radius, -half, count)])
 
 
-def box(halves: tuple[float, float, float], resolution: int) -> Facets:
-    """A box; `resolution` patches along its longest edge, at least 2 along each."""
+def box(halves: tuple[float, float, float], resolution: int) -> Cells:
+    """A box; a third of `resolution` patches along its longest edge, others in proportion.
+
+    A flat patch is exact, wholly or in part in the sand, as long as all of it moves alike: several
+    are there for turning.
+    """
     longest = max(halves)
-    counts = [max(2, math.ceil(resolution * half / longest)) for half in halves]
+    # The small number keeps rounding from adding a patch to a third of a multiple of three.
+    counts = [max(1, math.ceil(resolution / 3 * half / longest - 1e-9)) for half in halves]
     parts = []
     for axis in range(3):
         first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -185,13 +280,14 @@ def box(halves: tuple[float, float, float], resolution: int) -> Facets:
                 return points
 
             parts.append(patches(skin, counts[first], counts[second]))
-    whole = parts[0]
-    for part in parts[1:]:
-        whole = whole + part
-    return whole
+    return joined(parts)
 
 
-def _pieces(length: float, radius: float, resolution: int) -> int:
-    """Patches along a tube: about as long as they are wide, but not more than four a radius."""
-    width = math.pi * radius / resolution
-    return int(np.clip(math.ceil(length / (2 * width)), 2, 4 * resolution))
+def _rows(radius: float, half: float, resolution: int) -> int:
+    """Rows of patches along a tube: odd, about a third of the resolution for a slender one."""
+    return 1 + 2 * round(resolution / 6 * half / (half + radius))
+
+
+def _around(count: float) -> int:
+    """Patches around a ring: in fours, so that none lies across a plane of symmetry."""
+    return max(4, 4 * round(count / 4))

@@ -1,0 +1,41 @@
+"""Work that must not be done on the thread that MuJoCo waits on."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+_here = threading.local()
+
+
+def is_aside() -> bool:
+    """Whether this thread prepares sand: what it makes on the way gets none."""
+    return getattr(_here, "aside", False)
+
+
+def aside(work: Callable[[], T]) -> T:
+    """Does something in a thread of its own, and waits for it.
+
+    MuJoCo turns its errors into exceptions by a jump to a place that it keeps one of per thread.
+    While it waits in a callback of ours, nothing on its thread may call it again through Python:
+    the place would be overwritten, and the next error would jump into nowhere.
+    """
+    outcome: list[tuple[Any, BaseException | None]] = []
+
+    def run() -> None:
+        _here.aside = True
+        try:
+            outcome.append((work(), None))
+        except BaseException as error:
+            outcome.append((None, error))
+
+    thread = threading.Thread(target=run, name="mjgranular")
+    thread.start()
+    thread.join()
+    value, error = outcome[0]
+    if error is not None:
+        raise error
+    return value

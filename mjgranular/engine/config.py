@@ -1,0 +1,244 @@
+"""What a user writes between `<instance>` and `</instance>`, and the arguments of `Sand`.
+
+Each `<config>` has a key that is an argument of `Sand`. Law, surface and scheme are a name and its
+options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Numbers are written so that they are
+read as the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from mjgranular.errors import GranularError, InputError, UnknownNameError
+from mjgranular.law import Law, laws
+from mjgranular.medium import Medium, media
+from mjgranular.medium.medium import get_medium
+from mjgranular.registry import Registry
+from mjgranular.scheme import Scheme, schemes
+from mjgranular.surface import Bed, HeightField, Plane, Surface
+
+KEYS = ("medium", "law", "surface", "scheme", "bodies", "geoms", "groups", "resolution", "draw")
+"""Keys of `mjgranular.sand`, in the order in which they are written."""
+
+DEFAULT_MEDIUM = "play_sand"
+"""That of `Sand`."""
+
+DRAWINGS = ("forces", "depth")
+"""What the plugin can draw: arrows of force, discs coloured by depth."""
+
+surfaces: Registry[type[Surface]] = Registry("surface")
+surfaces.add("plane", Plane)
+surfaces.add("bed", Bed)
+surfaces.add("height_field", HeightField)
+
+
+@dataclass(frozen=True)
+class Config:
+    """What was written, read.
+
+    Attributes:
+        arguments: of `Sand`, those that were given.
+        draw: names out of `DRAWINGS`.
+    """
+
+    arguments: Mapping[str, Any]
+    draw: tuple[str, ...] = ()
+
+
+def read_config(texts: Mapping[str, str]) -> Config:
+    """Reads the texts of an instance by their keys; an empty text is one that was not given.
+
+    Raises:
+        InputError: a text cannot be read; names the key and what would be valid.
+    """
+    given = {key: text for key, text in texts.items() if text}
+    readers = {
+        "medium": get_medium,
+        "surface": _read_surface,
+        "scheme": _read_scheme,
+        "bodies": _words,
+        "geoms": _words,
+        "groups": lambda text: [_value(word, int, "a group") for word in _words(text)],
+        "resolution": _read_resolution,
+        "draw": _read_draw,
+    }
+    read: dict[str, Any] = {}
+    for key, reader in readers.items():
+        if key in given:
+            with _named(key):
+                read[key] = reader(given[key])
+    if "law" in given:
+        with _named("law"):
+            read["law"] = _read_law(given["law"], read.get("medium") or get_medium(DEFAULT_MEDIUM))
+    return Config(read, read.pop("draw", ()))
+
+
+def write_config(arguments: Mapping[str, Any]) -> dict[str, str]:
+    """The texts, by their keys, that `read_config` reads as these arguments of `Sand`.
+
+    Args:
+        arguments: those of `Sand`, and `draw`; None or an empty sequence for one not given.
+
+    Raises:
+        InputError: an object that has no name to be written by.
+    """
+    writers = {
+        "medium": _write_medium,
+        "law": lambda law: _write_part(law, laws, "law", "register_law"),
+        "surface": lambda surface: _write_part(surface, surfaces, "surface", None),
+        "scheme": lambda scheme: _write_part(scheme, schemes, "scheme", "schemes.add"),
+        "bodies": _write_words,
+        "geoms": _write_words,
+        "groups": lambda groups: _write_words(np.atleast_1d(groups).tolist()),
+        "resolution": str,
+        "draw": _write_words,
+    }
+    texts = {}
+    for key in KEYS:
+        value = arguments.get(key)
+        if value is not None and not (isinstance(value, Sequence) and not value):
+            texts[key] = writers[key](value)
+    read_config(texts)
+    return texts
+
+
+@contextmanager
+def _named(key: str) -> Iterator[None]:
+    """Tells errors together with the key they belong to."""
+    try:
+        yield
+    except GranularError as error:
+        raise InputError(f"config {key!r}: {error}") from None
+
+
+def _words(text: str) -> list[str]:
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise InputError(f"{text!r} cannot be split into words: {str(error).lower()}") from None
+
+
+def _options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
+    """Reads `name=value` words as fields of a dataclass."""
+    kinds = {field.name: get_type_hints(cls)[field.name] for field in fields(cls)}
+    options = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if name not in kinds:
+            raise InputError(f"the {what} has no option {name!r}; it has: {', '.join(kinds)}")
+        if not equals:
+            raise InputError(f"the option {name!r} of the {what} needs a value: {name}=...")
+        options[name] = _value(text, kinds[name], name)
+    return options
+
+
+def _value(text: str, kind: Any, name: str) -> Any:
+    if kind is bool:
+        if text not in ("true", "false"):
+            raise InputError(f"{name} must be true or false, not {text!r}")
+        return text == "true"
+    if kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            word = "a whole number" if kind is int else "a number"
+            raise InputError(f"{name} must be {word}, not {text!r}") from None
+    if kind is str:
+        return text
+    raise InputError(f"{name} cannot be written in MJCF: it is neither number, switch nor name")
+
+
+def _part(text: str, register: Registry[Any], kind: str) -> tuple[str, Any, dict[str, Any]]:
+    """Reads a name and its options: the name, its class, the options."""
+    words = _words(text)
+    if not words:
+        raise InputError(f"a {kind} is needed; there are: {', '.join(register)}")
+    cls = register[words[0]]
+    return words[0], cls, _options(words[1:], cls, f"{kind} {words[0]!r}")
+
+
+def _read_law(text: str, medium: Medium) -> Law:
+    _, cls, given = _part(text, laws, "law")
+    needed = {field.name for field in fields(cls) if field.default is MISSING}
+    if needed <= given.keys():
+        return cls(**given)
+    law = cls.from_medium(medium)
+    return cls(**{**{field.name: getattr(law, field.name) for field in fields(cls)}, **given})
+
+
+def _read_surface(text: str) -> Surface:
+    name, cls, given = _part(text, surfaces, "surface")
+    missing = [f.name for f in fields(cls) if f.default is MISSING and f.name not in given]
+    if missing:
+        raise InputError(f"the surface {name!r} needs {missing[0]}=...")
+    return cls(**given)
+
+
+def _read_scheme(text: str) -> Scheme:
+    _, cls, given = _part(text, schemes, "scheme")
+    return cls(**given)
+
+
+def _read_resolution(text: str) -> int:
+    resolution = _value(text, int, "resolution")
+    if resolution < 1:
+        raise InputError(f"resolution must be at least 1, not {resolution}")
+    return resolution
+
+
+def _read_draw(text: str) -> tuple[str, ...]:
+    words = tuple(_words(text))
+    for word in words:
+        if word not in DRAWINGS:
+            raise UnknownNameError("drawing", word, DRAWINGS)
+    return words
+
+
+def _write_medium(medium: str | Path | Medium) -> str:
+    if not isinstance(medium, Medium):
+        get_medium(medium)
+        return str(medium)
+    if media.get(medium.name) is not medium:
+        raise InputError(
+            f"the medium {medium.name!r} has to be known by its name to be written in MJCF: "
+            "call register_medium with it before, or give the path of a YAML file"
+        )
+    return medium.name
+
+
+def _write_words(names: Sequence[Any] | str) -> str:
+    return shlex.join([names] if isinstance(names, str) else map(str, names))
+
+
+def _write_part(part: Any, register: Registry[Any], kind: str, how: str | None) -> str:
+    """A name as it is; an object as its name and all of its fields."""
+    if isinstance(part, str):
+        return part
+    for name, cls in register.items():
+        if type(part) is cls:
+            return " ".join([name, *(_write_field(part, field.name) for field in fields(part))])
+    hint = f"make it known with {how}" if how else f"there are: {', '.join(register)}"
+    raise InputError(
+        f"{type(part).__name__} is not a {kind} that can be written in MJCF by name; {hint}"
+    )
+
+
+def _write_field(part: Any, name: str) -> str:
+    value = getattr(part, name)
+    if isinstance(value, bool):
+        text = "true" if value else "false"
+    elif isinstance(value, (int, float)):
+        if not math.isfinite(value):
+            raise InputError(f"{name} must be finite to be written in MJCF, not {value}")
+        text = repr(value if isinstance(value, int) else float(value))
+    else:
+        text = shlex.quote(str(value))
+    return f"{name}={text}"

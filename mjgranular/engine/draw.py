@@ -1,0 +1,166 @@
+"""Arrows and dots that the plugin adds to a scene of MuJoCo's visualiser."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from mujoco.introspect.ast_nodes import ArrayType
+from numba import types
+
+from mjgranular.engine.block import HEADER_DTYPE
+from mjgranular.engine.config import DRAWINGS
+from mjgranular.engine.layout import LayoutError, described_fields
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CONTACTS,
+    ELEMENT_COUNT,
+    floats,
+    ints,
+    longs,
+    records,
+    table_at,
+)
+from mjgranular.kernel.records import body_records, contact_records
+
+_KINDS = {"int": np.int32, "float": np.float32, "mjtByte": np.uint8, "char": np.uint8}
+
+
+def _geom_dtype() -> np.dtype:
+    """`mjvGeom` as a record, as MuJoCo describes it."""
+    fields = []
+    for field in described_fields("mjvGeom"):
+        kind, shape = field.type, ()
+        if isinstance(kind, ArrayType):
+            kind, shape = kind.inner_type, kind.extents
+        fields.append((field.name, _KINDS[str(kind)], shape))
+    return np.dtype(fields, align=True)
+
+
+GEOM_DTYPE = _geom_dtype()
+_SIZE = GEOM_DTYPE.itemsize
+# Of mjvScene: maxgeom and ngeom are its first two integers, behind them the pointer to the geoms.
+_MOST, _COUNT, _GEOMS = 0, 1, 1
+
+_ARROW, _SPHERE = int(mujoco.mjtGeom.mjGEOM_ARROW), int(mujoco.mjtGeom.mjGEOM_SPHERE)
+_DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
+_FORCES, _DEPTH = (1 << bit for bit in range(len(DRAWINGS)))
+
+_header = records(HEADER_DTYPE)
+_geoms = records(GEOM_DTYPE)
+_bytes = records(np.dtype(np.uint8))
+_address = types.int64
+_init = types.ExternalFunction(
+    "mjv_initGeom", types.void(_address, types.int32, _address, _address, _address, _address)
+)
+_connect = types.ExternalFunction(
+    "mjv_connector", types.void(_address, types.int32, types.float64, _address, _address)
+)
+
+
+def check_scene(model: mujoco.MjModel) -> None:
+    """Makes sure that scenes look as they are described.
+
+    Raises:
+        LayoutError: they do not.
+    """
+    scene = mujoco.MjvScene(model, 2)
+    first, second = (scene.geoms[i] for i in range(2))
+    stride = second.pos.ctypes.data - first.pos.ctypes.data
+    fields = GEOM_DTYPE.fields or {}
+    spread = first.rgba.ctypes.data - first.pos.ctypes.data
+    names = [field.name for field in described_fields("mjvScene")[:3]]
+    if (
+        stride != GEOM_DTYPE.itemsize
+        or spread != fields["rgba"][1] - fields["pos"][1]
+        or names != ["maxgeom", "ngeom", "geoms"]
+    ):
+        raise LayoutError("mjvGeom")
+
+
+@compiled
+def add_geom(scene, kind):
+    """Adds a geom to a scene; its address, 0 if there is no room."""
+    counts = ints(scene, 2)
+    if counts[_COUNT] >= counts[_MOST]:
+        return 0
+    address = longs(scene, 2)[_GEOMS] + counts[_COUNT] * _SIZE
+    raw = _bytes(address, _SIZE)
+    for i in range(len(raw)):
+        raw[i] = 0
+    _init(address, kind, 0, 0, 0, 0)
+    geom = _geoms(address, 1)[0]
+    geom.objid, geom.segid = -1, counts[_COUNT]
+    geom.category = _DECOR
+    counts[_COUNT] += 1
+    return address
+
+
+@compiled
+def add_arrow(scene, header, bodies, contacts, slots, slot):
+    """Adds an arrow for the force on a body, from the middle of where it acts."""
+    ends = floats(header.ends, 6)
+    force = bodies[slot].wrench
+    ends[:] = 0.0
+    weight, length = 0.0, 0.0
+    for i in range(len(contacts)):
+        contact = contacts[i]
+        if slots[i] == slot and contact.depth > 0.0:
+            size = 0.0
+            for k in range(3):
+                size += contact.force[k] ** 2
+            size = math.sqrt(size)
+            weight += size
+            for k in range(3):
+                ends[k] += size * contact.point[k]
+    if weight == 0.0:
+        return
+    for k in range(3):
+        ends[k] /= weight
+        ends[3 + k] = ends[k] + header.arrow_scale * force[k]
+        length += (ends[3 + k] - ends[k]) ** 2
+    address = 0
+    if length > 0.0:
+        address = add_geom(scene, _ARROW)
+    if address != 0:
+        _connect(address, _ARROW, header.arrow_width, header.ends, header.ends + 24)
+        rgba = _geoms(address, 1)[0].rgba
+        rgba[0], rgba[1], rgba[2], rgba[3] = 0.85, 0.35, 0.1, 1.0
+
+
+@compiled
+def add_dot(scene, contact, width, share):
+    """Adds a dot where an element is, yellow at the surface, blue at the greatest depth."""
+    address = add_geom(scene, _SPHERE)
+    if address != 0:
+        geom = _geoms(address, 1)[0]
+        for k in range(3):
+            geom.size[k] = width
+            geom.pos[k] = contact.point[k]
+        rgba = geom.rgba
+        rgba[0], rgba[1], rgba[2], rgba[3] = 1.0 - share, 0.85 * (1.0 - share), share, 1.0
+
+
+@compiled
+def draw(block, scene):
+    """Adds what a block asks for: an arrow for each body, a dot for each element in the sand."""
+    header = _header(block, 1)[0]
+    if header.draw == 0:
+        return
+    table = table_at(header.table)
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    slots = longs(header.slots, len(contacts))
+    if header.draw & _FORCES:
+        for slot in range(len(bodies)):
+            add_arrow(scene, header, bodies, contacts, slots, slot)
+    if header.draw & _DEPTH:
+        deepest = 0.0
+        for i in range(len(contacts)):
+            deepest = max(deepest, contacts[i].depth)
+        for i in range(len(contacts)):
+            if contacts[i].depth > 0.0:
+                add_dot(scene, contacts[i], header.arrow_width, contacts[i].depth / deepest)

@@ -1,0 +1,185 @@
+"""Where fields lie in MuJoCo's structs, found by looking.
+
+A plugin is handed `mjModel*` and `mjData*`. What is behind them is laid out by headers that differ
+from version to version, and there is no compiler here to read them. But Python shows the same
+memory as arrays: the word of the struct that holds an array's address is that array's field. A
+number without an array of its own is found by planting values that are unlike all others.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.introspect.ast_nodes import PointerType
+from mujoco.introspect.structs import STRUCTS
+
+from mjgranular.errors import GranularError
+
+TESTED = ("4.0.0",)
+"""Versions of MuJoCo that the tests have been run with."""
+
+_WORD = 8  # bytes
+
+
+class LayoutError(GranularError, RuntimeError):
+    """This version of MuJoCo keeps its fields where they could not be found."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(
+            f"the engine plugin cannot be used with MuJoCo {mujoco.__version__}: {what} was not "
+            f"found in its memory; tested versions: {', '.join(TESTED)}. "
+            "Sand(model).step(data) works without the plugin"
+        )
+
+
+def described_fields(struct: str) -> Sequence[Any]:
+    """The fields of a struct, as MuJoCo describes them."""
+    return STRUCTS[struct].fields
+
+
+@dataclass(frozen=True)
+class Struct:
+    """The memory of one `mjModel` or `mjData`: the struct, and the buffer its arrays lie in."""
+
+    address: int
+    pointers: int  # where its pointers to arrays begin, in bytes from its address
+    words: np.ndarray  # the pointers
+    buffer: range  # addresses
+
+    @classmethod
+    def of_model(cls, model: mujoco.MjModel) -> Struct:
+        """The memory of a model; what stands before the pointers ends with `stat`."""
+        return cls._behind(model, model.stat.center, model.qpos0)
+
+    @classmethod
+    def of_data(cls, data: mujoco.MjData) -> Struct:
+        """The memory of a simulation; what stands before the pointers ends with `energy`."""
+        return cls._behind(data, data.energy, data.qpos)
+
+    @classmethod
+    def _behind(cls, owner: Any, last: np.ndarray, first: np.ndarray) -> Struct:
+        """The struct whose pointers begin behind an array in it, the first of them to `first`."""
+        begin = last.ctypes.data + last.nbytes
+        fields = described_fields(type(owner).__name__.replace("Mj", "mj"))
+        count = sum(isinstance(field.type, PointerType) for field in fields)
+        words = np.frombuffer(ctypes.string_at(begin, _WORD * count), np.int64)
+        start = first.ctypes.data
+        return cls(
+            owner._address, begin - owner._address, words, range(start, start + owner.nbuffer)
+        )
+
+    def encloses(self, address: int) -> bool:
+        """Whether an address lies in the struct itself, before its pointers."""
+        return self.address <= address < self.address + self.pointers
+
+    def pointer(self, address: int, what: str) -> tuple[int, int]:
+        """The pointer to the array that an address lies in.
+
+        Args:
+            address: in the buffer.
+            what: lies there, for the message.
+
+        Returns:
+            Offset of the pointer [bytes], and that of the address in the array [bytes].
+
+        Raises:
+            LayoutError: there is none.
+        """
+        before = (self.words <= address) & (self.words >= self.buffer.start)
+        if address not in self.buffer or not before.any():
+            raise LayoutError(what)
+        begin = int(self.words[before].max())
+        place = self.pointers + _WORD * int(np.argmax(self.words == begin))
+        return place, address - begin
+
+    def field(self, array: np.ndarray, what: str) -> int:
+        """Offset of the pointer to an array [bytes].
+
+        Raises:
+            LayoutError: there is none.
+        """
+        offset, inside = self.pointer(array.ctypes.data, what)
+        if inside:
+            raise LayoutError(what)
+        return offset
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What compiled code has to know of the structs, offsets in bytes.
+
+    Attributes:
+        timestep: of `opt.timestep` in mjModel; all before it are sizes.
+        integrator: of `opt.integrator` in mjModel.
+        plugin: of the pointer `plugin` in mjModel.
+        plugin_data: of the pointer `plugin_data` in mjData.
+        sensordata: of the pointer `sensordata` in mjData.
+    """
+
+    timestep: int
+    integrator: int
+    plugin: int
+    plugin_data: int
+    sensordata: int
+
+
+def find_layout(plugin: str) -> Layout:
+    """Looks the layout up in a small model with that plugin.
+
+    Raises:
+        LayoutError: something is not where it can be told from all else.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><extension><plugin plugin="{plugin}"><instance name="probe"/></plugin>'
+        '</extension><worldbody><body><freejoint/><geom size="1"/></body></worldbody>'
+        "<sensor><clock/></sensor></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    options = model.opt
+    steps = (0.0123456789, 0.0987654321)
+    timestep = _planted(model, np.float64, steps, lambda value: _set(options, "timestep", value))
+    kinds = [int(kind) for kind in mujoco.mjtIntegrator.__members__.values()]
+    integrator = _planted(
+        model, np.int32, kinds, lambda value: _set(options, "integrator", value), timestep
+    )
+    in_model, in_data = Struct.of_model(model), Struct.of_data(data)
+    return Layout(
+        timestep,
+        integrator,
+        plugin=in_model.field(model.plugin, "plugin"),
+        plugin_data=in_data.field(data.plugin_data, "plugin_data"),
+        sensordata=in_data.field(data.sensordata, "sensordata"),
+    )
+
+
+def _set(options: Any, name: str, value: Any) -> None:
+    setattr(options, name, value)
+
+
+def _planted(
+    model: mujoco.MjModel,
+    kind: Any,
+    values: Iterable[Any],
+    plant: Callable[[Any], None],
+    begin: int = 0,
+) -> int:
+    """Offset in mjModel of the one number that follows what is planted.
+
+    Raises:
+        LayoutError: none does, or several.
+    """
+    size = Struct.of_model(model).pointers - begin
+    size -= size % np.dtype(kind).itemsize
+    follows = np.ones(size // np.dtype(kind).itemsize, bool)
+    for value in values:
+        plant(value)
+        follows &= np.frombuffer(ctypes.string_at(model._address + begin, size), kind) == value
+    (found,) = np.nonzero(follows)
+    if len(found) != 1:
+        raise LayoutError("an option of the model")
+    return begin + int(found[0]) * np.dtype(kind).itemsize

@@ -1,0 +1,331 @@
+"""From the words in MJCF to a block in memory: what Python does when an `mjData` is made.
+
+MuJoCo calls `init` for each plugin instance of each new `mjData`, with two C pointers. The sand is
+prepared by the same Python code as for `Sand`, on a copy of the model, and kept by what it was
+made of: the next `mjData` of the model, or of another that is the same where it matters, costs a
+hash and a copy of a block.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numba import types
+
+from mjgranular.engine import sensor
+from mjgranular.engine.aside import aside, is_aside
+from mjgranular.engine.block import HEADER_DTYPE, REFUSED, Image, load, make_image
+from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, read_config
+from mjgranular.engine.layout import Layout, LayoutError, Struct
+from mjgranular.engine.library import instance_name, library
+from mjgranular.engine.links import c_address
+from mjgranular.engine.native import release, retain
+from mjgranular.engine.plugin import NAME, SENSOR_KEYS
+from mjgranular.engine.rows import Rows
+from mjgranular.engine.sensor import Sensors
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.law import get_law, make_scene
+from mjgranular.medium import media
+from mjgranular.medium.medium import get_medium
+from mjgranular.scheme import Explicit, get_scheme
+from mjgranular.shape import select_geoms
+from mjgranular.surface import Plane
+
+_KEPT = 32  # images of models of the past: they cost memory, and save preparing them again
+# What elements, selection and surfaces are made of. Heights of a height field are read live.
+_PREFIXES = (
+    "body_", "geom_", "jnt_", "dof_", "hfield_", "mesh_vert", "mesh_face", "mesh_pos", "mesh_quat",
+)  # fmt: skip
+_SWITCHES = 64  # bytes of `opt` from the integrator on: solver, Jacobian, flags
+_SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_adr")
+_NAMES = ("qpos0", "plugin", *_SENSORS)
+_NO_MATTER = (
+    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "sensor_", "plugin",
+)  # fmt: skip
+
+# Which key named what a model does not have, by a word of what it was to name.
+_KEYS_OF_KINDS = {
+    "group": "groups",
+    "body of": "bodies",
+    "box geom": "surface",
+    "hfield geom": "surface",
+    "geom of": "geoms",
+}
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The sand of one instance in a model.
+
+    Attributes:
+        image: of its block.
+        bodies: names of the bodies that meet it by their ids, in its order.
+        silent: geoms that are the sand itself, whose contacts are off.
+        draws: whether something is to be drawn.
+        origin: the medium; kept because the key of this is made with its identity.
+    """
+
+    image: Image
+    bodies: dict[int, str]
+    silent: tuple[int, ...]
+    draws: bool
+    origin: object
+
+
+class Loader:
+    """Makes blocks for new `mjData`.
+
+    Args:
+        layout: of MuJoCo's structs.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self._layout = layout
+        self._rows = Rows(layout)
+        self._lock = threading.Lock()
+        self._prepared: OrderedDict[bytes, Prepared] = OrderedDict()
+        self._fields: dict[bytes, dict[str, tuple[int, int]]] = {}
+        function = ctypes.PYFUNCTYPE(None, ctypes.c_int64)
+        self._retain = function(c_address(retain, types.int64))
+        self._release = function(c_address(release, types.int64))
+        self.draws = False
+        """Whether anything was to be drawn so far."""
+
+    def load(self, model: int, data: int, instance: int) -> None:
+        """Gives an instance in a new `mjData` its block, unlinked.
+
+        Raises:
+            InputError: what was written cannot be read, or does not fit the model.
+        """
+        self._rows.clear(data, instance)
+        if is_aside():
+            return
+        with self._lock:
+            sands = self._sands(model)
+            if instance in sands.values():
+                content = self._sand(model, instance)
+            else:
+                content = self._sensor(model, instance, sands)
+            self._rows.seat(data, instance, load(content))
+
+    def refuse(self, data: int, instance: int, text: bytes) -> None:
+        """Gives an instance a block that is an error of MuJoCo's as soon as it is used."""
+        head = np.zeros(1, HEADER_DTYPE)
+        head["busy"] = REFUSED
+        with self._lock:
+            message = np.frombuffer(text + b"\0", np.uint8)
+            self._rows.seat(data, instance, load(np.concatenate([head.view(np.uint8), message])))
+
+    def _sand(self, model: int, instance: int) -> np.ndarray:
+        image = self._prepare(model, instance).image
+        self._retain(image.share)
+        return image.content
+
+    def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> np.ndarray:
+        texts = config_texts(model, instance, SENSOR_KEYS)
+        sand = sensor.find_sand(texts["sand"], sands)
+        bodies = self._prepare(model, sand).bodies
+        sensors = {
+            field.name: self._array(model, f"sensor_{field.name}") for field in fields(Sensors)
+        }
+        senses = sensor.make_senses(instance, sand, texts["measure"], Sensors(**sensors), bodies)
+        head = np.zeros(1, HEADER_DTYPE)
+        head["size"] = head.nbytes + senses.nbytes
+        return np.concatenate([head.view(np.uint8), senses.view(np.uint8)])
+
+    def _sands(self, model: int) -> dict[str, int]:
+        """Instances of sand in a model by their names."""
+        slot = ctypes.c_int()
+        library().mjp_getPlugin(NAME.encode(), ctypes.addressof(slot))
+        slots = self._array(model, "plugin")
+        return {instance_name(model, int(i)): int(i) for i in np.flatnonzero(slots == slot.value)}
+
+    def _array(self, model: int, name: str) -> np.ndarray:
+        """A copy of an array of integers of a model."""
+        known = self._fields_of(model)
+        if name not in known:
+            return np.zeros(0, np.int32)
+        offset, size = known[name]
+        return np.frombuffer(ctypes.string_at(_pointer(model + offset), size), np.int32)
+
+    def _sizes(self, model: int) -> bytes:
+        return ctypes.string_at(model, self._layout.timestep)
+
+    def _fields_of(self, model: int) -> dict[str, tuple[int, int]]:
+        sizes = self._sizes(model)
+        if sizes not in self._fields:
+            self._fields[sizes] = aside(lambda: _fields(_copy(model)))
+        return self._fields[sizes]
+
+    def _prepare(self, model: int, instance: int) -> Prepared:
+        texts = config_texts(model, instance, KEYS)
+        key = self._key(model, instance, texts)
+        prepared = self._prepared.get(key)
+        if prepared is None:
+            prepared = aside(lambda: _prepare(_copy(model), texts))
+            self._keep(key, prepared)
+        else:
+            self._prepared.move_to_end(key)
+        if self._silence(model, prepared.silent):
+            self._retain(prepared.image.share)
+            self._keep(self._key(model, instance, texts), prepared)
+        return prepared
+
+    def _keep(self, key: bytes, prepared: Prepared) -> None:
+        """Keeps what was prepared, and with it one use of its share."""
+        self._prepared[key] = prepared
+        self.draws |= prepared.draws
+        while len(self._prepared) > _KEPT:
+            _, oldest = self._prepared.popitem(last=False)
+            self._release(oldest.image.share)
+
+    def _key(self, model: int, instance: int, texts: dict[str, str]) -> bytes:
+        """What the sand is made of, in short."""
+        digest = hashlib.blake2b(self._sizes(model), digest_size=16)
+        digest.update(ctypes.string_at(model + self._layout.integrator, _SWITCHES))
+        digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
+        for name, (offset, size) in self._fields_of(model).items():
+            if not name.startswith(_NO_MATTER):
+                digest.update(ctypes.string_at(_pointer(model + offset), size))
+        return digest.digest()
+
+    def _silence(self, model: int, geoms: tuple[int, ...]) -> bool:
+        """Switches contacts of geoms off; says whether any were on."""
+        changed = False
+        for name in ("geom_contype", "geom_conaffinity"):
+            for geom in geoms:
+                bits = _pointer(model + self._fields_of(model)[name][0]) + 4 * geom
+                if ctypes.c_int32.from_address(bits).value:
+                    ctypes.c_int32.from_address(bits).value = 0
+                    changed = True
+        return changed
+
+
+def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
+    """What is written for an instance under each key, "" for nothing."""
+    read = library().mj_getPluginConfig
+    texts = {key: read(model, instance, key.encode()) for key in keys}
+    return {key: (text or b"").decode() for key, text in texts.items()}
+
+
+def _pointer(address: int) -> int:
+    return ctypes.c_int64.from_address(address).value
+
+
+def _copy(model: int) -> mujoco.MjModel:
+    """A model of Python's own, from a pointer to one that is not."""
+    return mujoco.MjModel._from_model_ptr(library().mj_copyModel(None, model))
+
+
+def _medium_now(text: str) -> object:
+    """What tells the medium under this name from another that it may stand for later."""
+    if text.endswith((".yaml", ".yml")):
+        try:
+            found = Path(text).stat()
+        except OSError:
+            return None
+        return found.st_mtime_ns, found.st_size
+    return id(media.get(text or DEFAULT_MEDIUM))
+
+
+def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
+    """Where models of these sizes keep what sand is made of: offset of the pointer, size [bytes].
+
+    Raises:
+        LayoutError: a field is not found.
+    """
+    struct = Struct.of_model(model)
+    names = [name for name in dir(model) if name.startswith(_PREFIXES) or name in _NAMES]
+    found = {}
+    for name in names:
+        array = getattr(model, name)
+        if isinstance(array, np.ndarray) and array.nbytes:
+            found[name] = struct.field(array, name), array.nbytes
+    # Python shows no address of the names: in mjmodel.h they stand before the map of their hashes.
+    before = struct.field(model.names_map, "names_map") - 8
+    text = bytes(model.names)
+    if ctypes.string_at(_pointer(model._address + before), len(text)) != text:
+        raise LayoutError("names")
+    found["names"] = before, len(text)
+    return found
+
+
+def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
+    """Prepares the sand that is written in those texts for a model, which is changed.
+
+    Raises:
+        InputError: a text cannot be read, or does not fit the model.
+    """
+    config = read_config(texts)
+    given = config.arguments
+    medium = given.get("medium") or get_medium(DEFAULT_MEDIUM)
+    law = get_law(given.get("law"), medium)
+    surface = given.get("surface") or Plane()
+    scheme = get_scheme(given.get("scheme", "explicit"))
+    if isinstance(scheme, Explicit):
+        # Between mj_step1 and mj_step2 RK4 is Euler and refused; within mj_step it is itself.
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    scheme.check(model)
+    contacts = model.geom_contype | model.geom_conaffinity
+    try:
+        geoms = select_geoms(
+            model,
+            bodies=given.get("bodies"),
+            geoms=given.get("geoms"),
+            groups=given.get("groups"),
+            leave_out=surface.geoms(model),
+        )
+    except UnknownNameError as error:
+        key = next((_KEYS_OF_KINDS[kind] for kind in _KEYS_OF_KINDS if kind in error.kind), "law")
+        raise InputError(f"config {key!r}: {error}") from None
+    elements = law.elements(model, geoms, given.get("resolution"))
+    scene = make_scene(law, medium, surface, model)
+    silent = np.flatnonzero(contacts & ~(model.geom_contype | model.geom_conaffinity))
+    program = scheme.program(law.kernel(surface), scene.dtype)
+    values = {
+        "program": c_address(program, types.int64, types.float64),
+        "whole": scheme.whole_state,
+        "lead": scheme.lead,
+        "draw": _drawing(model, config.draw),
+        "arrow_scale": model.vis.map.force / model.stat.meanmass,
+        "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
+    }
+    image = make_image(
+        model,
+        mujoco.MjData(model),
+        elements=elements,
+        scene=scene,
+        scheme=scheme,
+        values=values,
+    )
+    return Prepared(
+        image,
+        bodies={int(body): model.body(body).name or str(body) for body in _in_order(elements)},
+        silent=tuple(int(geom) for geom in silent),
+        draws=bool(config.draw),
+        origin=medium,
+    )
+
+
+def _drawing(model: mujoco.MjModel, drawings: Sequence[str]) -> int:
+    """A bit for each of them."""
+    if not drawings:
+        return 0
+    from mjgranular.engine.draw import check_scene
+
+    check_scene(model)
+    return sum(1 << DRAWINGS.index(drawing) for drawing in set(drawings))
+
+
+def _in_order(elements: np.ndarray) -> np.ndarray:
+    """Ids of the bodies that elements belong to, by their slots."""
+    _, first = np.unique(elements["slot"], return_index=True)
+    return elements["body"][first]

@@ -1,0 +1,283 @@
+"""What the engine calls: compiled, without Python, without the GIL, without allocating."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+from numba import types
+
+from mjgranular.engine.block import (
+    BUSY,
+    HEADER_DTYPE,
+    IN_DATA,
+    IN_MODEL,
+    POINTER_IN_DATA,
+    POINTER_IN_MODEL,
+    REFUSED,
+    RELOCATION_DTYPE,
+)
+from mjgranular.engine.layout import Layout
+from mjgranular.engine.links import add_atomically, call_program
+from mjgranular.engine.rows import (
+    ROW_COUNT,
+    block_finder,
+    row_finder,
+    row_records,
+    rows_address,
+)
+from mjgranular.engine.sensor import sensor_compute
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CDOF,
+    DOF_PARENT,
+    NBODY,
+    NV,
+    SUBTREE_COM,
+    XIPOS,
+    floats,
+    ints,
+    longs,
+    records,
+    table_at,
+)
+from mjgranular.kernel.records import body_records
+
+PREPARE = "mjgranular_prepare"
+"""Name by which compiled code finds the way into Python."""
+
+FUNCTIONS = ("mju_error", "mju_free", "mj_fwdVelocity", "mjv_initGeom", "mjv_connector")
+"""Functions of MuJoCo's that compiled code calls."""
+
+INIT_TYPES = (types.int64, types.int64, types.int32)
+"""Of `init` and of the way into Python: mjModel*, mjData*, the number of the instance."""
+
+Callbacks = dict[str, tuple[Any, tuple[Any, ...]]]
+"""Compiled functions by the names of their fields in `mjpPlugin`, with numba's types of arguments.
+
+Beside them `start`, which is called from Python.
+"""
+
+_RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+_ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
+
+_address, _number = types.int64, types.int32
+_header = records(HEADER_DTYPE)
+_relocations = records(RELOCATION_DTYPE)
+_bytes = records(np.dtype(np.uint8))
+_prepare = types.ExternalFunction(PREPARE, types.int64(*INIT_TYPES))
+_error = types.ExternalFunction("mju_error", types.void(types.int64))
+_forward_velocity = types.ExternalFunction("mj_fwdVelocity", types.void(types.int64, types.int64))
+_free = types.ExternalFunction("mju_free", types.void(types.int64))
+
+
+@compiled
+def link(block, model, data, first):
+    """Fills in the addresses of a block, from its relocation number `first` on."""
+    header = _header(block, 1)[0]
+    count = header.relocation_count
+    relocations = _relocations(header.relocations, count)
+    words = longs(block, header.size // 8)
+    for i in range(first, count):
+        relocation = relocations[i]
+        kind, offset = relocation.kind, relocation.offset
+        if kind >= IN_MODEL:
+            address = model + offset
+        elif kind >= IN_DATA:
+            address = data + offset
+        else:
+            address = block + offset
+        if kind in (POINTER_IN_DATA, POINTER_IN_MODEL):
+            address = longs(address, 1)[0] + relocation.delta
+        words[relocation.word] = address
+
+
+@compiled
+def retain(share):
+    """Counts one more user of a share."""
+    add_atomically(share, 1)
+
+
+@compiled
+def release(share):
+    """Counts one user less; the last one frees it."""
+    if share != 0 and add_atomically(share, -1) == 1:
+        _free(share)
+
+
+@compiled
+def prepare(model, data, instance):
+    """Has Python prepare the sand; an error of MuJoCo's, with Python's text, if it cannot."""
+    message = _prepare(model, data, instance)
+    if message != 0:
+        _error(message)  # does not return
+    return 0
+
+
+@compiled
+def add_wrenches(table, qfrc, awake):
+    """Adds the bodies' wrenches to generalized forces: their power along each degree of freedom.
+
+    Columns of `cdof` are velocities (angular, linear) about the centre of mass of the tree, so the
+    moment is taken there. Trees that sleep are left alone, as MuJoCo leaves them.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+        qfrc: address of nv forces.
+        awake: address of `body_awake`.
+    """
+    nv = table[NV]
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    centres = floats(table[XIPOS], 3 * table[NBODY])
+    origins = floats(table[SUBTREE_COM], 3 * table[NBODY])
+    cdof = floats(table[CDOF], 6 * nv)
+    parent = ints(table[DOF_PARENT], nv)
+    states = ints(awake, table[NBODY])
+    forces = floats(qfrc, nv)
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        if states[body.body] == _ASLEEP:
+            continue
+        fx, fy, fz = body.wrench[0], body.wrench[1], body.wrench[2]
+        mx, my, mz = body.wrench[3], body.wrench[4], body.wrench[5]
+        if fx == 0.0 and fy == 0.0 and fz == 0.0 and mx == 0.0 and my == 0.0 and mz == 0.0:
+            continue
+        c, o = 3 * body.body, 3 * body.root
+        x, y = centres[c] - origins[o], centres[c + 1] - origins[o + 1]
+        z = centres[c + 2] - origins[o + 2]
+        mx += y * fz - z * fy
+        my += z * fx - x * fz
+        mz += x * fy - y * fx
+        dof = body.last_dof
+        while dof >= 0:
+            j = 6 * dof
+            forces[dof] += (
+                cdof[j] * mx
+                + cdof[j + 1] * my
+                + cdof[j + 2] * mz
+                + cdof[j + 3] * fx
+                + cdof[j + 4] * fy
+                + cdof[j + 5] * fz
+            )
+            dof = parent[dof]
+
+
+@cache
+def life(layout: Layout) -> Callbacks:
+    """What is called when simulations are made, copied and freed, the same for all plugins."""
+    find_row, find_block = row_finder(layout), block_finder(layout)
+
+    @compiled
+    def start(model, data, instance):
+        """Links a block that has just been loaded."""
+        block = find_block(data, instance)
+        if block != 0:
+            link(block, model, data, 0)
+
+    @compiled
+    def init(model, data, instance):
+        prepare(model, data, instance)
+        start(model, data, instance)
+        return 0
+
+    @compiled
+    def destroy(data, instance):
+        number = find_row(data, instance)
+        if number == 0:
+            return
+        row = row_records(rows_address(), ROW_COUNT)[number]
+        block = row.block
+        share = _header(block, 1)[0].share
+        row.block = 0
+        row.data = 0
+        _free(block)
+        release(share)
+
+    @compiled
+    def copy(to, model, origin, instance):
+        ours, theirs = find_block(to, instance), find_block(origin, instance)
+        if ours == 0 or theirs == 0:
+            return
+        mine, other = _header(ours, 1)[0], _header(theirs, 1)[0]
+        if mine.share != other.share or mine.results_size != other.results_size:
+            return
+        into = _bytes(mine.results, mine.results_size)
+        from_ = _bytes(other.results, other.results_size)
+        for i in range(mine.results_size):
+            into[i] = from_[i]
+
+    @compiled
+    def reset(model, state, handle, instance):
+        return
+
+    return {
+        "start": (start, INIT_TYPES),
+        "init": (init, INIT_TYPES),
+        "destroy": (destroy, (_address, _number)),
+        "copy": (copy, (_address, _address, _address, _number)),
+        "reset": (reset, (_address, _address, _address, _number)),
+    }
+
+
+@cache
+def sand_callbacks(layout: Layout) -> Callbacks:
+    """The compiled functions of `mjgranular.sand`."""
+    find_block = block_finder(layout)
+    timestep, integrator = layout.timestep, layout.integrator
+    begin = HEADER_DTYPE.itemsize
+
+    @compiled
+    def compute(model, data, instance, capability):
+        block = find_block(data, instance)
+        if block == 0:
+            return
+        header = _header(block, 1)[0]
+        if header.busy != 0:
+            if header.busy == REFUSED:
+                _error(block + begin)
+            return
+        # A batch may run this mjData on another model, or move arrays of the same.
+        link(block, model, data, header.of_model)
+        lead = 0.0
+        if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
+            lead = header.lead * floats(model + timestep, 1)[0]
+        if header.whole != 0:
+            # Bias and reference forces come after passive ones, and are needed now. This comes back
+            # here, where it ends at once.
+            header.busy = BUSY
+            _forward_velocity(model, data)
+            header.busy = 0
+        call_program(header.program, header.table, lead)
+        add_wrenches(table_at(header.table), header.qfrc, header.awake)
+
+    return {
+        **life(layout),
+        "compute": (compute, (_address, _address, _number, _number)),
+    }
+
+
+@cache
+def drawing_callbacks(layout: Layout) -> Callbacks:
+    """What is added to `mjgranular.sand` when something is to be drawn."""
+    from mjgranular.engine.draw import draw
+
+    find_block = block_finder(layout)
+
+    @compiled
+    def visualize(model, data, options, scene, instance):
+        block = find_block(data, instance)
+        if block != 0:
+            draw(block, scene)
+
+    return {"visualize": (visualize, (_address, _address, _address, _address, _number))}
+
+
+@cache
+def sensor_callbacks(layout: Layout) -> Callbacks:
+    """The compiled functions of `mjgranular.sensor`."""
+    compute = sensor_compute(layout)
+    return {**life(layout), "compute": (compute, (_address, _address, _number, _number))}

@@ -1,0 +1,118 @@
+"""Whose block is where: one table for all simulations of the process.
+
+`mjData.plugin_data` holds a *handle* for each instance: the number of a row here. A handle and not
+an address, because it cannot be trusted: an `MjData` that is unpickled gets the words of the one
+that was pickled, in another process perhaps. A row is taken only if it says that it belongs to this
+`mjData`; else the right one is looked for. Rows are written under a lock when simulations are made,
+and read without one: a row that names an `mjData` changes only together with it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mjgranular.engine.layout import Layout
+from mjgranular.engine.library import library, memory_at
+from mjgranular.engine.links import publish, symbol
+from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import longs, records
+
+ROW_DTYPE = np.dtype(
+    [
+        ("data", np.int64),  # mjData*, 0 in a row that is free
+        ("instance", np.int64),
+        ("block", np.int64),  # address
+        ("used", np.int64),  # in row 0, which has no block: rows that were ever used
+    ]
+)
+ROW_COUNT = 1 << 18
+
+_SYMBOL = "mjgranular_rows"
+
+row_records = records(ROW_DTYPE)
+rows_address = symbol(_SYMBOL)
+
+
+class Rows:
+    """The table, as Python writes it. It is never freed: simulations may outlive Python."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._plugin_data = layout.plugin_data
+        size = ROW_COUNT * ROW_DTYPE.itemsize
+        address = library().mju_malloc(size)
+        ctypes.memset(address, 0, size)
+        publish(_SYMBOL, address)
+        self._rows = memory_at(address, size).view(ROW_DTYPE)
+        self._rows["used"][0] = 1
+
+    def clear(self, data: int, instance: int) -> None:
+        """An instance without a block."""
+        self._set_handle(data, instance, 0)
+
+    def seat(self, data: int, instance: int, block: int) -> None:
+        """Gives an instance in an `mjData` its block."""
+        number = self._free(data, instance)
+        row = self._rows[number : number + 1]
+        row["block"], row["instance"] = block, instance
+        row["data"] = data
+        self._set_handle(data, instance, number)
+
+    def _set_handle(self, data: int, instance: int, number: int) -> None:
+        handles = ctypes.c_int64.from_address(data + self._plugin_data).value
+        ctypes.c_int64.from_address(handles + 8 * instance).value = number
+
+    def _free(self, data: int, instance: int) -> int:
+        """A row that is free, or was left behind by an `mjData` at the same address."""
+        used = int(self._rows["used"][0])
+        rows = self._rows[1:used]
+        left = np.flatnonzero((rows["data"] == data) & (rows["instance"] == instance))
+        free = left if len(left) else np.flatnonzero(rows["data"] == 0)
+        if len(free):
+            return 1 + int(free[0])
+        if used == ROW_COUNT:
+            raise InputError(f"no more than {ROW_COUNT - 1} simulations can have sand at a time")
+        self._rows["used"][0] = used + 1
+        return used
+
+
+@cache
+def row_finder(layout: Layout) -> Any:
+    """A compiled function `find_row(data, instance)`: the number of a row, 0 for none."""
+    plugin_data = layout.plugin_data
+
+    @compiled
+    def find_row(data, instance):
+        rows = row_records(rows_address(), ROW_COUNT)
+        handles = longs(longs(data + plugin_data, 1)[0], instance + 1)
+        handle = handles[instance]
+        if handle == 0:
+            return 0
+        if 0 < handle < ROW_COUNT:
+            row = rows[handle]
+            if row.data == data and row.instance == instance:
+                return handle
+        for i in range(1, rows[0].used):
+            row = rows[i]
+            if row.data == data and row.instance == instance:
+                handles[instance] = i
+                return i
+        return 0
+
+    return find_row
+
+
+@cache
+def block_finder(layout: Layout) -> Any:
+    """A compiled function `find_block(data, instance)`: the address of a block, 0 for none."""
+    find_row = row_finder(layout)
+
+    @compiled
+    def find_block(data, instance):
+        return row_records(rows_address(), ROW_COUNT)[find_row(data, instance)].block
+
+    return find_block

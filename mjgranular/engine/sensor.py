@@ -1,0 +1,191 @@
+"""The plugin `mjgranular.sensor`: what the sand does to a body, among MuJoCo's own sensors.
+
+It reads what the sand of the same `mjData` has left behind, and is a plugin of its own so that a
+model without such sensors does not pay for them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.engine.block import HEADER_DTYPE
+from mjgranular.engine.layout import Layout
+from mjgranular.engine.rows import block_finder
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CONTACTS,
+    ELEMENT_COUNT,
+    floats,
+    longs,
+    records,
+    table_at,
+)
+from mjgranular.kernel.records import body_records, contact_records
+
+MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1}
+"""What a sensor can measure, with the number of its values."""
+
+FORCE, MOMENT, DEPTH, POWER = range(len(MEASURES))
+
+SENSE_DTYPE = np.dtype(
+    [
+        ("sand", np.int64),  # instance whose results are read
+        ("measure", np.int64),
+        ("slot", np.int64),  # row of the body in the sand, -1 for all bodies together
+        ("at", np.int64),  # first of its values in `sensordata`
+    ]
+)
+
+_header = records(HEADER_DTYPE)
+_senses = records(SENSE_DTYPE)
+
+_UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
+_BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """The sensors of a model, as far as they are needed: arrays of `mjModel` without `sensor_`."""
+
+    plugin: np.ndarray
+    objtype: np.ndarray
+    objid: np.ndarray
+    adr: np.ndarray
+
+
+def size_of(measure: str) -> int:
+    """How many values a measure has, 1 for one that is not known."""
+    return MEASURES.get(measure, 1)
+
+
+def find_sand(name: str, sands: Mapping[str, int]) -> int:
+    """The number of the instance that a sensor reads.
+
+    Args:
+        name: of the instance; "" for the only one.
+        sands: instances of `mjgranular.sand` by their names.
+
+    Raises:
+        InputError: no such instance, or none was named where there are several.
+    """
+    if not name and len(sands) == 1:
+        (only,) = sands.values()
+        return only
+    if not sands:
+        raise InputError("there is no instance of mjgranular.sand in the model")
+    if not name:
+        raise InputError(
+            f"config 'sand': the model has several sands: name one of {', '.join(sands)}"
+        )
+    if name not in sands:
+        raise InputError(f"config 'sand': {UnknownNameError('sand', name, sands)}")
+    return sands[name]
+
+
+def make_senses(
+    instance: int, sand: int, measure: str, sensors: Sensors, bodies: Mapping[int, str]
+) -> np.ndarray:
+    """What is to be measured for one instance: rows of `SENSE_DTYPE`.
+
+    Args:
+        instance: of this plugin.
+        sand: instance of the sand.
+        measure: what.
+        sensors: of the model.
+        bodies: names of the sand's bodies by their ids, in its order.
+
+    Raises:
+        InputError: no such measure, or a body that does not meet that sand.
+    """
+    if measure not in MEASURES:
+        raise InputError(f"config 'measure': {UnknownNameError('measure', measure, MEASURES)}")
+    kind = list(MEASURES).index(measure)
+    mine = np.flatnonzero(sensors.plugin == instance)
+    senses = np.zeros(len(mine), SENSE_DTYPE)
+    for sense, number in zip(senses, mine, strict=True):
+        slot = -1
+        if sensors.objtype[number] in _BODIES:
+            body = int(sensors.objid[number])
+            if body not in bodies:
+                raise InputError(
+                    f"objname: body number {body} does not meet the sand; those that do: "
+                    f"{', '.join(bodies.values())}"
+                )
+            slot = list(bodies).index(body)
+        elif sensors.objtype[number] != _UNKNOWN:
+            raise InputError("objtype must be body, or left out for all bodies together")
+        if kind == MOMENT and slot < 0:
+            raise InputError(
+                "a moment is about the centre of mass of one body: objtype and objname"
+            )
+        sense["sand"], sense["measure"], sense["slot"] = sand, kind, slot
+        sense["at"] = sensors.adr[number]
+    return senses
+
+
+@compiled
+def measure_sand(block, measure, slot, values):
+    """Measures what the last step of a sand has left behind.
+
+    Args:
+        block: of the sand.
+        measure: what.
+        slot: row of the body, -1 for all.
+        values: room for the result.
+    """
+    header = _header(block, 1)[0]
+    table = table_at(header.table)
+    if measure in (FORCE, MOMENT):
+        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        first = 3 if measure == MOMENT else 0
+        for k in range(3):
+            values[k] = 0.0
+        for i in range(len(bodies)):
+            if slot < 0 or slot == i:
+                for k in range(3):
+                    values[k] += bodies[i].wrench[first + k]
+        return
+    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    slots = longs(header.slots, len(contacts))
+    depth, power = -math.inf, 0.0
+    for i in range(len(contacts)):
+        if slot < 0 or slot == slots[i]:
+            contact = contacts[i]
+            depth = max(depth, contact.depth)
+            if contact.depth > 0.0:  # above the sand only the depth is written
+                for k in range(3):
+                    power += contact.force[k] * contact.velocity[k]
+    values[0] = depth if measure == DEPTH else power
+
+
+@cache
+def sensor_compute(layout: Layout) -> Any:
+    """The compiled `compute` of the plugin."""
+    find_block = block_finder(layout)
+    sensordata = layout.sensordata
+    begin, stride = HEADER_DTYPE.itemsize, SENSE_DTYPE.itemsize
+
+    @compiled
+    def compute(model, data, instance, capability):
+        block = find_block(data, instance)
+        if block == 0 or _header(block, 1)[0].size == 0:
+            return
+        senses = _senses(block + begin, (_header(block, 1)[0].size - begin) // stride)
+        readings = longs(data + sensordata, 1)[0]
+        for i in range(len(senses)):
+            sense = senses[i]
+            sand = find_block(data, sense.sand)
+            if sand != 0 and _header(sand, 1)[0].table != 0:
+                measure_sand(sand, sense.measure, sense.slot, floats(readings + 8 * sense.at, 3))
+
+    return compute
