@@ -16,6 +16,7 @@ from mjgranular import headless as _headless
 # isort: split
 
 from mjgranular._version import __version__ as __version__
+from mjgranular.engine import add_sand as add_sand
 from mjgranular.errors import GranularError as GranularError
 from mjgranular.errors import GranularWarning as GranularWarning
 from mjgranular.errors import InputError as InputError

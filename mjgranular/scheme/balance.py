@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import mujoco
+import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, smooth_derivative, solve_inertia
@@ -23,6 +24,25 @@ _contacts = records(CONTACT_DTYPE)
 rows_of = records(ROWS_DTYPE)
 
 
+# Not literals, for each of which numba would compile a function anew.
+_ALL, _LOWER = np.bool_(True), np.bool_(False)
+_ANEW, _MORE = np.bool_(True), np.bool_(False)
+
+
+@compiled
+def clear(numbers):
+    """Sets all to zero."""
+    for k in range(len(numbers)):
+        numbers[k] = 0.0
+
+
+@compiled
+def copy(target, source):
+    """Copies as many numbers as the source has."""
+    for k in range(len(source)):
+        target[k] = source[k]
+
+
 @compiled
 def prepare_inertia(desk, room, h):
     """What resists a change of velocity over a step: inertia, and what the integrator adds to it.
@@ -31,8 +51,9 @@ def prepare_inertia(desk, room, h):
     all smooth forces by velocity.
     """
     nv = desk[d.NV]
-    inertia, extra = room.inertia, room.extra
-    inertia[:] = 0.0
+    inertia = floats(room.inertia, nv * nv)
+    extra = floats(room.extra, nv * nv)
+    clear(inertia)
     m = desk[d.INERTIA]
     size, start = ints(desk[d.M_SIZE], nv), ints(desk[d.M_START], nv)
     total = start[nv - 1] + size[nv - 1]
@@ -45,7 +66,7 @@ def prepare_inertia(desk, room, h):
     kind = desk[d.INTEGRATOR]
     if kind == d.PLAIN:
         return
-    extra[:] = 0.0
+    clear(extra)
     if kind == d.DAMPED:
         damping = floats(desk[d.DAMPING], nv)
         for i in range(nv):
@@ -54,13 +75,13 @@ def prepare_inertia(desk, room, h):
         full = kind == d.IMPLICIT_FULL
         if full or desk[d.LONE_COUNT] > 0:
             smooth_derivative(desk[d.MODEL], desk[d.DATA], 1)
-            take_derivative(desk, extra, h, True)
+            take_derivative(desk, extra, h, _ALL)
         if not full:
             # implicitfast leaves out the bias, but for lone free bodies.
             if desk[d.LONE_COUNT] > 0:
                 keep_lone(desk, extra)
             smooth_derivative(desk[d.MODEL], desk[d.DATA], 0)
-            take_derivative(desk, extra, h, False)
+            take_derivative(desk, extra, h, _LOWER)
     for k in range(nv * nv):
         inertia[k] += extra[k]
 
@@ -134,10 +155,10 @@ def solve(matrix, right, answer, n):
 def body_motions(desk, room, velocity):
     """Spatial velocities of the bodies about the centres of their trees."""
     nv, nbody = desk[d.NV], desk[d.NBODY]
+    motion = floats(room.motion, 6 * nbody)
     cdof = floats(desk[d.CDOF], 6 * nv)
     parents = ints(desk[d.BODY_PARENT], nbody)
     first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
-    motion = room.motion
     for k in range(6):
         motion[k] = 0.0
     for b in range(1, nbody):
@@ -161,16 +182,21 @@ def body_motions(desk, room, velocity):
 def weigh(desk, room, velocity, h):
     """Begins residual and derivative: inertia times the change of velocity, less smooth forces."""
     nv = desk[d.NV]
-    inertia, matrix, change = room.inertia, room.matrix, room.answer
+    start = floats(room.start, nv)
+    smooth = floats(room.smooth, nv)
+    residual = floats(room.residual, nv)
+    change = floats(room.answer, nv)
+    inertia = floats(room.inertia, nv * nv)
+    matrix = floats(room.matrix, nv * nv)
     for j in range(nv):
-        change[j] = velocity[j] - room.start[j]
+        change[j] = velocity[j] - start[j]
     for i in range(nv):
-        total = -room.smooth[i]
+        total = -smooth[i]
         for j in range(nv):
             m = inertia[i * nv + j]
             matrix[i * nv + j] = m
             total += m * change[j]
-        room.residual[i] = total
+        residual[i] = total
 
 
 @compiled
@@ -181,12 +207,17 @@ def add_bodies(desk, room, h):
     centre of one tree can be summed.
     """
     nv, nbody = desk[d.NV], desk[d.NBODY]
+    sand = floats(room.sand, nv)
+    matrix = floats(room.matrix, nv * nv)
+    own = floats(room.own, 6 * nbody)
+    total = floats(room.total, 6 * nbody)
+    stiffness = floats(room.stiffness, 36 * nbody)
+    wet = floats(room.wet, nbody)
     cdof = floats(desk[d.CDOF], 6 * nv)
     parents = ints(desk[d.BODY_PARENT], nbody)
     dof_body, dof_parent = ints(desk[d.DOF_BODY], nv), ints(desk[d.DOF_PARENT], nv)
-    total, stiffness, wet, matrix = room.total, room.stiffness, room.wet, room.matrix
     for k in range(6 * nbody):
-        total[k] = room.own[k]
+        total[k] = own[k]
     for b in range(nbody - 1, 0, -1):
         p = parents[b]
         if wet[b] != 0.0 and p > 0:
@@ -196,13 +227,13 @@ def add_bodies(desk, room, h):
                 stiffness[36 * p + k] += stiffness[36 * b + k]
     for j in range(nv):
         b = dof_body[j]
-        room.sand[j] = 0.0
+        sand[j] = 0.0
         if wet[b] == 0.0:
             continue
         s = stiffness[36 * b : 36 * b + 36]
         c = cdof[6 * j : 6 * j + 6]
         w = total[6 * b : 6 * b + 6]
-        room.sand[j] = h * (
+        sand[j] = h * (
             c[0] * w[0] + c[1] * w[1] + c[2] * w[2] + c[3] * w[3] + c[4] * w[4] + c[5] * w[5]
         )
         # Down (columns) and across (rows): the stiffness need not be symmetric.
@@ -245,10 +276,13 @@ def bound_forces(desk, room, velocity, h):
     engine's documentation.
     """
     nv = desk[d.NV]
+    bound = floats(room.bound, nv)
+    acceleration = floats(room.acceleration, nv)
     data = desk[d.DATA]
     rows = rows_of(desk[d.ROWS], 1)[0]
     count = ints(data + rows.count, 1)[0]
-    room.bound[:] = 0.0
+    for j in range(nv):
+        bound[j] = 0.0
     if count == 0:
         return
     accelerate(desk, room, velocity, h)
@@ -257,14 +291,14 @@ def bound_forces(desk, room, velocity, h):
     mass = floats(longs(data + rows.mass, 1)[0], count)
     reference = floats(longs(data + rows.reference, 1)[0], count)
     owner = ints(longs(data + rows.owner, 1)[0], count)
-    i = 0
+    i = np.int64(0)  # a literal would be compiled for on its own
     while i < count:
         if kind[i] == _ELLIPTIC:
             contact = _contacts(longs(data + rows.contact, 1)[0], owner[i] + 1)[owner[i]]
             add_cone(desk, room, rows, i, contact, mass, reference, h)
             i += contact.dim
             continue
-        x = row_value(desk, room, rows, i, room.acceleration) - reference[i]
+        x = row_value(desk, room, rows, i, acceleration) - reference[i]
         force = -mass[i] * x
         stiff = mass[i]
         if kind[i] == _EQUALITY:
@@ -276,7 +310,7 @@ def bound_forces(desk, room, velocity, h):
         elif x >= 0.0:
             force, stiff = 0.0, 0.0
         if force != 0.0 or stiff != 0.0:
-            read_row(desk, room, rows, i, 1.0, True)
+            read_row(desk, room, rows, i, 1.0, _ANEW)
             push(desk, room, force, stiff, h)
         i += 1
 
@@ -288,26 +322,31 @@ def accelerate(desk, room, velocity, h):
     The integrator's own damping comes after its constraints: M a = A (v' - v) / h.
     """
     nv = desk[d.NV]
+    start = floats(room.start, nv)
+    acceleration = floats(room.acceleration, nv)
+    answer = floats(room.answer, nv)
     for j in range(nv):
-        room.acceleration[j] = (velocity[j] - room.start[j]) / h
+        acceleration[j] = (velocity[j] - start[j]) / h
     if desk[d.INTEGRATOR] == d.PLAIN:
         return
-    spread(desk, room, room.acceleration)
+    spread(desk, room, acceleration)
     for j in range(nv):
-        room.acceleration[j] += room.answer[j]
+        acceleration[j] += answer[j]
 
 
 @compiled
 def spread(desk, room, x):
     """Leaves M^-1 C x in `answer`, with C what the integrator adds to the inertia M."""
     nv = desk[d.NV]
-    extra = room.extra
+    answer = floats(room.answer, nv)
+    product = floats(room.product, nv)
+    extra = floats(room.extra, nv * nv)
     for i in range(nv):
         total = 0.0
         for j in range(nv):
             total += extra[i * nv + j] * x[j]
-        room.product[i] = total
-    solve_inertia(desk[d.MODEL], desk[d.DATA], room.answer.ctypes.data, room.product.ctypes.data, 1)
+        product[i] = total
+    solve_inertia(desk[d.MODEL], desk[d.DATA], answer.ctypes.data, product.ctypes.data, 1)
 
 
 @compiled
@@ -335,10 +374,10 @@ def row_value(desk, room, rows, i, x):
 def read_row(desk, room, rows, i, factor, fresh):
     """Adds a multiple of a constraint's row to `row`, or begins it."""
     nv = desk[d.NV]
+    row = floats(room.row, nv)
     data = desk[d.DATA]
-    row = room.row
     if fresh:
-        row[:] = 0.0
+        clear(row)
     jacobian = longs(data + rows.jacobian, 1)[0]
     if desk[d.SPARSE]:
         size = ints(longs(data + rows.row_size, 1)[0], i + 1)[i]
@@ -357,25 +396,28 @@ def read_row(desk, room, rows, i, factor, fresh):
 def push(desk, room, force, stiff, h):
     """Adds a force along `row` to the constraints' momentum, and its stiffness to the matrix."""
     nv = desk[d.NV]
-    row, matrix, bound = room.row, room.matrix, room.bound
+    bound = floats(room.bound, nv)
+    row = floats(room.row, nv)
+    answer = floats(room.answer, nv)
+    product = floats(room.product, nv)
+    extra = floats(room.extra, nv * nv)
+    matrix = floats(room.matrix, nv * nv)
     for j in range(nv):
         bound[j] += h * force * row[j]
     if stiff == 0.0:
         return
-    answer = room.answer
     if desk[d.INTEGRATOR] == d.PLAIN:
         for j in range(nv):
             answer[j] = row[j]
     else:
         # The row's acceleration is row (1 + M^-1 C) of the change of velocity over h.
         solve_inertia(
-            desk[d.MODEL], desk[d.DATA], room.product.ctypes.data, row.ctypes.data, 1
+            desk[d.MODEL], desk[d.DATA], product.ctypes.data, row.ctypes.data, 1
         )
-        extra = room.extra
         for j in range(nv):
             answer[j] = row[j]
         for i in range(nv):
-            u = room.product[i]
+            u = product[i]
             if u != 0.0:
                 for j in range(nv):
                     answer[j] += u * extra[i * nv + j]
@@ -394,35 +436,37 @@ def add_cone(desk, room, rows, i, contact, mass, reference, h):
     size of the others: above the cone (N >= mu T) nothing; below its polar (mu N + T <= 0) all
     rows are springs; between, one spring D_m along the distance N - mu T from the cone.
     """
+    nv = desk[d.NV]
+    acceleration = floats(room.acceleration, nv)
     dim = contact.dim
     mu = contact.mu
-    x0 = row_value(desk, room, rows, i, room.acceleration) - reference[i]
+    x0 = row_value(desk, room, rows, i, acceleration) - reference[i]
     n = x0 * mu
     t = 0.0
     for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, room.acceleration) - reference[i + k]
+        x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
         t += (x * contact.friction[k - 1]) ** 2
     t = math.sqrt(t)
     if n >= mu * t or (t <= 0.0 and n >= 0.0):
         return
     if mu * n + t <= 0.0 or (t <= 0.0 and n < 0.0):
         for k in range(dim):
-            x = row_value(desk, room, rows, i + k, room.acceleration) - reference[i + k]
-            read_row(desk, room, rows, i + k, 1.0, True)
+            x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
+            read_row(desk, room, rows, i + k, 1.0, _ANEW)
             push(desk, room, -mass[i + k] * x, mass[i + k], h)
         return
     stiff = mass[i] / (mu * mu * (1.0 + mu * mu))
     away = n - mu * t
     # Along the gradient of the distance: mu for the normal row, -mu U_k / T friction_k for others.
-    read_row(desk, room, rows, i, mu, True)
+    read_row(desk, room, rows, i, mu, _ANEW)
     for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, room.acceleration) - reference[i + k]
+        x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
         friction = contact.friction[k - 1]
-        read_row(desk, room, rows, i + k, -mu * (x * friction / t) * friction, False)
+        read_row(desk, room, rows, i + k, -mu * (x * friction / t) * friction, _MORE)
     push(desk, room, -stiff * away, stiff, h)
     # The gradient turns with U: curvature of T, taken with no regard to its direction.
     bend = -stiff * away * mu / t
     for k in range(1, dim):
         friction = contact.friction[k - 1]
-        read_row(desk, room, rows, i + k, friction, True)
+        read_row(desk, room, rows, i + k, friction, _ANEW)
         push(desk, room, 0.0, bend, h)

@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows
-from mjgranular.kernel.memory import floats, longs, records
+from mjgranular.kernel.memory import longs, records
 from mjgranular.law.kernel import GEOMETRY_SIZE
 from mjgranular.scheme.scheme import Desk
 
@@ -127,35 +127,22 @@ def room_size(nv: int, nbody: int) -> int:
 
 @compiled
 def open_room(desk):
-    """The arrays that the solver works on."""
+    """Addresses of the arrays that the solver works on; each function opens what it needs.
+
+    As arrays they would be passed in seven words each, and take numba twice as long to compile.
+    """
     nv, nbody = desk[NV], desk[NBODY]
-    n = floats(desk[NUMBERS], 13 * nv + 3 * nv * nv + 55 * nbody)
-    square = nv * nv
-    m = 13 * nv
-    b = m + 3 * square
+    v, m = 8 * nv, 8 * nv * nv
+    a = desk[NUMBERS]
+    b = a + 13 * v
+    c = b + 3 * m
+    w = 48 * nbody  # of six numbers a body
     return Room(
-        n[0:nv],
-        n[nv : 2 * nv],
-        n[2 * nv : 3 * nv],
-        n[3 * nv : 4 * nv],
-        n[4 * nv : 5 * nv],
-        n[5 * nv : 6 * nv],
-        n[6 * nv : 7 * nv],
-        n[7 * nv : 8 * nv],
-        n[8 * nv : 9 * nv],
-        n[9 * nv : 10 * nv],
-        n[10 * nv : 11 * nv],
-        n[11 * nv : 12 * nv],
-        n[12 * nv : 13 * nv],
-        n[m : m + square],
-        n[m + square : m + 2 * square],
-        n[m + 2 * square : b],
-        n[b : b + 6 * nbody],
-        n[b + 6 * nbody : b + 12 * nbody],
-        n[b + 12 * nbody : b + 18 * nbody],
-        n[b + 18 * nbody : b + 54 * nbody],
-        n[b + 54 * nbody : b + 55 * nbody],
-    )
+        a, a + v, a + 2 * v, a + 3 * v, a + 4 * v, a + 5 * v, a + 6 * v, a + 7 * v, a + 8 * v,
+        a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v,
+        b, b + m, b + 2 * m,
+        c, c + w, c + 2 * w, c + 3 * w, c + 9 * w,
+    )  # fmt: skip
 
 
 @compiled

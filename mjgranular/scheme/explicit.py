@@ -84,7 +84,8 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         surface = scene[0].surface
         g = gravity_of(table)
         for slot in range(len(bodies)):
-            bodies[slot].wrench[:] = 0.0
+            for k in range(6):
+                bodies[slot].wrench[k] = 0.0
 
         slot = -1
         for i in range(len(elements)):

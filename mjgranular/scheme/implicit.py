@@ -57,6 +57,8 @@ from mjgranular.scheme.balance import (
     add_bodies,
     body_motions,
     bound_forces,
+    clear,
+    copy,
     norm,
     prepare_inertia,
     rows_of,
@@ -83,7 +85,8 @@ _FINER = 1e-3
 # Residuals, in parts of the momentum at hand: of a coarse softness, of the last, where a start at the
 # last is worth trying, and what may be rounding. Chosen by counting too.
 _COARSE, _FINE, _NEAR, _ROUNDED = 1e-3, 1e-11, 0.7, 1e-6
-_STEPS, _STEPS_NEAR = 6, 6  # of Newton's method at one softness
+# Of Newton's method at one softness; not literals, for each of which numba would compile anew.
+_STEPS, _STEPS_NEAR, _NO_STEPS = np.int64(6), np.int64(6), np.int64(0)
 _SHORTEST = 0.1  # of a step
 _NO_ENERGY = 1e-14  # [J]
 _TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
@@ -191,15 +194,22 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
 
         Forces on the elements are left in their contacts.
         """
+        nv, nbody = desk[d.NV], desk[d.NBODY]
+        residual = floats(room.residual, nv)
+        sand = floats(room.sand, nv)
+        bound = floats(room.bound, nv)
+        inertia = floats(room.inertia, nv * nv)
+        motion = floats(room.motion, 6 * nbody)
+        wrench = floats(room.own, 6 * nbody)
+        stiffness = floats(room.stiffness, 36 * nbody)
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
         scene = scene_records(table[SCENE], 1)
         law = scene[0].law
         g = gravity_of(table)
         body_motions(desk, room, velocity)
-        room.own[:] = 0.0
-        room.stiffness[:] = 0.0
-        motion, wrench, stiffness = room.motion, room.own, room.stiffness
+        clear(wrench)
+        clear(stiffness)
         for i in range(count):
             entry = wet[i]
             b = 6 * entry.body
@@ -236,24 +246,25 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         weigh(desk, room, velocity, h)
         add_bodies(desk, room, h)
         bound_forces(desk, room, velocity, h)
-        nv = desk[d.NV]
         for j in range(nv):
-            room.residual[j] -= room.sand[j] + room.bound[j]
-        return norm(room.residual, room.inertia, nv)
+            residual[j] -= sand[j] + bound[j]
+        return norm(residual, inertia, nv)
 
     @compiled
     def forget_shares(table, desk, count):
         """What the elements' limits are needed for is not known."""
         wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
         for i in range(count):
-            wet[i].shares[:] = -1.0
+            wet[i].shares[0], wet[i].shares[1] = -1.0, -1.0
 
     @compiled
     def set_out(table, desk, room, count):
         """Notes where a step of Newton's method by -`room.change` begins."""
+        nv, nbody = desk[d.NV], desk[d.NBODY]
+        change = floats(room.change, nv)
+        m = floats(room.motion, 6 * nbody)
         wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
-        body_motions(desk, room, room.change)
-        m = room.motion
+        body_motions(desk, room, change)
         for i in range(count):
             entry = wet[i]
             b = 6 * entry.body
@@ -287,11 +298,15 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             (evaluations, residual).
         """
         nv = desk[d.NV]
-        velocity, trial, change = room.velocity, room.trial, room.change
+        velocity = floats(room.velocity, nv)
+        trial = floats(room.trial, nv)
+        change = floats(room.change, nv)
+        residual = floats(room.residual, nv)
+        matrix = floats(room.matrix, nv * nv)
         error = evaluate(table, desk, room, velocity, count, h, eps, eps)
         done = 1
         for _ in range(steps):
-            if error <= goal or not solve(room.matrix, room.residual, change, nv):
+            if error <= goal or not solve(matrix, residual, change, nv):
                 break
             set_out(table, desk, room, count)
             part = 1.0
@@ -307,7 +322,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 part *= 0.5
             if not found < error:
                 break
-            velocity[:] = trial
+            copy(velocity, trial)
             error = found
         return done, error
 
@@ -319,11 +334,16 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             (evaluations, residual in parts of `scale`, the softness that was reached).
         """
         nv = desk[d.NV]
-        velocity, start, change, good = room.velocity, room.start, room.change, room.good
+        velocity = floats(room.velocity, nv)
+        start = floats(room.start, nv)
+        change = floats(room.change, nv)
+        good = floats(room.good, nv)
+        residual = floats(room.residual, nv)
+        matrix = floats(room.matrix, nv * nv)
         # At rest what was is what will be, and a few steps are enough.
         forget_shares(table, desk, count)
         floor = _ROUNDED * scale
-        done, error = newton(table, desk, room, count, h, fine, _FINE * scale, floor, 0)
+        done, error = newton(table, desk, room, count, h, fine, _FINE * scale, floor, _NO_STEPS)
         if error < _NEAR * scale:
             more, error = newton(
                 table, desk, room, count, h, fine, _FINE * scale, floor, _STEPS_NEAR
@@ -332,7 +352,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         if error <= _FINE * scale:
             return done, error / scale if scale > 0.0 else 0.0, fine
 
-        velocity[:] = start
+        copy(velocity, start)
         forget_shares(table, desk, count)
         eps = max(coarse, fine)
         stride = _FINER
@@ -345,16 +365,16 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 if eps <= fine:
                     break
                 firm = eps
-                good[:] = velocity
+                copy(good, velocity)
                 stride = max(stride * stride, _FINER)
             elif firm > 0.0:  # too far at once: back, and on with a shorter stride
                 stride = math.sqrt(eps / firm)
                 eps = firm
-                velocity[:] = good
+                copy(velocity, good)
                 forget_shares(table, desk, count)
             else:
                 eps *= 10.0
-                velocity[:] = start
+                copy(velocity, start)
                 forget_shares(table, desk, count)
                 continue
             finer = stride * eps
@@ -363,14 +383,14 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             # What holds keeps its force where it becomes stiffer.
             evaluate(table, desk, room, velocity, count, h, finer, eps)
             done += 1
-            if not solve(room.matrix, room.residual, change, nv):
+            if not solve(matrix, residual, change, nv):
                 break
             for j in range(nv):
                 velocity[j] -= change[j]
             eps = finer
         if eps > fine and firm > 0.0:  # out of breath: as soft as was solved for, but that exactly
             eps = firm
-            velocity[:] = good
+            copy(velocity, good)
             forget_shares(table, desk, count)
             more, error = newton(table, desk, room, count, h, eps, _FINE * scale, floor, _STEPS)
             done += more
@@ -389,7 +409,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         withdraw_wrenches(table)
         for slot in range(len(bodies)):
-            bodies[slot].wrench[:] = 0.0
+            clear(bodies[slot].wrench)
         count = immerse_all(table, desk)
         if count > 0:
             forward_actuation(desk[d.MODEL], desk[d.DATA])
@@ -439,6 +459,13 @@ def begin(desk, room, wet, count, h):
         (coarse softness [m/s], fine softness [m/s], size of the momentum at hand).
     """
     nv, nbody = desk[d.NV], desk[d.NBODY]
+    velocity = floats(room.velocity, nv)
+    start = floats(room.start, nv)
+    trial = floats(room.trial, nv)
+    room_smooth = floats(room.smooth, nv)
+    inertia = floats(room.inertia, nv * nv)
+    m = floats(room.motion, 6 * nbody)
+    room_wet = floats(room.wet, nbody)
     qvel = floats(desk[d.QVEL], nv)
     smooth = floats(desk[d.SMOOTH], nv)
     acceleration = floats(desk[d.ACCELERATION], nv)
@@ -447,30 +474,29 @@ def begin(desk, room, wet, count, h):
     dof_parent = ints(desk[d.DOF_PARENT], nv)
     first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
     prepare_inertia(desk, room, h)
-    room.wet[:] = 0.0
+    clear(room_wet)
     for i in range(count):
         body = wet[i].body
-        while body > 0 and room.wet[body] == 0.0:
-            room.wet[body] = 1.0
+        while body > 0 and room_wet[body] == 0.0:
+            room_wet[body] = 1.0
             body = parents[body]
     size = 0.0
     for j in range(nv):
-        room.start[j] = qvel[j]
-        room.velocity[j] = qvel[j]
-        room.smooth[j] = h * smooth[j]
-        room.trial[j] = h * acceleration[j]
-        size += abs(room.smooth[j]) / math.sqrt(room.inertia[j * nv + j])
-        size += abs(qvel[j]) * math.sqrt(room.inertia[j * nv + j])
+        start[j] = qvel[j]
+        velocity[j] = qvel[j]
+        room_smooth[j] = h * smooth[j]
+        trial[j] = h * acceleration[j]
+        size += abs(room_smooth[j]) / math.sqrt(inertia[j * nv + j])
+        size += abs(qvel[j]) * math.sqrt(inertia[j * nv + j])
 
     # How much the elements' velocities would change in the step without sand: what is slower than
     # that may stop.
-    body_motions(desk, room, room.trial)
+    body_motions(desk, room, trial)
     coarse, large = 0.0, 0.0
     last = -1
     for i in range(count):
         entry = wet[i]
         b = 6 * entry.body
-        m = room.motion
         w = (m[b], m[b + 1], m[b + 2], m[b + 3], m[b + 4], m[b + 5])
         x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
         vx, vy, vz = velocity_at(w, x, y, z)
@@ -501,6 +527,9 @@ def power_bound(desk, room, error, scale):
     little for long chains of light bodies: a margin of a thousand, and no trust in large residuals.
     """
     nv = desk[d.NV]
+    velocity = floats(room.velocity, nv)
+    sand = floats(room.sand, nv)
+    inertia = floats(room.inertia, nv * nv)
     rows = rows_of(desk[d.ROWS], 1)[0]
     if not error < _TRUSTED:
         return math.inf
@@ -508,8 +537,8 @@ def power_bound(desk, room, error, scale):
         error = max(error, _TRUSTED)
     work = 0.0
     for j in range(nv):
-        work += room.sand[j] * room.velocity[j]
-    return work + 1e3 * error * scale * norm(room.sand, room.inertia, nv)
+        work += sand[j] * velocity[j]
+    return work + 1e3 * error * scale * norm(sand, inertia, nv)
 
 
 @compiled
@@ -540,6 +569,14 @@ def power_of_share(desk, room, h, share):
     Leaves the engine's state as it was, but for what its step computes anew.
     """
     nv = desk[d.NV]
+    start = floats(room.start, nv)
+    trial = floats(room.trial, nv)
+    room_smooth = floats(room.smooth, nv)
+    sand = floats(room.sand, nv)
+    answer = floats(room.answer, nv)
+    product = floats(room.product, nv)
+    inertia = floats(room.inertia, nv * nv)
+    matrix = floats(room.matrix, nv * nv)
     smooth = floats(desk[d.SMOOTH], nv)
     acceleration = floats(desk[d.ACCELERATION], nv)
     warmstart = floats(desk[d.WARMSTART], nv)
@@ -547,32 +584,32 @@ def power_of_share(desk, room, h, share):
     rows = rows_of(desk[d.ROWS], 1)[0]
     bound = ints(desk[d.DATA] + rows.count, 1)[0] > 0
     for j in range(nv):
-        smooth[j] = (room.smooth[j] + share * room.sand[j]) / h
+        smooth[j] = (room_smooth[j] + share * sand[j]) / h
     if bound:
         solve_inertia(
             desk[d.MODEL], desk[d.DATA], acceleration.ctypes.data, smooth.ctypes.data, 1
         )
         for j in range(nv):
-            room.product[j] = warmstart[j]
+            product[j] = warmstart[j]
         forward_constraint(desk[d.MODEL], desk[d.DATA])
         for j in range(nv):
-            warmstart[j] = room.product[j]
+            warmstart[j] = product[j]
     # Plain Euler takes the engine's accelerations, the others its forces: not the same where its
     # solver has stopped short.
     if bound and desk[d.INTEGRATOR] == d.PLAIN:
         qacc = floats(desk[d.QACC], nv)
         for j in range(nv):
-            room.answer[j] = h * qacc[j]
+            answer[j] = h * qacc[j]
     else:
         for j in range(nv):
-            room.trial[j] = h * (smooth[j] + constraint[j] if bound else smooth[j])
+            trial[j] = h * (smooth[j] + constraint[j] if bound else smooth[j])
         for k in range(nv * nv):
-            room.matrix[k] = room.inertia[k]
-        if not solve(room.matrix, room.trial, room.answer, nv):
+            matrix[k] = inertia[k]
+        if not solve(matrix, trial, answer, nv):
             return math.inf
     power = 0.0
     for j in range(nv):
-        power += room.sand[j] * (room.start[j] + room.answer[j])
+        power += sand[j] * (start[j] + answer[j])
     return power
 
 
@@ -580,13 +617,15 @@ def power_of_share(desk, room, h, share):
 def hand_over(desk, room, bodies, share):
     """The bodies' wrenches about their own centres of mass."""
     nbody = desk[d.NBODY]
+    own = floats(room.own, 6 * nbody)
+    wet = floats(room.wet, nbody)
     trees = floats(desk[d.TREE_COM], 3 * nbody)
     coms = floats(desk[d.COM], 3 * nbody)
     for slot in range(len(bodies)):
         body = bodies[slot]
-        if room.wet[body.body] == 0.0:
+        if wet[body.body] == 0.0:
             continue
-        w = room.own[6 * body.body : 6 * body.body + 6]
+        w = own[6 * body.body : 6 * body.body + 6]
         x = coms[3 * body.body] - trees[3 * body.root]
         y = coms[3 * body.body + 1] - trees[3 * body.root + 1]
         z = coms[3 * body.body + 2] - trees[3 * body.root + 2]
