@@ -41,7 +41,9 @@ from mjgranular.sand import BodyReport as BodyReport
 from mjgranular.sand import ElementReport as ElementReport
 from mjgranular.sand import Report as Report
 from mjgranular.sand import Sand as Sand
+from mjgranular.scheme import Auto as Auto
 from mjgranular.scheme import Explicit as Explicit
+from mjgranular.scheme import Implicit as Implicit
 from mjgranular.scheme import Scheme as Scheme
 from mjgranular.scheme import schemes as schemes
 from mjgranular.surface import Bed as Bed

@@ -11,6 +11,7 @@ import pytest
 
 from mjgranular import MissingExtraError, OutputError, Sand, errors
 from mjgranular.cli import main
+from mjgranular.experiment.drop import Drop
 from mjgranular.models import model_path
 from mjgranular.picture import elements
 from mjgranular.picture.elements import add_elements, draw_elements, kind_of
@@ -31,6 +32,20 @@ def foot():
 @pytest.fixture(scope="module")
 def facets(foot):
     return Sand(foot, medium="quikrete_medium")
+
+
+@pytest.fixture(scope="module")
+def pyramid():
+    spec = mujoco.MjSpec()
+    corners = [0, 0, 0, 0.1, 0, 0, 0, 0.1, 0, 0, 0, 0.1]
+    spec.add_mesh(name="p", uservert=corners, userface=[0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3])
+    body = spec.worldbody.add_body(name="p")
+    body.add_freejoint()
+    body.add_geom(name="p", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="p")
+    body.add_geom(
+        name="c", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.01, 0.03, 0], pos=[0.2, 0, 0]
+    )
+    return Sand(spec.compile(), medium="quikrete_medium")
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +74,42 @@ def test_facets_are_drawn_with_their_true_areas(facets):
     areas = np.linalg.norm(elements._area_vectors(drawn), axis=1)
     assert (owners == np.arange(len(facets.elements))).all()
     np.testing.assert_allclose(areas, facets.elements["area"], rtol=1e-12)
+
+
+def test_triangles_of_meshes_are_drawn_as_discs_of_their_areas(pyramid, tmp_path):
+    # They have no edges, the patches of the capsule beside them do.
+    elements_of_both = pyramid.elements
+    triangles = elements_of_both["extent"] == 0
+    assert 0 < triangles.sum() < len(triangles)
+    drawn, owners = polygons(pyramid)
+    assert (owners == np.arange(len(triangles))).all()
+    vectors = elements._area_vectors(drawn)
+    np.testing.assert_allclose(
+        np.linalg.norm(vectors, axis=1), elements_of_both["area"], rtol=1e-12
+    )
+    # Around their centroids, across their normals.
+    discs, facets = drawn[triangles], elements_of_both[triangles]
+    np.testing.assert_allclose(discs.mean(axis=1), facets["point"], atol=1e-15)
+    across = np.einsum("nki,ni->nk", discs - discs.mean(axis=1, keepdims=True), facets["normal"])
+    np.testing.assert_allclose(across, 0, atol=1e-15)
+    assert draw_elements(pyramid, file=tmp_path / "pyramid.png").axes
+    scene = mujoco.MjvScene(pyramid.model, maxgeom=2 * len(triangles))
+    assert add_elements(scene, pyramid, at_qpos0(pyramid)) == 2 * len(triangles)
+    kinds = [scene.geoms[k].type for k in range(len(triangles))]
+    assert [kind == mujoco.mjtGeom.mjGEOM_CYLINDER for kind in kinds] == triangles.tolist()
+
+
+def test_strips_of_patches_are_drawn_as_discs():
+    # A patch that is hidden but for one row of its cells has no edge across that.
+    kept = [("point", float, (3,)), ("normal", float, (3,)), ("area", float)]
+    facets = np.zeros(2, [*kept, ("edges", float, (2, 3))])
+    facets["normal"], facets["area"] = (0, 0, 1), (0.5, 0.1)
+    facets["edges"] = [[(0.5, 0, 0), (0, 0.25, 0)], [(0.5, 0, 0), (0, 0, 0)]]
+    corners = elements._facet_corners(facets)
+    np.testing.assert_allclose(elements._area_vectors(corners)[:, 2], (0.5, 0.1))
+    kinds, sizes, _ = elements._facet_bodies(facets)
+    assert kinds == [mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER]
+    assert sizes[1, 0] == pytest.approx(math.sqrt(0.1 / math.pi))
 
 
 def test_facets_with_edges_are_parallelograms_of_their_true_areas():
@@ -122,7 +173,7 @@ def test_blobs_of_every_shape(geom, reach):
 
 def test_the_figure_says_what_it_shows(facets, rods, blobs):
     for sand, words in (
-        (facets, "420 facets of 2 geoms on 2 bodies, rft3d law"),
+        (facets, f"{len(facets.elements)} facets of 2 geoms on 2 bodies, rft3d law"),
         (rods, "40 rods of 2 geoms on 2 bodies, link_distributed law"),
         (blobs, "2 blobs of 2 geoms on 2 bodies, depth_velocity law"),
     ):
@@ -188,23 +239,25 @@ def scene_of(sand, data, room=2000):
 def test_a_scene_gets_elements_normals_and_forces(facets):
     data = at_qpos0(facets)
     data.qvel[2] = -0.1
-    scene = scene_of(facets, data)
+    scene, number = scene_of(facets, data), len(facets.elements)
     before = scene.ngeom
-    assert add_elements(scene, facets, data, normals=False) == 420
-    assert scene.ngeom == before + 420
-    for k in (0, 200, 419):
+    assert add_elements(scene, facets, data, normals=False) == number
+    assert scene.ngeom == before + number
+    for k in (0, number // 2, number - 1):
         e = facets.elements[k]
         at = data.xpos[e["body"]] + data.xmat[e["body"]].reshape(3, 3) @ e["point"]
         np.testing.assert_allclose(scene.geoms[before + k].pos, at, atol=1e-7)
     assert {scene.geoms[k].rgba[3] for k in range(before)} == {0.25}
-    assert add_elements(scene, facets, data) == 840
+    assert add_elements(scene, facets, data) == 2 * number
     pushed = (np.linalg.norm(facets.report(data).table.force, axis=1) > 0).sum()
     assert pushed > 0
     scene.ngeom = 0
-    assert add_elements(scene, facets, data, forces=True, force_scale=1.0) == 840 + pushed
-    longest = max(float(scene.geoms[k].size[2]) for k in range(840, scene.ngeom))
+    scale = 1000.0  # none of the forces is too small to be seen
+    drawn = add_elements(scene, facets, data, forces=True, force_scale=scale)
+    assert drawn == 2 * number + pushed
+    longest = max(float(scene.geoms[k].size[2]) for k in range(2 * number, scene.ngeom))
     greatest = np.linalg.norm(facets.report(data).table.force, axis=1).max()
-    assert longest == pytest.approx(greatest, rel=0.05)  # without the head of the arrow
+    assert longest == pytest.approx(scale * greatest, rel=0.05)  # without the head of the arrow
 
 
 def test_a_scene_gets_rods_and_blobs(rods, blobs):
@@ -221,10 +274,12 @@ def test_a_scene_gets_rods_and_blobs(rods, blobs):
 
 
 def test_a_scene_without_room_is_left_as_it_is(facets):
-    data = at_qpos0(facets)
-    scene = scene_of(facets, data, room=500)
+    data, needed = at_qpos0(facets), 2 * len(facets.elements)
+    scene = scene_of(facets, data, room=needed)  # the model's own geoms are in it already
     before = scene.ngeom
-    with pytest.raises(errors.InputError, match=r"room for \d+ more geoms and 840 are needed"):
+    assert before > 0
+    words = rf"room for \d+ more geoms and {needed} are needed"
+    with pytest.raises(errors.InputError, match=words):
         add_elements(scene, facets, data)
     assert scene.ngeom == before
     assert scene.geoms[0].rgba[3] == 1.0
@@ -256,10 +311,11 @@ def foot_file(tmp_path):
     return path
 
 
-def test_the_command_counts(foot_file, capfd):
+def test_the_command_counts(foot_file, facets, capfd):
     assert main(["elements", str(foot_file), "--json"]) == 0
     printed = json.loads(capfd.readouterr().out)
-    assert (printed["law"], printed["kind"], printed["elements"]) == ("rft3d", "facets", 420)
+    number = len(facets.elements)
+    assert (printed["law"], printed["kind"], printed["elements"]) == ("rft3d", "facets", number)
     assert [row["geom"] for row in printed["geoms"]] == ["sole", "shin"]
     sole, shin = printed["geoms"]
     assert sole["area"] == pytest.approx(8 * (0.08 * 0.05 + 0.05 * 0.015 + 0.015 * 0.08))
@@ -274,6 +330,43 @@ def test_the_command_counts(foot_file, capfd):
     shown = capfd.readouterr().out
     assert "shin" in shown
     assert "sole" not in shown
+
+
+def test_groups_choose_alike_for_elements_and_drop(foot_file, tmp_path, capfd):
+    foot_file.write_text(FOOT.replace('name="shin" type', 'name="shin" group="3" type'))
+    counts = {}
+    for groups in ("0", "3", "0 3"):
+        chosen = [str(foot_file), "--groups", *groups.split(), "--json"]
+        assert main(["elements", *chosen]) == 0
+        printed = json.loads(capfd.readouterr().out)
+        counts[groups] = printed["elements"]
+        names = {"0": ["sole"], "3": ["shin"], "0 3": ["sole", "shin"]}[groups]
+        assert [row["geom"] for row in printed["geoms"]] == names
+        folder = tmp_path / f"fallen {groups}"
+        assert main(["drop", *chosen, "--duration", "0.002", "--out", str(folder)]) == 0
+        fallen = json.loads(capfd.readouterr().out)
+        assert fallen["elements"] == counts[groups]
+        bodies = {"sole": "foot", "shin": "shin"}
+        assert [body["body"] for body in fallen["bodies"]] == [bodies[name] for name in names]
+        config = json.loads((folder / "config.json").read_text())["config"]
+        assert config["groups"] == [int(group) for group in groups.split()]
+        assert Drop.from_config(config).groups == tuple(config["groups"])
+    assert counts["0"] + counts["3"] == counts["0 3"]
+    config.pop("groups")  # a run of before there was such a choice
+    assert Drop.from_config(config).groups == ()
+
+
+@pytest.mark.parametrize("command", ["drop", "elements"])
+def test_wrong_groups(foot_file, capfd, command):
+    assert main([command, str(foot_file), "--groups", "0", "2"]) == 2
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert "geom group 2; there are: 0" in captured.err
+    assert "Traceback" not in captured.err
+    with pytest.raises(SystemExit) as stopped:  # what is no number never reaches the command
+        main([command, str(foot_file), "--groups", "first"])
+    assert stopped.value.code == 2
+    assert "--groups" in capfd.readouterr().err
 
 
 def test_the_command_writes_what_it_promises(tmp_path, capfd):
@@ -307,8 +400,10 @@ def test_the_command_writes_what_it_promises(tmp_path, capfd):
         (["--figure", "foot.png", "--out", "feet"], ["not both"]),
         (["--keyframe", "stand"], ["keyframe", "stand"]),
         (["--geoms", "toe"], ["toe", "sole, shin"]),
+        (["--groups", "2"], ["geom group 2", "there are: 0"]),
         (["--law", "link", "--medium", "play_sand"], ["sole", "capsules and cylinders"]),
         (["--resolution", "1"], ["at least 2"]),
+        (["--resolution", "2000"], ["at most 200"]),
     ],
 )
 def test_mistakes_on_the_command_line(foot_file, tmp_path, monkeypatch, capfd, arguments, words):
@@ -343,5 +438,5 @@ def test_without_matplotlib_the_numbers_are_still_written(
     assert main(["elements", str(foot_file), "--out", str(folder)]) == 2
     captured = capfd.readouterr()
     assert "pip install 'mjgranular[figures]'" in captured.err
-    assert "420" in captured.out
+    assert str(len(facets.elements)) in captured.out
     assert (folder / "elements.csv").exists()

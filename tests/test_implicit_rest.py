@@ -191,11 +191,10 @@ SLIDER = """
 <mujoco>
   <option timestep=".02"/>
   <worldbody>
-    <body pos="{pos}"><joint type="slide" axis="{axis}"/><geom {geom}/></body>
+    <body pos="{pos}"><joint type="slide" axis="{axis}"/><geom mass="1" {geom}/></body>
   </worldbody>
 </mujoco>
 """
-TENTH = "0.1 0 0"  # m: how deep things are is said by their position
 
 
 def sphere(law):
@@ -225,9 +224,9 @@ def rod_across(law, rho):
 WIDE = 0.2  # half width of a plate [m]; it is 0.1 mm thick
 
 
-def plate(pressure, depth=0.05):
+def plate(pressure, depth=0.02):
     """A level plate at a depth [m] under a pressure per depth [N/m^3]."""
-    geom = f'type="box" size="{WIDE} {WIDE} .00005" density="100"'
+    geom = f'type="box" size="{WIDE} {WIDE} .00005"'
     return f"0 0 {-depth}", "0 0 1", geom, pressure * depth * (2 * WIDE) ** 2
 
 

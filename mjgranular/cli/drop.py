@@ -36,7 +36,7 @@ class DropCommand:
     """The sand, or a YAML file; `mjgranular media` lists what there is."""
     law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
-    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "explicit"
+    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto"
     """How forces become a step."""
     surface_height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
     """Height of the surface above the world's origin [m]."""
@@ -52,6 +52,8 @@ class DropCommand:
     """Bodies that meet the sand. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Geoms that meet the sand."""
+    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
+    """Geom groups whose collision geoms meet the sand."""
     keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Keyframe of the model to start from."""
     height: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
@@ -89,6 +91,7 @@ class DropCommand:
             height_field=self.height_field,
             bodies=self.bodies,
             geoms=self.geoms,
+            groups=self.groups,
             keyframe=self.keyframe,
             height=self.height,
             velocity=self.velocity,

@@ -45,6 +45,8 @@ class ElementsCommand:
     """Bodies that meet the sand. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Geoms that meet the sand."""
+    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
+    """Geom groups whose collision geoms meet the sand."""
     keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Keyframe of the model to draw. Default: the model as it is."""
     color: Literal["body", "geom", "depth"] = "body"
@@ -117,7 +119,9 @@ class ElementsCommand:
             law=self.law,
             bodies=self.bodies or None,
             geoms=self.geoms or None,
+            groups=self.groups or None,
             resolution=self.resolution,
+            scheme="explicit",  # no step is made
         )
         return sand, qpos
 

@@ -35,7 +35,7 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import get_law, make_scene
 from mjgranular.medium import media
 from mjgranular.medium.medium import get_medium
-from mjgranular.scheme import Explicit, get_scheme
+from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Plane
 
@@ -269,7 +269,9 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     medium = given.get("medium") or get_medium(DEFAULT_MEDIUM)
     law = get_law(given.get("law"), medium)
     surface = given.get("surface") or Plane()
-    scheme = get_scheme(given.get("scheme", "explicit"))
+    scheme = get_scheme(given.get("scheme", "auto"))
+    if isinstance(scheme, Auto) and model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        scheme = Explicit()
     if isinstance(scheme, Explicit):
         # Between mj_step1 and mj_step2 RK4 is Euler and refused; within mj_step it is itself.
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -287,6 +289,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         key = next((_KEYS_OF_KINDS[kind] for kind in _KEYS_OF_KINDS if kind in error.kind), "law")
         raise InputError(f"config {key!r}: {error}") from None
     elements = law.elements(model, geoms, given.get("resolution"))
+    scheme = scheme.settle(model, len(elements))
     scene = make_scene(law, medium, surface, model)
     silent = np.flatnonzero(contacts & ~(model.geom_contype | model.geom_conaffinity))
     program = scheme.program(law.kernel(surface), scene.dtype)

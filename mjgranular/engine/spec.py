@@ -22,7 +22,7 @@ def add_sand(
     medium: str | Path | Medium = DEFAULT_MEDIUM,
     law: str | Law | None = None,
     surface: Surface | None = None,
-    scheme: str | Scheme = "explicit",
+    scheme: str | Scheme = "auto",
     bodies: Sequence[str] | str | None = None,
     geoms: Sequence[str] | str | None = None,
     groups: Sequence[int] | int | None = None,

@@ -38,8 +38,10 @@ class Drop:
         uphill: direction of steepest ascent from the x axis [rad].
         bed: name of a box geom that is the sand; overrides height and slope.
         height_field: name of an hfield geom that is the sand; overrides height and slope.
-        bodies: names of the bodies that meet the sand; all if neither these nor `geoms` are given.
+        bodies: names of the bodies that meet the sand; all if neither these nor `geoms` nor
+            `groups` are given.
         geoms: names of the geoms that meet the sand.
+        groups: geom groups whose collision geoms meet the sand.
         keyframe: name of the keyframe to start from.
         height: of the model's lowest point above the surface at the start [m]; None to start as
             the model stands.
@@ -54,7 +56,7 @@ class Drop:
     model: Path | Chain
     medium: str = "play_sand"
     law: str | None = None
-    scheme: str = "explicit"
+    scheme: str = "auto"
     surface_height: float = 0.0
     slope: float = 0.0
     uphill: float = 0.0
@@ -62,6 +64,7 @@ class Drop:
     height_field: str | None = None
     bodies: tuple[str, ...] = ()
     geoms: tuple[str, ...] = ()
+    groups: tuple[int, ...] = ()
     keyframe: str | None = None
     height: float | None = None
     velocity: float = 0.0
@@ -110,7 +113,8 @@ class Drop:
             plain = {**config, "model": Chain(**{**model, "torque": torque})}
         else:
             plain = {**config, "model": Path(model)}
-        for key in ("bodies", "geoms", "state"):
+        plain.setdefault("groups", ())  # runs that were saved before there was a choice of them
+        for key in ("bodies", "geoms", "groups", "state"):
             plain[key] = None if plain[key] is None else tuple(plain[key])
         return cls(**plain)
 
@@ -170,6 +174,7 @@ class DropResult:
     drop: Drop
     xml: str
     law: str
+    scheme: str
     timestep: float
     elements: int
     stop: tuple[float, float] | None
@@ -189,7 +194,7 @@ class DropResult:
             "model": self.drop.title,
             "law": self.law,
             "medium": self.drop.medium,
-            "scheme": self.drop.scheme,
+            "scheme": self.scheme,
             "timestep": self.timestep,
             "elements": self.elements,
             "duration": float(self.t[-1]),
@@ -220,6 +225,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         surface=drop.surface,
         bodies=drop.bodies or None,
         geoms=drop.geoms or None,
+        groups=drop.groups or None,
         resolution=drop.resolution,
     )
     data = mujoco.MjData(model)
@@ -366,6 +372,7 @@ def _result(
         drop=drop,
         xml=xml,
         law=sand.law.name,
+        scheme=sand.scheme.name,
         timestep=float(model.opt.timestep),
         elements=len(sand.elements),
         stop=stop,

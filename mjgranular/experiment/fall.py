@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections import deque
 from collections.abc import Callable
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import GranularWarning, UnstableError
+from mjgranular.errors import UnstableError, warn_user
 from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
 from mjgranular.experiment.trajectory import Recorder, Trajectory
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
@@ -44,11 +43,9 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
     """
     bound = impact.largest_step()
     if impact.scheme == "explicit" and impact.timestep > bound:
-        warnings.warn(
+        warn_user(
             f"the time step {impact.timestep:g} s is above {bound:.2g} s, the bound below which "
-            f"the explicit scheme is sure to be stable for this impact",
-            GranularWarning,
-            stacklevel=2,
+            f"the explicit scheme is sure to be stable for this impact"
         )
     return _Run(impact).follow(progress)
 

@@ -150,6 +150,7 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         law=intrusion.law,
         geoms=geoms,
         resolution=intrusion.resolution,
+        scheme="explicit",  # motion is prescribed: the law at the velocity that it has
     )
     data = mujoco.MjData(model)
     down, along = math.sin(intrusion.direction), math.cos(intrusion.direction)

@@ -91,7 +91,8 @@ def constraint_rows() -> tuple[int, ...]:
     model = mujoco.MjModel.from_xml_string(_PROBE)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    names = [field.name for field in STRUCTS["mjData"].fields]
+    described: Any = STRUCTS["mjData"].fields
+    names = [field.name for field in described]
     # Pointers lie one after the other, in the order of the description, behind one that is known.
     known = names.index("cfrc_ext")
     begin = (data.energy.ctypes.data - data._address) // 8  # in front of all pointers
@@ -140,15 +141,15 @@ def _unknown_layout() -> ImportError:
 
 def _first(rows: dict[str, int], data: mujoco.MjData, name: str) -> Any:
     pointer = ctypes.c_uint64.from_address(data._address + rows["contact"]).value
-    memory = (ctypes.c_char * CONTACT_DTYPE.itemsize).from_address(pointer)
-    return np.frombuffer(memory, CONTACT_DTYPE)[0][name]
+    return np.frombuffer(ctypes.string_at(pointer, CONTACT_DTYPE.itemsize), CONTACT_DTYPE)[0][name]
 
 
 def _contact_dtype() -> np.dtype:
     """`mjContact` as a record, as MuJoCo describes it."""
     kinds = {"mjtNum": np.float64, "int": np.int32}
     fields = []
-    for field in STRUCTS["mjContact"].fields:
+    described: Any = STRUCTS["mjContact"].fields
+    for field in described:
         kind, _, size = str(field.type).partition(" [")
         shape = tuple(int(n) for n in size.rstrip("]").split("][")) if size else ()
         fields.append((field.name, kinds[kind], shape))

@@ -18,7 +18,8 @@ _STILL = 1e-150
 # itself has a finite response in RFT, so rounding must not decide whether it leads.
 _EDGE = 1e-9
 # Where the velocity at the end of a step is sought, a flat face begins to lead over directions
-# within this sine of its plane on either side. Chosen: the search needs a slope where the law jumps.
+# within this sine of its plane on either side. Chosen: the search needs a slope where the law
+# jumps.
 _RAMP = 0.05
 # Turn of the direction of motion for the derivative of a stress. Chosen: the square root of the
 # precision, and some more for the rounding of a fit of 60 terms.
@@ -114,19 +115,21 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
     @compiled
     def led_stress(facet, law, g, ux, uy, uz):
         """Force on a facet for a direction of motion, what leads growing over a ramp [N]."""
-        nx, ny, nz, zx, zy, zz, ax, ay, az, bx, by, bz, depth, h1, h2, mean, area, _ = facet[5:]
+        nx, ny, nz = facet[5], facet[6], facet[7]
+        ax, ay, az = facet[11], facet[12], facet[13]
+        bx, by, bz = facet[14], facet[15], facet[16]
         c = ux * nx + uy * ny + uz * nz
         a = ux * ax + uy * ay + uz * az
         b = ux * bx + uy * by + uz * bz
         if abs(a) + abs(b) < _RAMP:
             a = math.copysign(_RAMP - abs(b), a)
-        load, ls, lt = load_of(depth, h1, h2, mean, c, a, b)
+        load, ls, lt = load_of(facet[17], facet[18], facet[19], facet[20], c, a, b)
         if load <= 0.0:
             return 0.0, 0.0, 0.0
         nx, ny, nz = turned(nx, ny, nz, ls, ax, ay, az, lt, bx, by, bz)
-        sx, sy, sz = stress(law, g, nx, ny, nz, ux, uy, uz, zx, zy, zz)
+        sx, sy, sz = stress(law, g, nx, ny, nz, ux, uy, uz, facet[8], facet[9], facet[10])
         # The fit describes faces that lead; on the ramp it is asked for some that just do not.
-        gain = load * area
+        gain = load * facet[21]
         power = sx * ux + sy * uy + sz * uz
         if power > 0.0:
             sx, sy, sz = sx - power * ux, sy - power * uy, sz - power * uz

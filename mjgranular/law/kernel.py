@@ -16,7 +16,7 @@ from typing import Any
 
 from mjgranular.kernel.compiled import compiled
 
-Pose = namedtuple("Pose", ["position", "rotation", "com", "tree", "motion"])  # noqa: PYI024
+Pose = namedtuple("Pose", ["position", "rotation", "com", "tree", "motion"])
 Pose.__doc__ = """Where a body is and how it moves, world axes.
 
 Attributes:
@@ -45,7 +45,8 @@ class LawKernel:
         resist: kernel `resist(immersed, law, g, v, d)`: the force [N] (x, y, z) on the element
             that `immerse` described, from the velocity of its point [m/s] for what depends on the
             direction of motion (`v`) and for what grows with speed (`d`, which may lead).
-        respond: kernel `respond(immersed, law, g, v, eps, reach, shares)`: the force and, row by
+        respond: kernel `respond(immersed, law, g, v, eps, reach, shares)`, with the numbers of
+            `immersed` in an array, to be taken one by one: the force and, row by
             row, the nine numbers of minus its derivative by velocity [N s/m]. Static resistance,
             which jumps where the motion turns round, is made soft by `grip`, with which it is to
             be written; a law may have two such limits, each with its share.

@@ -81,7 +81,9 @@ def link_resist(rod, law, g, v, d):
 @compiled
 def link_respond(rod, law, g, v, eps, reach, shares):
     """Resistance and its derivative, rest made soft (see `law.kernel`)."""
-    ux, uy, uz, nx, ny, nz, limit_n, limit_t, drag = rod[5:]
+    ux, uy, uz = rod[5], rod[6], rod[7]
+    nx, ny, nz = rod[8], rod[9], rod[10]
+    limit_n, limit_t, drag = rod[11], rod[12], rod[13]
     vx, vy, vz = v
     normal_v = vx * nx + vy * ny + vz * nz
     tx, ty, tz = vx - normal_v * nx, vy - normal_v * ny, vz - normal_v * nz

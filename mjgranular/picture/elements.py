@@ -43,6 +43,7 @@ _STYLE = {
 _MOST_NAMED = 10  # entries of a legend
 _AROUND = 24  # corners of what is drawn for a circle
 _LEAST_SIDE = 0.25  # of a figure's box, as a share of its longest side
+_LEAST_SHARE = 0.25  # of a facet's area has the parallelogram of its edges, or it is a disc
 _GAP = 0.97  # of their size have bodies in a scene, so that neighbours can be told apart
 _LIGHT = np.array([0.35, -0.60, 0.72])  # towards the light of a figure
 
@@ -189,9 +190,9 @@ def draw_elements(
 ) -> Figure:
     """Draws the elements as they lie on the bodies, in space, all axes to the same scale.
 
-    Rods have their length and width. A facet is a parallelogram, or a disc where the law keeps no
-    edges; its area is the true one. Blobs are drawn as the outlines that their support functions
-    describe. Where a plane of sand passes through the picture, it is drawn too.
+    Rods have their length and width. A facet is a parallelogram, or a disc where it has no edges,
+    as a mesh's triangle; its area is the true one. Blobs are drawn as the outlines that their
+    support functions describe. Where a plane of sand passes through the picture, it is drawn too.
 
     Args:
         sand: whose elements.
@@ -404,21 +405,27 @@ def _padded(polygons: np.ndarray, corners: int) -> np.ndarray:
 
 def _facet_corners(facets: np.ndarray) -> np.ndarray:
     """Corners of facets in their bodies' frames, shape (n, k, 3): of their true area."""
-    edges = _half_edges(facets)
-    if edges is not None:
-        around = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ edges
-    else:
-        around = _disc_radius(facets["area"])[:, None, None] * _circles(facets["normal"])
+    wide, edges = _half_edges(facets)
+    around = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ edges
+    if not wide.all():
+        discs = _disc_radius(facets["area"])[:, None, None] * _circles(facets["normal"])
+        discs[wide] = _padded(around, _AROUND)
+        around = discs
     return facets["point"][:, None] + around
 
 
-def _half_edges(facets: np.ndarray) -> np.ndarray | None:
-    """Half edges of parallelograms of the facets' areas, (n, 2, 3); None if the law keeps none."""
+def _half_edges(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which facets are drawn as parallelograms, shape (n,), and their half edges, shape (m, 2, 3).
+
+    The edges are scaled to the facets' areas. A triangle of a mesh has none, a patch that is hidden
+    but for a strip hardly any: those are drawn as discs.
+    """
     if "edges" not in (facets.dtype.names or ()):
-        return None
+        return np.zeros(len(facets), bool), np.zeros((0, 2, 3))
     edges = facets["edges"]
     area = 4 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    return edges * np.sqrt(facets["area"] / area)[:, None, None]
+    wide = area > _LEAST_SHARE * facets["area"]
+    return wide, edges[wide] * np.sqrt(facets["area"][wide] / area[wide])[:, None, None]
 
 
 def _rod_rims(rods: np.ndarray) -> np.ndarray:
@@ -513,7 +520,7 @@ def add_elements(
 
     Call it after `renderer.update_scene(data)`, or for a passive viewer with `viewer.user_scn`,
     whose `ngeom` is set to 0 first. Positions are those in `data`, as the scene's own are. Facets
-    are thin slabs (discs where the law keeps no edges), rods cylinders, blobs solids.
+    are thin slabs (discs where they have no edges), rods cylinders, blobs solids.
 
     Args:
         scene: to be added to.
@@ -580,15 +587,16 @@ _Bodies = tuple[list[mujoco.mjtGeom], np.ndarray, np.ndarray]
 
 def _facet_bodies(facets: np.ndarray) -> _Bodies:
     thin = 0.01 * np.sqrt(facets["area"])
-    edges = _half_edges(facets)
-    if edges is not None:
-        # A scene takes axes that are not square to each other: the slab becomes a slanted one.
-        lengths = np.linalg.norm(edges, axis=2)
-        axes = np.concatenate([edges / lengths[..., None], facets["normal"][:, None]], axis=1)
-        sizes = np.column_stack([_GAP * lengths, thin])
-        return [mujoco.mjtGeom.mjGEOM_BOX] * len(facets), sizes, axes.mT
     sizes = np.column_stack([np.sqrt(facets["area"] / math.pi), thin, thin])
-    return [mujoco.mjtGeom.mjGEOM_CYLINDER] * len(facets), sizes, _frames(facets["normal"])
+    frames = _frames(facets["normal"])
+    wide, edges = _half_edges(facets)
+    # A scene takes axes that are not square to each other: the slab becomes a slanted one.
+    lengths = np.linalg.norm(edges, axis=2)
+    axes = np.concatenate([edges / lengths[..., None], facets["normal"][wide, None]], axis=1)
+    sizes[wide] = np.column_stack([_GAP * lengths, thin[wide]])
+    frames[wide] = axes.mT
+    box, disc = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+    return [box if k else disc for k in wide], sizes, frames
 
 
 def _rod_bodies(rods: np.ndarray) -> _Bodies:

@@ -106,6 +106,35 @@ class ElementTable:
 
 
 @dataclass(frozen=True)
+class Solver:
+    """What the implicit scheme has counted since the sand met this `MjData`.
+
+    Attributes:
+        steps: in which an element was in the sand.
+        evaluations: of all forces, in these steps together.
+        most: in one step.
+        softened: steps that had to make do with a softer rest.
+        unfinished: steps that did not reach the tolerance with that either; their forces are
+            scaled down until they give no energy.
+        residual: of the last step, in parts of the momentum that it moved.
+        worst: of all steps.
+    """
+
+    steps: int
+    evaluations: int
+    most: int
+    softened: int
+    unfinished: int
+    residual: float
+    worst: float
+
+    @classmethod
+    def of(cls, account: np.void) -> Solver:
+        """From the record that the scheme keeps (`scheme.desk`)."""
+        return cls(*(account[field.name].item() for field in fields(cls)))
+
+
+@dataclass(frozen=True)
 class Report:
     """The sand on a model at one instant.
 
@@ -114,12 +143,15 @@ class Report:
         bodies: one report a body, in the order of the model.
         table: all elements, as arrays.
         names: of geoms and bodies by their ids.
+        solver: what the implicit scheme has counted so far; None with the explicit one, or before
+            the first step.
     """
 
     time: float
     bodies: tuple[BodyReport, ...]
     table: ElementTable
     names: Names
+    solver: Solver | None = None
 
     def __getitem__(self, body: str) -> BodyReport:
         """The report of the body of that name.
@@ -178,6 +210,7 @@ def describe(
     limits: tuple[Limit, ...] = (),
     slope: float = 0.0,
     grain: float | None = None,
+    solver: Solver | None = None,
 ) -> Report:
     """Makes a report of what a kernel has just filled in.
 
@@ -191,6 +224,7 @@ def describe(
         limits: of the law.
         slope: of the surface [rad].
         grain: diameter of a grain [m], None if it is not known.
+        solver: what the scheme has counted.
     """
     table = _element_table(data, elements, binding.contacts, gravity)
     bodies = []
@@ -211,7 +245,7 @@ def describe(
                 validity=tuple(Standing(limit, measures[limit.measure]) for limit in limits),
             )
         )
-    return Report(float(data.time), tuple(bodies), table, names)
+    return Report(float(data.time), tuple(bodies), table, names, solver)
 
 
 def _element_table(

@@ -18,7 +18,7 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.company import company_of
 from mjgranular.sand.guard import FINE, finish_step, guarded_program
-from mjgranular.sand.report import Names, Report, describe
+from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.scheme import Scheme, get_scheme
 from mjgranular.shape import select_geoms
 from mjgranular.shape.select import body_name
@@ -58,7 +58,8 @@ class Sand:
         medium: a medium, its name, or a YAML file (`medium.file`).
         law: a law, its name, or None for the medium's own.
         surface: where the sand is; None for the plane z = 0.
-        scheme: how forces become a step: a scheme or its name.
+        scheme: how forces become a step: a scheme or its name. "auto" takes `Implicit`, but
+            `Explicit` for fine time steps (`scheme.auto`); `Sand.scheme` says which.
         bodies: names of the bodies that meet the sand, with all their collision geoms; or "all".
         geoms: names of the geoms that meet the sand; or "all".
         groups: geom groups whose collision geoms meet the sand, those of bodies that can move. What
@@ -80,7 +81,7 @@ class Sand:
         medium: str | Path | Medium = "play_sand",
         law: str | Law | None = None,
         surface: Surface | None = None,
-        scheme: str | Scheme = "explicit",
+        scheme: str | Scheme = "auto",
         bodies: Sequence[str] | str | None = None,
         geoms: Sequence[str] | str | None = None,
         groups: Sequence[int] | int | None = None,
@@ -102,8 +103,8 @@ class Sand:
         self._medium = get_medium(medium)
         self._law = get_law(law, self._medium)
         self._surface = Plane() if surface is None else surface
-        self._scheme = get_scheme(scheme)
-        self._scheme.check(model)
+        asked = get_scheme(scheme)
+        asked.check(model)
         chosen = select_geoms(
             model,
             bodies=bodies,
@@ -112,6 +113,7 @@ class Sand:
             leave_out=self._surface.geoms(model),
         )
         self._elements = self._law.elements(model, chosen, resolution)
+        self._scheme = asked.settle(model, len(self._elements))
         self._scene = make_scene(self._law, self._medium, self._surface, model)
         kernel = self._law.kernel(self._surface)
         program = guarded_program(self._scheme.program(kernel, self._scene.dtype))
@@ -256,9 +258,17 @@ class Sand:
             limits=self._law.validity,
             slope=self._slope,
             grain=None if self._medium.grain is None else self._medium.grain.value,
+            solver=self._solver(data),
         )
         self._probes.append((probe, binding))
         return report
+
+    def _solver(self, data: mujoco.MjData) -> Solver | None:
+        """What the scheme has counted in this simulation."""
+        bound = self._bindings.get(data)
+        if bound is None or bound.desk.account is None:
+            return None
+        return Solver.of(bound.desk.account[0])
 
     def _own_applied(self, data: mujoco.MjData) -> np.ndarray:
         """`xfrc_applied` without what `apply` has left in it."""

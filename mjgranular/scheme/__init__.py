@@ -1,5 +1,6 @@
 """How forces become a step."""
 
+from mjgranular.scheme.auto import Auto as Auto
 from mjgranular.scheme.explicit import Explicit as Explicit
 from mjgranular.scheme.implicit import Implicit as Implicit
 from mjgranular.scheme.scheme import Scheme as Scheme

@@ -411,9 +411,7 @@ def push(desk, room, force, stiff, h):
             answer[j] = row[j]
     else:
         # The row's acceleration is row (1 + M^-1 C) of the change of velocity over h.
-        solve_inertia(
-            desk[d.MODEL], desk[d.DATA], product.ctypes.data, row.ctypes.data, 1
-        )
+        solve_inertia(desk[d.MODEL], desk[d.DATA], product.ctypes.data, row.ctypes.data, 1)
         for j in range(nv):
             answer[j] = row[j]
         for i in range(nv):

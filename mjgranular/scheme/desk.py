@@ -86,13 +86,14 @@ DESK_SIZE = LONE + 1
     DOF_BODY, DOF_PARENT, BODY_PARENT, BODY_ROOT, BODY_DOF, BODY_DOFS, DAMPING,
 ) = range(FIRST_OF_MODEL, FIRST_OF_DATA)  # fmt: skip
 (
-    QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM, CONSTRAINT, WARMSTART, QACC,
+    QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM,
+    CONSTRAINT, WARMSTART, QACC,
 ) = range(FIRST_OF_DATA, WET)  # fmt: skip
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
 PLAIN, DAMPED, IMPLICIT_FAST, IMPLICIT_FULL = range(4)
 
-Room = namedtuple(  # noqa: PYI024
+Room = namedtuple(
     "Room",
     [
         "velocity",  # sought, at the end of the step

@@ -11,11 +11,14 @@ those of MuJoCo's constraints, which answer to the sand as the sand does to them
 v' by Newton's method: nv equations, whatever the number of elements, since what the elements of a
 body add to the derivative is one 6 x 6 matrix, as if it were inertia.
 
-Rest is made soft over a speed eps far below anything visible: a static force grows in proportion up
-to eps and is its limit from there. The solver goes from a coarse eps to the fine one, and what holds
-keeps its force from one to the next. Nothing is carried from step to step: the force is a function
-of MuJoCo's own state, so that what is copied, saved or reset goes on alike, to the last bit.
+Rest is made soft over a speed eps far below anything visible: a static force grows to its limit
+over speeds of that size. The solver goes from a coarse eps to the fine one, and what holds keeps
+its force from one to the next. Nothing is carried from step to step: the force is a function of
+MuJoCo's own state, so that what is copied, saved or reset goes on alike, to the last bit.
 """
+
+# What belongs to a body is read when its first element comes, which a type checker cannot follow.
+# pyright: reportPossiblyUnboundVariable=false
 
 from __future__ import annotations
 
@@ -26,7 +29,6 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
@@ -82,8 +84,8 @@ _SOFT = 1e-12
 _SOFT_SHARE = 1e-7
 # From one softness to the next. Chosen by counting evaluations: 1e-2 and 1e-5 need more.
 _FINER = 1e-3
-# Residuals, in parts of the momentum at hand: of a coarse softness, of the last, where a start at the
-# last is worth trying, and what may be rounding. Chosen by counting too.
+# Residuals, in parts of the momentum at hand: of a coarse softness, of the last, where a start at
+# the last is worth trying, and what may be rounding. Chosen by counting too.
 _COARSE, _FINE, _NEAR, _ROUNDED = 1e-3, 1e-11, 0.7, 1e-6
 # Of Newton's method at one softness; not literals, for each of which numba would compile anew.
 _STEPS, _STEPS_NEAR, _NO_STEPS = np.int64(6), np.int64(6), np.int64(0)
@@ -218,11 +220,10 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 motion[b + 3], motion[b + 4], motion[b + 5],
             )  # fmt: skip
             x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
-            immersed = to_fixed_tuple(entry.immersed, size)
             v = velocity_at(w, x, y, z)
             entry.velocity[0], entry.velocity[1], entry.velocity[2] = v[0], v[1], v[2]
             fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8 = respond(
-                immersed, law, g, v, eps, reach, (entry.shares[0], entry.shares[1])
+                entry.immersed, law, g, v, eps, reach, (entry.shares[0], entry.shares[1])
             )
             contact = contacts[entry.index]
             contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
@@ -283,7 +284,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             entry = wet[i]
             v = (entry.base_velocity[0], entry.base_velocity[1], entry.base_velocity[2])
             c = (part * entry.change[0], part * entry.change[1], part * entry.change[2])
-            s0, s1, c0, c1 = speeds(to_fixed_tuple(entry.immersed, size), v, c)
+            s0, s1, c0, c1 = speeds(entry.immersed, v, c)
             entry.shares[0] = new_share(s0, c0, eps, entry.base_shares[0])
             entry.shares[1] = new_share(s1, c1, eps, entry.base_shares[1])
 
@@ -586,9 +587,7 @@ def power_of_share(desk, room, h, share):
     for j in range(nv):
         smooth[j] = (room_smooth[j] + share * sand[j]) / h
     if bound:
-        solve_inertia(
-            desk[d.MODEL], desk[d.DATA], acceleration.ctypes.data, smooth.ctypes.data, 1
-        )
+        solve_inertia(desk[d.MODEL], desk[d.DATA], acceleration.ctypes.data, smooth.ctypes.data, 1)
         for j in range(nv):
             product[j] = warmstart[j]
         forward_constraint(desk[d.MODEL], desk[d.DATA])

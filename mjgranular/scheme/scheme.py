@@ -63,6 +63,10 @@ class Scheme(ABC):
             scene: record of two: `law`, made by its `parameters`, and `surface`.
         """
 
+    def settle(self, model: mujoco.MjModel, elements: int) -> Scheme:
+        """The scheme for a model with so many elements: itself, unless it is a choice of others."""
+        return self
+
     def desk(self, model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray) -> Desk:
         """What the program works with in one simulation; nothing unless a scheme says so."""
         return Desk(np.zeros(0, np.int64))

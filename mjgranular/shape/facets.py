@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
@@ -10,7 +9,7 @@ from typing import Literal
 import mujoco
 import numpy as np
 
-from mjgranular.errors import GranularWarning, InputError
+from mjgranular.errors import InputError, warn_user
 from mjgranular.kernel.memory import records
 from mjgranular.shape import tessellation
 from mjgranular.shape.tessellation import Cells
@@ -37,6 +36,10 @@ RESOLUTION = 12
 """Rings from pole to pole of a round geom; other parts of a skin in a measured proportion. The
 smallest with which the total force on every primitive that was tried is within 2 % of that on a
 fine mesh (tests/test_facets.py, docs/shapes.md)."""
+
+FINEST = 200
+"""Largest resolution. Chosen: a sphere has 51 000 facets then, far more than accuracy asks for, and
+takes 0.9 GB while it is cut; both go with the square of the resolution."""
 
 # Skins that are closer than this share of a geom's size lie on each other. Chosen: far above
 # rounding, far below anything that is drawn.
@@ -70,7 +73,7 @@ def facets_from_model(
 
     Raises:
         InputError: a geom of another type, of size zero, or a mesh without faces; a resolution
-            below 2.
+            below 2 or above 200.
 
     Warns:
         GranularWarning: a mesh is not watertight, says how many open edges it has; or is inside
@@ -78,6 +81,8 @@ def facets_from_model(
     """
     if resolution < 2:
         raise InputError(f"the resolution must be at least 2, not {resolution}")
+    if resolution > FINEST:
+        raise InputError(f"the resolution must be at most {FINEST}, not {resolution}")
     ordered = sorted(geoms, key=lambda g: (int(model.geom_bodyid[g]), g))
     skins = {geom: _skin(model, geom, resolution) for geom in ordered}
     if hidden == "drop" and len(skins) > 1:
@@ -241,20 +246,16 @@ def _mesh_skin(model: mujoco.MjModel, geom: int) -> Cells:
     faces = model.mesh_face[start : start + int(model.mesh_facenum[mesh])]
     gaps = open_edges(vertices, faces)
     if gaps:
-        warnings.warn(
+        warn_user(
             f"the mesh of geom {geom_name(model, geom)} is not watertight, it has {gaps} open "
-            "edges: its faces act as they are, each on its outer side",
-            GranularWarning,
-            stacklevel=2,
+            "edges: its faces act as they are, each on its outer side"
         )
     skin = tessellation.triangles(vertices[faces])
     if not skin.vectors.any():
         raise InputError(f"the mesh of geom {geom_name(model, geom)} has no face with an area")
     if not gaps and (skin.points * skin.vectors).sum() < 0:
-        warnings.warn(
-            f"the mesh of geom {geom_name(model, geom)} is inside out: its faces are turned round",
-            GranularWarning,
-            stacklevel=2,
+        warn_user(
+            f"the mesh of geom {geom_name(model, geom)} is inside out: its faces are turned round"
         )
         return replace(skin, vectors=-skin.vectors)
     return skin
