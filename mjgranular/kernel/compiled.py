@@ -97,7 +97,7 @@ class _PackageCache(FunctionCache):
             super().save_overload(sig, data)
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
     """Compiles `function` in nopython mode on first call; later processes load it from disk.
 
     The machine code lies in `__pycache__` beside the source or, where that cannot be written, in
@@ -107,6 +107,8 @@ def compiled(function: Callable[..., Any]) -> Any:
     Args:
         function: scalar arithmetic and loops over arrays, without Python objects. It may be made
             by a factory, with other kernels in its closure.
+        inline: put its code where it is called. For small functions in loops over elements, and for
+            those that hand on many numbers; more of it costs compile time.
 
     Returns:
         numba's dispatcher, called like `function`.
@@ -117,7 +119,7 @@ def compiled(function: Callable[..., Any]) -> Any:
         # of two kernels from one factory, loaded from the cache, would be taken for the same.
         function.__qualname__ = f"{function.__qualname__}_{_digest(parts)}"
     # IEEE arithmetic (no fastmath): both doors and all platforms are to give the same numbers.
-    dispatcher: Any = numba.njit(error_model="numpy")(function)
+    dispatcher: Any = numba.njit(error_model="numpy", forceinline=inline)(function)
     with suppress(RuntimeError):  # numba: "no locator available", there is no folder to write to
         dispatcher._cache = _PackageCache(function)
     return dispatcher

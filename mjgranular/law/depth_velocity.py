@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, ClassVar, Self
 
 import mujoco
@@ -71,7 +71,7 @@ def depth_velocity_respond(blob, law, g, v, eps, reach, shares):
 def depth_velocity_kernel(probe: Any) -> LawKernel:
     """The law's kernels for surfaces with that `probe`."""
 
-    @compiled
+    @partial(compiled, inline=True)
     def depth_velocity_immerse(blob, pose, law, surface, g):
         x, y, z = in_world(pose, blob.center[0], blob.center[1], blob.center[2])
         px, py, pz = pose.position[0] + x, pose.position[1] + y, pose.position[2] + z

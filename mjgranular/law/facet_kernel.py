@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
@@ -24,6 +24,9 @@ _RAMP = 0.05
 # Turn of the direction of motion for the derivative of a stress. Chosen: the square root of the
 # precision, and some more for the rounding of a fit of 60 terms.
 _TURN = 1e-6
+# The numbers of an immersed facet: depth of its deepest point, no length, centre of pressure; its
+# normal, that of the surface, both spreads; depth of its middle and rises along both half edges;
+# mean depth, area, inertial push.
 
 
 @cache
@@ -40,39 +43,36 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
     turning body is lowered.
     """
 
-    @compiled
+    @partial(compiled, inline=True)
     def facet_immerse(facet, pose, law, surface, g):
         x, y, z = in_world(pose, facet.point[0], facet.point[1], facet.point[2])
         px, py, pz = pose.position[0] + x, pose.position[1] + y, pose.position[2] + z
         depth, zx, zy, zz = probe(surface, px, py, pz)
-        nx, ny, nz = 0.0, 0.0, 0.0
         ax, ay, az, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        mean, h1, h2 = 0.0, 0.0, 0.0
+        h1, h2 = 0.0, 0.0
         deepest = depth
-        if facet.extent > 0.0 and depth > -facet.extent:  # a patch, not a triangle
+        e1x, e1y, e1z, e2x, e2y, e2z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        if facet.extent > 0.0:  # a patch, not a triangle
             e1x, e1y, e1z = in_world(pose, facet.edges[0, 0], facet.edges[0, 1], facet.edges[0, 2])
             e2x, e2y, e2z = in_world(pose, facet.edges[1, 0], facet.edges[1, 1], facet.edges[1, 2])
             h1 = -(e1x * zx + e1y * zy + e1z * zz)
             h2 = -(e2x * zx + e2y * zy + e2z * zz)
             deepest += abs(h1) + abs(h2)
-            if deepest > 0.0:
-                if law.rise != 0.0:
-                    depth = lowered(depth, pose, px, py, pz, g)
-                # The force acts at the wet part's centre of pressure.
-                mean, s, t = wet_part(depth, h1, h2)
-                px, py, pz = px + s * e1x + t * e2x, py + s * e1y + t * e2y, pz + s * e1z + t * e2z
-                ax, ay, az = in_world(
-                    pose, facet.spread[0, 0], facet.spread[0, 1], facet.spread[0, 2]
-                )
-                bx, by, bz = in_world(
-                    pose, facet.spread[1, 0], facet.spread[1, 1], facet.spread[1, 2]
-                )
-        elif depth > 0.0:
-            if law.rise != 0.0:
-                depth = lowered(depth, pose, px, py, pz, g)
-            mean = depth
-        if deepest > 0.0:
-            nx, ny, nz = in_world(pose, facet.normal[0], facet.normal[1], facet.normal[2])
+        if deepest <= 0.0:
+            return (
+                deepest, 0.0, px, py, pz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+                0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+            )  # fmt: skip
+        if law.rise != 0.0:
+            depth = lowered(depth, pose, px, py, pz, g)
+        mean = depth
+        if facet.extent > 0.0:
+            # The force acts at the wet part's centre of pressure.
+            mean, s, t = wet_part(depth, h1, h2)
+            px, py, pz = px + s * e1x + t * e2x, py + s * e1y + t * e2y, pz + s * e1z + t * e2z
+            ax, ay, az = in_world(pose, facet.spread[0, 0], facet.spread[0, 1], facet.spread[0, 2])
+            bx, by, bz = in_world(pose, facet.spread[1, 0], facet.spread[1, 1], facet.spread[1, 2])
+        nx, ny, nz = in_world(pose, facet.normal[0], facet.normal[1], facet.normal[2])
         push = law.inertia * facet.area
         return (
             deepest, 0.0, px, py, pz, nx, ny, nz, zx, zy, zz,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -145,7 +145,7 @@ def link_kernel(limits: Any, probe: Any) -> LawKernel:
         probe: the surface's.
     """
 
-    @compiled
+    @partial(compiled, inline=True)
     def link_immerse(rod, pose, law, surface, g):
         lx, ly, lz = in_world(pose, rod.center[0], rod.center[1], rod.center[2])
         cx, cy, cz = pose.position[0] + lx, pose.position[1] + ly, pose.position[2] + lz
