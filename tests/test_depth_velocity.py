@@ -64,7 +64,7 @@ def dropped(law, speed, timestep=1e-4, resistance=None):
     With the law's `resistance` given, the start is that of MuJoCo's leapfrog: `qvel` belongs to
     half a time step before `qpos`, and the sphere touches. Without, the first half step is lost.
     """
-    sand = Sand(model(BALL, timestep), law=law)
+    sand = Sand(model(BALL, timestep), law=law, scheme="explicit")
     data = mujoco.MjData(sand.model)
     data.qpos[2], data.qvel[2] = RADIUS, -speed
     if resistance is not None:
@@ -148,7 +148,9 @@ def test_constants_of_glass_beads_are_those_of_the_sphere():
     assert law.stiffness == pytest.approx(SPHERE.stiffness)
     assert law.quadratic == pytest.approx(SPHERE.quadratic)
     assert (law.constant, law.linear, law.exponent) == (0, 0, 1)
-    assert Sand(model(BALL), medium="glass_beads", law="depth_velocity").law == law
+    assert (
+        Sand(model(BALL), medium="glass_beads", law="depth_velocity", scheme="explicit").law == law
+    )
 
 
 @each_model
@@ -180,7 +182,7 @@ KEPT = {}
 
 def sphere_sand(law):
     if law not in KEPT:
-        KEPT[law] = Sand(model(BALL), law=law)
+        KEPT[law] = Sand(model(BALL), law=law, scheme="explicit")
     return KEPT[law]
 
 
@@ -241,7 +243,9 @@ def test_depth_is_that_of_the_deepest_point(name, plane):
     rng = np.random.default_rng(0)
     inner, offset = drawn_rotation(rng), np.array([0.1, -0.2, 0.05])
     place = f"pos='0.1 -0.2 0.05' quat='{' '.join(map(repr, inner.tolist()))}'"
-    sand = Sand(model(f"<geom {GEOMS[name]} {place}/>"), law=SPHERE, surface=plane)
+    sand = Sand(
+        model(f"<geom {GEOMS[name]} {place}/>"), law=SPHERE, surface=plane, scheme="explicit"
+    )
     points = skin(name) @ matrix(inner).T + offset
     for _ in range(10):
         outer, position = drawn_rotation(rng), rng.uniform(-0.3, 0.3, 3)
@@ -272,7 +276,7 @@ def mesh_depth(quaternion):
     compiled, tips = diamond()
     data = mujoco.MjData(compiled)
     data.qpos[3:] = quaternion
-    (element,) = Sand(compiled, law=SPHERE).report(data).elements
+    (element,) = Sand(compiled, law=SPHERE, scheme="explicit").report(data).elements
     return element.depth, -(tips @ matrix(quaternion).T)[:, 2].min()
 
 
@@ -299,7 +303,7 @@ def test_force_acts_at_the_middle_of_each_geom():
         "<geom type='sphere' size='.01' pos='0 0 .5'/>"  # stays dry
     )
     inertial = "<inertial pos='.01 -.02 .03' mass='1' diaginertia='1 1 1'/>"
-    sand = Sand(model(geoms, inertial=inertial), law=SPHERE)
+    sand = Sand(model(geoms, inertial=inertial), law=SPHERE, scheme="explicit")
     rng = np.random.default_rng(3)
     data = mujoco.MjData(sand.model)
     quaternion, velocity, spin = drawn_rotation(rng), rng.normal(size=3), 5 * rng.normal(size=3)
@@ -330,7 +334,7 @@ def test_force_acts_at_the_middle_of_each_geom():
 
 def test_sphere_may_turn_freely():
     # The centre does not move: nothing is resisted.
-    sand = Sand(model(BALL), law=SPHERE)
+    sand = Sand(model(BALL), law=SPHERE, scheme="explicit")
     data = mujoco.MjData(sand.model)
     data.qvel[3:] = 1, 2, 3
     assert not sand.report(data).bodies[0].force.any()

@@ -69,7 +69,7 @@ def quaternion(rotation):
 @cache
 def level_sand(model, law):
     """Sand on one of the models that are kept."""
-    return Sand(model, law=law)
+    return Sand(model, law=law, scheme="explicit")
 
 
 def sanded(sand, pose, motion):
@@ -173,7 +173,7 @@ def test_tilting_the_whole_scene(law, pose, motion, slope, uphill, height):
         tilted = rod(gravity=R @ [0, 0, -9.81])
         surface = Plane(height, slope, uphill)
         place = (R @ pose[0] + [0, 0, height], R @ pose[1])
-        sand = Sand(tilted, law=law, surface=surface)
+        sand = Sand(tilted, law=law, surface=surface, scheme="explicit")
         found = sanded(sand, place, (R @ motion[0], R @ motion[1]))
         assert_same(found, (R @ expected[0], R @ expected[1]))
 
@@ -267,7 +267,7 @@ def test_force_is_continuous_at_the_surface(law):
 @pytest.mark.parametrize(("gravity", "factor"), [(0.0, 4.0), (9.81, 1.0)])
 def test_static_resistance_is_weight(gravity, factor):
     # Both static forces are proportional to g and do not go with speed; drag goes with its square.
-    sand = Sand(rod(gravity=(0, 0, -gravity)))
+    sand = Sand(rod(gravity=(0, 0, -gravity)), scheme="explicit")
     pose = (np.array([0, 0, 0.05]), np.eye(3))
     slow, fast = (
         np.linalg.norm(sanded(sand, pose, (np.array([v, 0, -v]), np.zeros(3)))[0])

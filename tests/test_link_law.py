@@ -79,7 +79,7 @@ def test_lumped_law_is_the_papers(reference, planar, state, coefficients, densit
     assume(min(abs(expected.v_Ex), abs(expected.v_Ey)) > 1e-6)
     model.opt.gravity[2] = -g
     place(data, state)
-    body = Sand(model, medium=medium(density, coefficients)).report(data)["link"]
+    body = Sand(model, medium=medium(density, coefficients), scheme="explicit").report(data)["link"]
     force = math.hypot(expected.F_x, expected.F_y)
     planar_force = [body.force[0], -body.force[2]]
     assert planar_force == pytest.approx([expected.F_x, expected.F_y], abs=1e-12 * force)
@@ -113,7 +113,7 @@ def test_distributed_law_is_its_integral(reference, planar, state):
     expected = reference.distributed_force(state, drop)
     place(data, state)
     law = DistributedLinkLaw(6.5, 8, 22, 1.1, pieces=400)
-    body = Sand(model, law=law).report(data)["link"]
+    body = Sand(model, law=law, scheme="explicit").report(data)["link"]
     force = math.hypot(expected.F_x, expected.F_y)
     planar_force = [body.force[0], -body.force[2]]
     assert planar_force == pytest.approx([expected.F_x, expected.F_y], rel=0, abs=1e-4 * force)
@@ -132,11 +132,15 @@ def test_both_laws_agree_in_pure_translation(planar, depth, q, velocity):
     model.opt.gravity[2] = -G
     assume(depth < 0.2 * math.cos(q) and min(map(abs, velocity)) > 1e-3)
     place(data, (0, depth - 0.1 * math.cos(q), q, *velocity, 0))
-    lumped = Sand(model, law=LinkLaw(6.5, 8, 22, 1.1)).report(data)["link"].force
+    lumped = Sand(model, law=LinkLaw(6.5, 8, 22, 1.1), scheme="explicit").report(data)["link"].force
     error = []
     for pieces in (50, 400):
         law = DistributedLinkLaw(6.5, 8, 22, 1.1, pieces=pieces)
-        error.append(np.linalg.norm(Sand(model, law=law).report(data)["link"].force - lumped))
+        error.append(
+            np.linalg.norm(
+                Sand(model, law=law, scheme="explicit").report(data)["link"].force - lumped
+            )
+        )
     coarse, fine = np.array(error) / np.linalg.norm(lumped)
     assert fine < 1e-4
     assert fine < coarse / 20 + 1e-12
@@ -172,7 +176,7 @@ def test_lumped_law_in_three_dimensions(chain_model, slope):
     # The law's reading in 3D, written once more with vectors.
     model, rng = chain_model, np.random.default_rng(1)
     eta_d, eta_h, eta_v, exponent, density = 6.5, 8.0, 22.0, 1.1, 2500.0
-    sand = Sand(model, surface=Plane(0.02, slope, 0.7))
+    sand = Sand(model, surface=Plane(0.02, slope, 0.7), scheme="explicit")
     n = sand.surface.normal
     touched = buried = 0
     for _ in range(200):
@@ -221,7 +225,7 @@ def test_lumped_law_in_three_dimensions(chain_model, slope):
 
 def test_moment_is_about_the_centre_of_mass(chain_model):
     model, rng = chain_model, np.random.default_rng(2)
-    sand = Sand(model)
+    sand = Sand(model, scheme="explicit")
     for _ in range(50):
         data = chain_state(model, rng)
         report = sand.report(data)
@@ -241,7 +245,7 @@ def test_moment_is_about_the_centre_of_mass(chain_model):
 def test_power_is_that_of_the_generalized_force(chain_model):
     # Force at E on the body, through MuJoCo's Jacobian: the work is the same in joint space.
     model, rng = chain_model, np.random.default_rng(3)
-    sand = Sand(model, law="link_distributed")
+    sand = Sand(model, law="link_distributed", scheme="explicit")
     for _ in range(50):
         data = chain_state(model, rng)
         report = sand.report(data)
@@ -282,7 +286,10 @@ def test_velocity_is_led_by_half_a_step_of_the_last_acceleration(chain_model):
     # The drag, linear in the led velocity, with static resistance out of the way.
     model, rng = chain_model, np.random.default_rng(5)
     law = LinkLaw(eta_d=6.5, eta_h=0, eta_v=0, exponent=1)
-    led, now = Sand(model, law=law), Sand(model, law=law, scheme=Explicit(half_step=False))
+    led, now = (
+        Sand(model, law=law, scheme="explicit"),
+        Sand(model, law=law, scheme=Explicit(half_step=False)),
+    )
     for _ in range(20):
         data = chain_state(model, rng)
         mujoco.mj_step1(model, data)

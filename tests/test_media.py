@@ -65,9 +65,11 @@ def test_every_medium_serves_its_own_law_and_those_it_has_constants_for(name):
     medium = mg.media[name]
     assert medium.name == name
     assert medium.title
-    assert Sand(body(), medium=name).law.name == medium.default_law
+    assert Sand(body(), medium=name, scheme="explicit").law.name == medium.default_law
     for law in medium.constants:
-        assert Sand(body(), medium=name, law=law).law == mg.laws[law].from_medium(medium)
+        assert Sand(body(), medium=name, law=law, scheme="explicit").law == mg.laws[
+            law
+        ].from_medium(medium)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,7 @@ def test_a_law_without_constants_is_told_those_with(name):
         if law in known:
             continue
         with pytest.raises(UnknownNameError) as caught:
-            Sand(body(), medium=name, law=law)
+            Sand(body(), medium=name, law=law, scheme="explicit")
         assert list(caught.value.known) == known
         for word in (name, law, *known):
             assert word in str(caught.value)
@@ -130,7 +132,7 @@ def test_the_example_is_a_medium(write):
 @pytest.mark.parametrize("name", ["sand.yaml", "sand.yml"])
 def test_a_file_is_taken_where_a_name_is(write, name):
     path = write(EXAMPLE + "grain: {value: 0.0003, unit: m, source: sieved}\n", name)
-    sand = Sand(body(), medium=str(path))
+    sand = Sand(body(), medium=str(path), scheme="explicit")
     assert sand.medium == read_medium(path)
     assert sand.medium.grain.value == 3e-4
     assert sand.law == mg.LinkLaw(6.5, 8, 22, 1.1)
@@ -138,7 +140,7 @@ def test_a_file_is_taken_where_a_name_is(write, name):
 
 
 def test_a_path_is_a_file_too(write):
-    assert Sand(body(), medium=write(EXAMPLE)).medium.name == "my_sand"
+    assert Sand(body(), medium=write(EXAMPLE), scheme="explicit").medium.name == "my_sand"
 
 
 def test_file_for_the_spatial_law(write):
@@ -157,7 +159,8 @@ def test_file_for_the_spatial_law(write):
     data = mujoco.MjData(model)
     data.qvel[2] = -0.1
     ours, theirs = (
-        Sand(model, medium=m).report(data).bodies[0].force for m in (str(path), "quikrete_medium")
+        Sand(model, medium=m, scheme="explicit").report(data).bodies[0].force
+        for m in (str(path), "quikrete_medium")
     )
     assert ours == pytest.approx(theirs, rel=1e-6)
     assert ours[2] > 1
@@ -209,7 +212,7 @@ def changed(old, new):
 )
 def test_a_file_that_is_no_medium(write, text, message):
     with pytest.raises(InputError, match=message) as caught:
-        Sand(body(), medium=str(write(text)))
+        Sand(body(), medium=str(write(text)), scheme="explicit")
     assert "\n" not in str(caught.value)
 
 
@@ -222,7 +225,7 @@ def test_a_file_that_is_no_medium(write, text, message):
 )
 def test_constants_that_the_law_refuses(write, old, new, message):
     with pytest.raises(InputError, match=message):
-        Sand(body(), medium=str(write(changed(old, new))))
+        Sand(body(), medium=str(write(changed(old, new))), scheme="explicit")
 
 
 @pytest.mark.parametrize(
@@ -235,7 +238,7 @@ def test_constants_that_the_law_refuses(write, old, new, message):
 )
 def test_constants_that_the_law_does_not_have(write, old, new, key):
     with pytest.raises(InputError, match=key):
-        Sand(body(), medium=str(write(changed(old, new))))
+        Sand(body(), medium=str(write(changed(old, new))), scheme="explicit")
 
 
 def test_numbers_as_people_write_them(write):
@@ -246,11 +249,11 @@ def test_numbers_as_people_write_them(write):
 def test_no_file(tmp_path):
     path = tmp_path / "nowhere.yaml"
     with pytest.raises(InputError, match=r"cannot read the medium .*nowhere.yaml: No such file"):
-        Sand(body(), medium=str(path))
+        Sand(body(), medium=str(path), scheme="explicit")
     folder = tmp_path / "folder.yaml"
     folder.mkdir()
     with pytest.raises(InputError, match="cannot read the medium"):
-        Sand(body(), medium=str(folder))
+        Sand(body(), medium=str(folder), scheme="explicit")
 
 
 def test_bytes_that_are_no_text(tmp_path):
@@ -316,7 +319,7 @@ def sinking(sand, depth=0.2, speed=0.3):
 
 def test_a_law_and_a_medium_from_outside(syrup):
     assert mg.laws["test_syrup"] is SyrupLaw
-    sand = Sand(body("type='box' size='.05 .04 .03'"), medium="test_treacle")
+    sand = Sand(body("type='box' size='.05 .04 .03'"), medium="test_treacle", scheme="explicit")
     assert sand.law == SyrupLaw(5e4)
     # One leading face, its middle 0.2 m deep.
     found = sinking(sand)
@@ -325,18 +328,22 @@ def test_a_law_and_a_medium_from_outside(syrup):
 
 
 def test_a_law_from_outside_needs_no_registration():
-    sand = Sand(body("type='box' size='.05 .04 .03'"), law=SyrupLaw(1e4))
+    sand = Sand(body("type='box' size='.05 .04 .03'"), law=SyrupLaw(1e4), scheme="explicit")
     assert sinking(sand).force[0] == pytest.approx(-1e4 * 0.2 * 0.08 * 0.06, rel=1e-12)
 
 
 def test_a_law_from_outside_has_the_options_of_the_loop(syrup):
-    sand = Sand(body("type='box' size='.05 .04 .03'"), law=SyrupLaw(0.0, inertia=1000.0))
+    sand = Sand(
+        body("type='box' size='.05 .04 .03'"), law=SyrupLaw(0.0, inertia=1000.0), scheme="explicit"
+    )
     assert sinking(sand).force[0] == pytest.approx(-1000 * 0.3**2 * 0.08 * 0.06, rel=1e-12)
 
 
 @pytest.mark.parametrize("surface", [mg.Plane(0.1, 0.2, 0.3), mg.Plane()])
 def test_a_law_from_outside_steps(syrup, surface):
-    sand = Sand(body("type='sphere' size='.05'"), medium="test_treacle", surface=surface)
+    sand = Sand(
+        body("type='sphere' size='.05'"), medium="test_treacle", surface=surface, scheme="explicit"
+    )
     data = mujoco.MjData(sand.model)
     data.qpos[2] = 0.2
     for _ in range(500):
@@ -359,4 +366,4 @@ def test_a_law_from_outside_cannot_take_a_name(syrup):
 def test_an_unknown_law_of_a_medium(syrup):
     other = dataclasses.replace(syrup, default_law="test_molasses", constants={"test_molasses": {}})
     with pytest.raises(UnknownNameError, match=r"no law 'test_molasses'; there are: .*test_syrup"):
-        Sand(body(), medium=other)
+        Sand(body(), medium=other, scheme="explicit")

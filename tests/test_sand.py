@@ -32,7 +32,10 @@ def restored(model, saved):
 
 
 def test_a_second_sand_on_the_same_body_is_refused(chain_model):
-    first, second = Sand(chain_model), Sand(chain_model, bodies=["hand", "probe"])
+    first, second = (
+        Sand(chain_model, scheme="explicit"),
+        Sand(chain_model, bodies=["hand", "probe"], scheme="explicit"),
+    )
     data = mujoco.MjData(chain_model)
     first.step(data)
     before = state(chain_model, data)
@@ -45,7 +48,7 @@ def test_a_second_sand_on_the_same_body_is_refused(chain_model):
 
 
 def test_a_copy_is_a_second_sand(link_model):
-    sand, data = Sand(link_model), mujoco.MjData(link_model)
+    sand, data = Sand(link_model, scheme="explicit"), mujoco.MjData(link_model)
     sand.step(data)
     with pytest.raises(InputError, match="another Sand acts on body 'link'"):
         copy.copy(sand).step(data)
@@ -53,7 +56,7 @@ def test_a_copy_is_a_second_sand(link_model):
 
 @pytest.mark.parametrize("shared", [(True, False), (False, True)])
 def test_both_have_to_say_so(link_model, shared):
-    first, second = (Sand(link_model, shared=each) for each in shared)
+    first, second = (Sand(link_model, shared=each, scheme="explicit") for each in shared)
     data = mujoco.MjData(link_model)
     first.step(data)
     with pytest.raises(InputError, match="make both with shared=True"):
@@ -62,12 +65,15 @@ def test_both_have_to_say_so(link_model, shared):
 
 def test_what_is_no_second_sand(chain_model):
     data = mujoco.MjData(chain_model)
-    first, idle = Sand(chain_model, bodies="arm"), Sand(chain_model)
+    first, idle = (
+        Sand(chain_model, bodies="arm", scheme="explicit"),
+        Sand(chain_model, scheme="explicit"),
+    )
     first.step(data)
     idle.report(data)  # looking is not acting
-    Sand(chain_model, bodies=["hand", "probe"]).apply(data)  # other bodies
-    Sand(chain_model).step(mujoco.MjData(chain_model))  # other data
-    Sand(chain_model).step(copy.copy(data))
+    Sand(chain_model, bodies=["hand", "probe"], scheme="explicit").apply(data)  # other bodies
+    Sand(chain_model, scheme="explicit").step(mujoco.MjData(chain_model))  # other data
+    Sand(chain_model, scheme="explicit").step(copy.copy(data))
     first.step(data)
     del first
     gc.collect()
@@ -75,7 +81,10 @@ def test_what_is_no_second_sand(chain_model):
 
 
 def test_a_released_simulation_can_be_taken_over(link_model):
-    first, second = Sand(link_model), Sand(link_model, law="link_distributed")
+    first, second = (
+        Sand(link_model, scheme="explicit"),
+        Sand(link_model, law="link_distributed", scheme="explicit"),
+    )
     data = mujoco.MjData(link_model)
     mujoco.mj_resetDataKeyframe(link_model, data, 0)
     data.qpos[1] -= 0.01
@@ -115,8 +124,11 @@ def test_two_beds_side_by_side_are_one(order):
     """Of the same medium, and cut into pieces none of which is in both."""
     model = beds()
     options = {"law": "rft3d", "medium": "quikrete_medium"}
-    one = Sand(model, surface=Bed("both"), **options)
-    parts = [Sand(model, surface=Bed(name), shared=True, **options) for name in ("left", "right")]
+    one = Sand(model, surface=Bed("both"), **options, scheme="explicit")
+    parts = [
+        Sand(model, surface=Bed(name), shared=True, **options, scheme="explicit")
+        for name in ("left", "right")
+    ]
     whole, halves = mujoco.MjData(model), mujoco.MjData(model)
     own = np.array([0.3, 0.1, 0.2, 0.01, 0.02, 0.03])
     for data in (whole, halves):
@@ -138,7 +150,10 @@ def test_two_beds_side_by_side_are_one(order):
 
 
 def test_shared_sands_leave_the_users_forces(link_model):
-    parts = [Sand(link_model, law=law, shared=True) for law in ("link", "link_distributed")]
+    parts = [
+        Sand(link_model, law=law, shared=True, scheme="explicit")
+        for law in ("link", "link_distributed")
+    ]
     data = mujoco.MjData(link_model)
     mujoco.mj_resetDataKeyframe(link_model, data, 0)
     data.qpos[1] -= 0.01
@@ -213,7 +228,7 @@ def excite(model, data):
 
 
 def test_what_is_kept_is_the_state_of_mujoco(everything):
-    sand, data = Sand(everything), mujoco.MjData(everything)
+    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     for _ in range(20):
         sand.step(data)
@@ -245,7 +260,7 @@ def set_autoreset(model, on):
 def test_data_hold_the_last_good_state(everything, field, autoreset):
     """The user spoils the state: that from before the last step is what was good."""
     set_autoreset(everything, autoreset)
-    sand, data = Sand(everything), mujoco.MjData(everything)
+    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     for _ in range(20):
         good = state(everything, data)
@@ -259,7 +274,7 @@ def test_data_hold_the_last_good_state(everything, field, autoreset):
     # The failure is over and done with: what comes next is as if there had been none.
     sand.step(data)
     alone = restored(everything, good)
-    Sand(everything).step(alone)
+    Sand(everything, scheme="explicit").step(alone)
     assert np.array_equal(state(everything, data), state(everything, alone))
 
 
@@ -273,7 +288,7 @@ def _positions(model, saved):
 @pytest.mark.parametrize("autoreset", [True, False])
 def test_a_bad_acceleration_ends_the_step_that_has_it(everything, autoreset):
     set_autoreset(everything, autoreset)
-    sand, data = Sand(everything), mujoco.MjData(everything)
+    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     for _ in range(5):
         sand.step(data)
@@ -299,7 +314,7 @@ def test_a_bad_acceleration_ends_the_step_that_has_it(everything, autoreset):
 )
 def test_the_body_is_named_by_position(chain_model, index, body):
     """Free and ball joints have more positions than velocities."""
-    sand, data = Sand(chain_model), mujoco.MjData(chain_model)
+    sand, data = Sand(chain_model, scheme="explicit"), mujoco.MjData(chain_model)
     sand.step(data)
     data.qpos[index] = np.inf
     with pytest.raises(UnstableError, match=f"qpos of body '{body}' at t = 0 s, step 1:"):
@@ -311,7 +326,7 @@ def test_the_body_is_named_by_position(chain_model, index, body):
     ("index", "body"), [(0, "trunk"), (5, "trunk"), (6, "arm"), (7, "hand"), (10, "probe")]
 )
 def test_the_body_is_named_by_velocity(chain_model, index, body):
-    sand, data = Sand(chain_model), mujoco.MjData(chain_model)
+    sand, data = Sand(chain_model, scheme="explicit"), mujoco.MjData(chain_model)
     sand.step(data)
     data.qvel[index] = 1e11
     with pytest.raises(UnstableError, match=f"qvel of body '{body}'"):
@@ -322,7 +337,7 @@ def test_the_body_is_named_by_velocity(chain_model, index, body):
 @pytest.mark.parametrize("autoreset", [True, False])
 def test_nothing_good_was_known(link_model, autoreset):
     set_autoreset(link_model, autoreset)
-    sand, data = Sand(link_model), mujoco.MjData(link_model)
+    sand, data = Sand(link_model, scheme="explicit"), mujoco.MjData(link_model)
     data.qvel[2] = np.nan
     with pytest.raises(UnstableError) as caught:
         sand.step(data)
@@ -337,7 +352,7 @@ def test_nothing_good_was_known(link_model, autoreset):
 @pytest.mark.parametrize("autoreset", [True, False])
 def test_apply_brings_the_state_back_too(everything, autoreset):
     set_autoreset(everything, autoreset)
-    sand, data = Sand(everything), mujoco.MjData(everything)
+    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     own = data.xfrc_applied.copy()
     for _ in range(20):
@@ -363,7 +378,7 @@ def test_apply_brings_the_state_back_too(everything, autoreset):
 def test_a_run_that_blows_up_of_itself(everything, autoreset):
     set_autoreset(everything, autoreset)
     everything.dof_damping[-1] = -10
-    sand, data = Sand(everything), mujoco.MjData(everything)
+    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     time, failed = 0.0, None
     while failed is None:

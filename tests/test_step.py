@@ -65,7 +65,7 @@ def arrays(data):
 
 
 def test_users_forces_stay_to_the_last_bit(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     own = data.xfrc_applied.copy()
     for _ in range(STEPS):
         sand.step(data)
@@ -75,7 +75,7 @@ def test_users_forces_stay_to_the_last_bit(model):
 
 def test_users_force_acts(link_model):
     # The same force once through xfrc_applied and once as a generalized force.
-    sand = Sand(link_model)
+    sand = Sand(link_model, scheme="explicit")
     one, other = start(link_model), start(link_model)
     one.xfrc_applied[1] = [0.7, 0, 2.0, 0, 0.05, 0]
     other.xfrc_applied[:] = 0
@@ -90,7 +90,7 @@ def test_users_force_acts(link_model):
 
 
 def test_a_row_rewritten_between_two_calls_is_wholly_the_users(model):
-    sand, fresh = Sand(model), Sand(model)
+    sand, fresh = Sand(model, scheme="explicit"), Sand(model, scheme="explicit")
     data = start(model)
     mujoco.mj_step1(model, data)
     sand.apply(data)
@@ -106,7 +106,7 @@ def test_a_row_rewritten_between_two_calls_is_wholly_the_users(model):
 
 
 def test_applying_twice_adds_once(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     mujoco.mj_step1(model, data)
     own = data.xfrc_applied.copy()
     sand.apply(data)
@@ -117,7 +117,7 @@ def test_applying_twice_adds_once(model):
 
 
 def test_step_after_apply_takes_the_applied_back(model):
-    sand, data, other = Sand(model), start(model), start(model)
+    sand, data, other = Sand(model, scheme="explicit"), start(model), start(model)
     own = data.xfrc_applied.copy()
     by_hand(sand, data, 5)
     run(sand, data, 5)
@@ -129,7 +129,7 @@ def test_step_after_apply_takes_the_applied_back(model):
 
 
 def test_step_is_step1_apply_step2(model):
-    sand = Sand(model)
+    sand = Sand(model, scheme="explicit")
     one, other = start(model), start(model)
     own = one.xfrc_applied.copy()
     run(sand, one)
@@ -139,7 +139,7 @@ def test_step_is_step1_apply_step2(model):
 
 
 def test_above_the_sand_it_is_mj_step(model):
-    sand = Sand(model, surface=Plane(-5.0))
+    sand = Sand(model, surface=Plane(-5.0), scheme="explicit")
     one, other = start(model), start(model)
     run(sand, one)
     for _ in range(STEPS):
@@ -148,7 +148,7 @@ def test_above_the_sand_it_is_mj_step(model):
 
 
 def test_again_after_a_reset(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     expected = run(sand, data)
     for stop in (run, by_hand):
         mujoco.mj_resetData(model, data)
@@ -161,7 +161,7 @@ def test_again_after_a_reset(model):
 
 
 def test_a_copied_simulation_goes_on_alike(model):
-    sand, data, other = Sand(model), start(model), start(model, seed=1)
+    sand, data, other = Sand(model, scheme="explicit"), start(model), start(model, seed=1)
     run(sand, data, 50)
     run(sand, other, 20)  # known to the sand already
     mujoco.mj_copyData(other, model, data)
@@ -172,7 +172,7 @@ def test_a_copied_simulation_goes_on_alike(model):
 
 
 def test_a_restored_state_goes_on_alike(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     saved = run(sand, data, 50)
     expected = run(sand, data)
     for again in (data, mujoco.MjData(model)):
@@ -183,7 +183,7 @@ def test_a_restored_state_goes_on_alike(model):
 @pytest.mark.xfail(reason="a copied row is taken for the user's own", strict=True)
 def test_a_copy_between_apply_and_apply_goes_on_alike(model):
     # xfrc_applied is copied with the sand's share in it.
-    sand, data, other = Sand(model), start(model), mujoco.MjData(model)
+    sand, data, other = Sand(model, scheme="explicit"), start(model), mujoco.MjData(model)
     by_hand(sand, data, 20)
     mujoco.mj_copyData(other, model, data)
     by_hand(sand, data, 20)
@@ -192,7 +192,7 @@ def test_a_copy_between_apply_and_apply_goes_on_alike(model):
 
 
 def test_forward_in_between_changes_nothing(model):
-    sand, one, other = Sand(model), start(model), start(model)
+    sand, one, other = Sand(model, scheme="explicit"), start(model), start(model)
     for _ in range(STEPS):
         sand.step(one)
         sand.step(other)
@@ -202,15 +202,18 @@ def test_forward_in_between_changes_nothing(model):
 
 
 def test_a_second_sand_is_the_same(model):
-    assert np.array_equal(run(Sand(model), start(model)), run(Sand(model), start(model)))
+    assert np.array_equal(
+        run(Sand(model, scheme="explicit"), start(model)),
+        run(Sand(model, scheme="explicit"), start(model)),
+    )
 
 
 # More than one of each
 
 
 def test_two_models_interleaved(link_model, chain_model):
-    pairs = [(Sand(model), start(model)) for model in (link_model, chain_model)]
-    expected = [run(Sand(sand.model), start(sand.model)) for sand, _ in pairs]
+    pairs = [(Sand(model, scheme="explicit"), start(model)) for model in (link_model, chain_model)]
+    expected = [run(Sand(sand.model, scheme="explicit"), start(sand.model)) for sand, _ in pairs]
     for _ in range(STEPS):
         for sand, data in pairs:
             sand.step(data)
@@ -219,8 +222,8 @@ def test_two_models_interleaved(link_model, chain_model):
 
 
 def test_two_simulations_interleaved(model):
-    sand = Sand(model)
-    expected = [run(Sand(model), start(model, seed)) for seed in (1, 2)]
+    sand = Sand(model, scheme="explicit")
+    expected = [run(Sand(model, scheme="explicit"), start(model, seed)) for seed in (1, 2)]
     simulations = [start(model, seed) for seed in (1, 2)]
     for _ in range(STEPS):
         for data in simulations:
@@ -230,8 +233,8 @@ def test_two_simulations_interleaved(model):
 
 
 def test_two_sands_on_two_bodies_of_one_simulation(chain_model):
-    both = Sand(chain_model, bodies=["trunk", "hand"])
-    trunk, hand = (Sand(chain_model, bodies=name) for name in ("trunk", "hand"))
+    both = Sand(chain_model, bodies=["trunk", "hand"], scheme="explicit")
+    trunk, hand = (Sand(chain_model, bodies=name, scheme="explicit") for name in ("trunk", "hand"))
     one, other = start(chain_model), start(chain_model)
     by_hand(both, one)
     for _ in range(STEPS):
@@ -243,8 +246,8 @@ def test_two_sands_on_two_bodies_of_one_simulation(chain_model):
 
 
 def test_simulations_in_threads(model):
-    sand, seeds, found, failures = Sand(model), range(6), {}, []
-    expected = {seed: run(Sand(model), start(model, seed)) for seed in seeds}
+    sand, seeds, found, failures = Sand(model, scheme="explicit"), range(6), {}, []
+    expected = {seed: run(Sand(model, scheme="explicit"), start(model, seed)) for seed in seeds}
 
     def work(seed):
         try:
@@ -275,7 +278,7 @@ def test_simulations_in_threads(model):
 
 
 def test_a_simulation_is_not_kept_alive(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     run(sand, data, 3)
     sand.apply(data)
     sand.report(data)
@@ -286,7 +289,7 @@ def test_a_simulation_is_not_kept_alive(model):
 
 
 def test_a_new_simulation_at_an_old_address(link_model):
-    sand = Sand(link_model)
+    sand = Sand(link_model, scheme="explicit")
     expected = run(sand, start(link_model))
     seen = set()
     for _ in range(50):
@@ -301,7 +304,7 @@ def test_a_new_simulation_at_an_old_address(link_model):
 
 
 def test_report_leaves_the_simulation_alone(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     run(sand, data, 20)
     mujoco.mj_forward(model, data)
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -319,7 +322,7 @@ def test_report_leaves_the_simulation_alone(model):
 
 
 def test_report_is_of_the_state_not_of_what_was_computed_last(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     report = sand.report(data)  # nothing but qpos and qvel has been set
     mujoco.mj_forward(model, data)
     again = sand.report(data)
@@ -329,7 +332,7 @@ def test_report_is_of_the_state_not_of_what_was_computed_last(model):
 
 
 def test_reports_do_not_share_memory(link_model):
-    sand, data = Sand(link_model), start(link_model)
+    sand, data = Sand(link_model, scheme="explicit"), start(link_model)
     run(sand, data)
     first = sand.report(data)
     force = first["link"].force.copy()
@@ -339,7 +342,7 @@ def test_reports_do_not_share_memory(link_model):
 
 
 def test_step_allocates_nothing(model):
-    sand, data = Sand(model), start(model)
+    sand, data = Sand(model, scheme="explicit"), start(model)
     run(sand, data, 10)
     step, loop = sand.step, range(10_000)
     gc.collect()
@@ -354,7 +357,7 @@ def test_making_sand_again_and_again_keeps_nothing(link_model):
         gc.collect()
         before = len(gc.get_objects())
         for _ in range(20):
-            Sand(link_model)
+            Sand(link_model, scheme="explicit")
         gc.collect()
         return len(gc.get_objects()) - before
 
@@ -366,7 +369,7 @@ DEEP_COPY = """
 import copy, gc, mujoco, numpy as np
 from mjgranular import Sand
 from mjgranular.models import Link
-sand = Sand(Link().model(1e-4))
+sand = Sand(Link().model(1e-4), scheme="explicit")
 data = mujoco.MjData(sand.model)
 data.qpos[:], data.qvel[:] = (0, 0.05, 0.5), (0, -1, 0)
 sand.step(data)
@@ -407,7 +410,7 @@ def test_a_new_time_step_is_respected(model, half_step):
 
 
 def test_new_gravity_is_respected(link_model):
-    sand, data = Sand(link_model), start(link_model)
+    sand, data = Sand(link_model, scheme="explicit"), start(link_model)
     run(sand, data)
     # Static resistance is proportional to it: with the drag out of the way nothing else is left.
     data.qvel[:] = [1e-6, -1e-6, 0]
@@ -415,17 +418,17 @@ def test_new_gravity_is_respected(link_model):
     link_model.opt.gravity[2] = -1.62
     assert sand.report(data)["link"].force == pytest.approx(force * 1.62 / 9.81, rel=1e-4)
     other = copy.copy(data)
-    assert np.array_equal(run(sand, data), run(Sand(link_model), other))
+    assert np.array_equal(run(sand, data), run(Sand(link_model, scheme="explicit"), other))
 
 
 def test_a_geom_moved_by_the_user_needs_a_new_sand(link_model):
     # Elements are made once, as documented: the model's geoms are read by Sand(...) only.
     data = start(link_model)
-    sand = Sand(link_model)
+    sand = Sand(link_model, scheme="explicit")
     before = sand.report(data)["link"].depth
     link_model.geom("link").pos[2] -= 0.01
     assert sand.report(data)["link"].depth == before
-    assert Sand(link_model).report(data)["link"].depth > before
+    assert Sand(link_model, scheme="explicit").report(data)["link"].depth > before
 
 
 # States that are no numbers
@@ -441,7 +444,7 @@ def quiet(monkeypatch, tmp_path):
 @pytest.mark.parametrize("field", ["xpos", "cvel", "xmat"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_force_that_is_no_number_is_not_applied(link_model, field, bad):
-    sand, data = Sand(link_model), start(link_model)
+    sand, data = Sand(link_model, scheme="explicit"), start(link_model)
     run(sand, data)
     mujoco.mj_step1(link_model, data)
     own = data.xfrc_applied.copy()
@@ -458,7 +461,7 @@ def test_a_force_that_is_no_number_is_not_applied(link_model, field, bad):
 def test_a_state_that_is_no_number_is_not_stepped(link_model, field, bad, autoreset):
     if not autoreset:
         link_model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    sand, data = Sand(link_model), start(link_model)
+    sand, data = Sand(link_model, scheme="explicit"), start(link_model)
     run(sand, data)
     good = state(link_model, data)
     sand.step(data)

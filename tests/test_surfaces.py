@@ -119,7 +119,7 @@ def test_depth_below_a_plane_is_along_its_normal(height, slope, uphill, point):
 def test_gravity_does_not_turn_with_a_plane(law, slope):
     # Slope and gravity are independent: of gravity the laws take the size alone.
     model = scene("")
-    sand = Sand(model, law=LAWS[law], surface=Plane(slope=slope))
+    sand = Sand(model, law=LAWS[law], surface=Plane(slope=slope), scheme="explicit")
     state = ([0, 0, -0.03], [0.8, 0.3, -0.2, 0.1], [0.3, -0.2, -0.5], [1, 2, -3])
     expected = wrench(sand, *state)
     assert expected.any()
@@ -135,8 +135,8 @@ INSIDE = ([0.1, -0.1, -0.02], [0.9, 0.2, 0.1, -0.3], [0.3, -0.2, -0.5], [1, 2, -
 
 @each_law
 def test_bed_is_a_plane_where_it_is(law):
-    bed = Sand(scene(BOX), law=LAWS[law], surface=Bed("bed"))
-    plane = Sand(scene(""), law=LAWS[law])
+    bed = Sand(scene(BOX), law=LAWS[law], surface=Bed("bed"), scheme="explicit")
+    plane = Sand(scene(""), law=LAWS[law], scheme="explicit")
     expected = wrench(plane, *INSIDE)
     assert expected.any()
     assert wrench(bed, *INSIDE) == pytest.approx(expected, rel=1e-12)
@@ -148,7 +148,7 @@ BESIDE = [(0.58, 0, -0.05), (-0.58, 0, -0.05), (0, 0.38, -0.05), (0.7, -0.7, -0.
 @pytest.mark.parametrize("place", BESIDE)
 @each_law
 def test_no_sand_beside_a_bed(law, place):
-    sand = Sand(scene(BOX), law=LAWS[law], surface=Bed("bed"))
+    sand = Sand(scene(BOX), law=LAWS[law], surface=Bed("bed"), scheme="explicit")
     assert not wrench(sand, place, velocity=(0.1, 0.2, -1)).any()
 
 
@@ -165,19 +165,22 @@ def test_no_sand_near_the_edge_of_a_bed(law, place):
         scene(BOX, "<geom type='capsule' fromto='0 0 -0.05 0 0 0.05' size='0.012'/>"),
         law=LAWS[law],
         surface=Bed("bed"),
+        scheme="explicit",
     )
     assert not wrench(sand, place, velocity=(0.1, 0.2, -1)).any()
 
 
 @each_law
 def test_no_sand_under_a_bed(law):
-    sand = Sand(scene(BOX), law=LAWS[law], surface=Bed("bed"))
+    sand = Sand(scene(BOX), law=LAWS[law], surface=Bed("bed"), scheme="explicit")
     assert not wrench(sand, (0, 0, -0.5), velocity=(0.1, 0.2, -1)).any()
 
 
 def test_only_what_is_in_the_bed_counts():
     # A ball half over the edge: half the force of one that is all in, by symmetry.
-    sand = Sand(scene(BOX, BALL), law=LAWS["rft3d"], surface=Bed("bed"), resolution=32)
+    sand = Sand(
+        scene(BOX, BALL), law=LAWS["rft3d"], surface=Bed("bed"), resolution=32, scheme="explicit"
+    )
     whole = wrench(sand, (0.2, 0, -0.1), velocity=(0, 0, -1))
     half = wrench(sand, (0.5, 0, -0.1), velocity=(0, 0, -1))
     assert half[2] == pytest.approx(whole[2] / 2, rel=1e-9)
@@ -202,8 +205,8 @@ def test_bed_may_be_tilted_turned_and_moved(law, turn, slope, heading, offset):
     model = scene(world)
     model.opt.gravity[:] = R @ [0, 0, -9.81]
     position, quaternion, velocity, spin = (np.array(part) for part in INSIDE)
-    expected = wrench(Sand(scene(""), law=LAWS[law]), *INSIDE)
-    sand = Sand(model, law=LAWS[law], surface=Bed("bed"))
+    expected = wrench(Sand(scene(""), law=LAWS[law], scheme="explicit"), *INSIDE)
+    sand = Sand(model, law=LAWS[law], surface=Bed("bed"), scheme="explicit")
     found = wrench(sand, R @ position + offset, times(q, quaternion), R @ velocity, R @ spin)
     expected = np.concatenate([R @ expected[:3], R @ expected[3:]])
     assert found == pytest.approx(expected, abs=1e-8 * np.linalg.norm(expected))
@@ -231,7 +234,7 @@ def settle(surface, extra="", steps=400, **options):
     floor = "<geom name='floor' type='plane' size='2 2 1' pos='0 0 -0.2'/>"
     model = scene(BOX + floor, BALL, extra)
     model.opt.timestep = 1e-3
-    sand = Sand(model, surface=surface, **options)
+    sand = Sand(model, surface=surface, **options, scheme="explicit")
     data = mujoco.MjData(model)
     data.qpos[2] = 0.1
     touched = set()
@@ -257,9 +260,9 @@ def test_bed_in_an_explicit_pair_is_refused(ends, name):
     named = repr(name) if name else r"\d"
     message = rf"contact pair {named} makes geoms .*'ball'.* collide, but 'bed' is a bed.*remove"
     with pytest.raises(InputError, match=message):
-        Sand(model, surface=Bed("bed"), law=DepthVelocityLaw(linear=1.0))
+        Sand(model, surface=Bed("bed"), law=DepthVelocityLaw(linear=1.0), scheme="explicit")
     assert model.geom("bed").contype[0] == 1  # nothing was changed
-    Sand(model, law=DepthVelocityLaw(linear=1.0))  # other geoms may have pairs
+    Sand(model, law=DepthVelocityLaw(linear=1.0), scheme="explicit")  # other geoms may have pairs
 
 
 def test_a_bed_left_alone_is_an_obstacle():
@@ -271,7 +274,7 @@ def test_a_bed_left_alone_is_an_obstacle():
 def test_sand_stays_visible():
     model = scene(BOX)
     before = model.geom_rgba.copy(), model.geom_group.copy()
-    Sand(model, surface=Bed("bed"))
+    Sand(model, surface=Bed("bed"), scheme="explicit")
     assert (model.geom_rgba == before[0]).all()
     assert (model.geom_group == before[1]).all()
 
@@ -289,18 +292,18 @@ class TestNames:
 
     def test_unknown(self, surface, kind):
         with pytest.raises(UnknownNameError) as caught:
-            Sand(scene(self.world, extra=self.extra), surface=surface("sandbde"))
+            Sand(scene(self.world, extra=self.extra), surface=surface("sandbde"), scheme="explicit")
         assert caught.value.known == ({"box": "bed", "hfield": "dunes"}[kind],)
         assert f"no {kind} geom of the model 'sandbde'" in str(caught.value)
 
     def test_none_at_all(self, surface, kind):
         with pytest.raises(UnknownNameError, match="there are: none"):
-            Sand(scene(""), surface=surface("bed"))
+            Sand(scene(""), surface=surface("bed"), scheme="explicit")
 
     def test_other_geom(self, surface, kind):
         message = f"'floor' is a plane: a .* is made of a {kind} geom"
         with pytest.raises(InputError, match=message):
-            Sand(scene(self.world, extra=self.extra), surface=surface("floor"))
+            Sand(scene(self.world, extra=self.extra), surface=surface("floor"), scheme="explicit")
 
     @pytest.mark.parametrize("how", ["<joint/>", "mocap='true'"])
     def test_on_a_body_that_moves(self, surface, kind, how):
@@ -313,7 +316,12 @@ class TestNames:
                      <inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>
                      <geom name='load' {shape}/></body>"""
         with pytest.raises(InputError, match=r"'load' is on body 'cart', which can move"):
-            Sand(scene(cart, extra=self.extra), surface=surface("load"), bodies="body")
+            Sand(
+                scene(cart, extra=self.extra),
+                surface=surface("load"),
+                bodies="body",
+                scheme="explicit",
+            )
 
 
 # Height fields
@@ -408,8 +416,8 @@ def test_tilted_plane_in_a_height_field_is_the_plane(law, shape):
     lift = 0.5
     heights = lift + math.tan(slope) * (x * math.cos(uphill) + y * math.sin(uphill))
     model = dunes(heights, elevation=1.0, place=f"pos='0 0 {-lift}'")
-    field = Sand(model, law=LAWS[law], surface=FIELD)
-    plane = Sand(scene(""), law=LAWS[law], surface=Plane(0.0, slope, uphill))
+    field = Sand(model, law=LAWS[law], surface=FIELD, scheme="explicit")
+    plane = Sand(scene(""), law=LAWS[law], surface=Plane(0.0, slope, uphill), scheme="explicit")
     for place in [(0, 0, -0.02), (0.4, -0.3, -0.02), (-0.7, 0.2, -0.2)]:
         state = (place, *INSIDE[1:])
         expected = wrench(plane, *state)
@@ -423,16 +431,16 @@ def test_tilted_plane_in_a_height_field_is_the_plane(law, shape):
 @each_law
 def test_flat_height_field_is_a_bed(law):
     model = dunes(np.full((4, 5), 0.125), elevation=0.25, place="pos='0 0 -0.125'")
-    assert wrench(Sand(model, law=LAWS[law], surface=FIELD), *INSIDE) == pytest.approx(
-        wrench(Sand(scene(""), law=LAWS[law]), *INSIDE), rel=1e-9
-    )
+    assert wrench(
+        Sand(model, law=LAWS[law], surface=FIELD, scheme="explicit"), *INSIDE
+    ) == pytest.approx(wrench(Sand(scene(""), law=LAWS[law], scheme="explicit"), *INSIDE), rel=1e-9)
     assert FIELD.tilt(model) == 0
 
 
 @pytest.mark.parametrize("place", [(1.2, 0, 0.05), (-1.2, 0, 0.05), (0, 0.8, 0), (0, -0.8, -1)])
 @each_law
 def test_no_sand_outside_a_height_field(law, place):
-    sand = Sand(dunes(drawn_heights()), law=LAWS[law], surface=FIELD)
+    sand = Sand(dunes(drawn_heights()), law=LAWS[law], surface=FIELD, scheme="explicit")
     assert not wrench(sand, place, velocity=(0.1, 0.2, -1)).any()
 
 
@@ -441,9 +449,9 @@ def test_height_field_may_be_turned_and_moved(law):
     heights, offset = drawn_heights(seed=6), np.array([0.4, -0.3, 0.2])
     q = times(about([1, 2, 0], 0.4), about([0, 0, 1], 1.1))
     R = matrix(q)
-    level = Sand(dunes(heights), law=LAWS[law], surface=FIELD)
+    level = Sand(dunes(heights), law=LAWS[law], surface=FIELD, scheme="explicit")
     model = dunes(heights, place=f"pos='{text(offset)}' quat='{text(q)}'")
-    turned = Sand(model, law=LAWS[law], surface=FIELD)
+    turned = Sand(model, law=LAWS[law], surface=FIELD, scheme="explicit")
     _, quaternion, velocity, spin = (np.array(part) for part in INSIDE)
     for position in np.random.default_rng(7).uniform((-0.8, -0.4, 0), (0.8, 0.4, 0.1), (10, 3)):
         expected = wrench(level, position, quaternion, velocity, spin)
@@ -455,11 +463,13 @@ def test_height_field_may_be_turned_and_moved(law):
 @each_law
 def test_heights_may_change_while_it_runs(law):
     model = dunes(np.full((4, 5), 0.0))
-    sand = Sand(model, law=LAWS[law], surface=FIELD)
+    sand = Sand(model, law=LAWS[law], surface=FIELD, scheme="explicit")
     state = ([0, 0, 0.1], *INSIDE[1:])
     assert not wrench(sand, *state).any()
     model.hfield_data[:] = 0.12 / 0.2
-    expected = wrench(Sand(scene(""), law=LAWS[law], surface=Plane(0.12)), *state)
+    expected = wrench(
+        Sand(scene(""), law=LAWS[law], surface=Plane(0.12), scheme="explicit"), *state
+    )
     assert expected.any()
     assert wrench(sand, *state) == pytest.approx(expected, rel=1e-5)
 
@@ -470,7 +480,7 @@ def test_dunes_are_no_obstacle():
     data.qpos[2] = 0.05
     mujoco.mj_forward(model, data)
     assert data.ncon
-    Sand(model, surface=FIELD)
+    Sand(model, surface=FIELD, scheme="explicit")
     mujoco.mj_forward(model, data)
     assert not data.ncon
 
@@ -493,7 +503,7 @@ def test_a_row_is_no_surface(rows, columns):
     model = dunes(np.zeros((4, 4)))
     model.hfield_nrow[0], model.hfield_ncol[0] = rows, columns
     with pytest.raises(InputError, match=f"has {rows} rows and {columns} columns"):
-        Sand(model, surface=FIELD)
+        Sand(model, surface=FIELD, scheme="explicit")
 
 
 def test_tilt_of_a_height_field():
@@ -521,11 +531,13 @@ def test_turned_scene_gives_the_turned_force(law, slope, uphill, height, velocit
     velocity = velocity + np.array([0.01, 0.02, -0.03])
     model = scene("")
     model.opt.gravity[:] = R @ [0, 0, -9.81]
-    sand = Sand(model, law=LAWS[law], surface=Plane(height, slope, uphill))
+    sand = Sand(model, law=LAWS[law], surface=Plane(height, slope, uphill), scheme="explicit")
     found = wrench(
         sand, R @ position + [0, 0, height], times(q, quaternion), R @ velocity, R @ spin
     )
-    expected = wrench(Sand(scene(""), law=LAWS[law]), position, quaternion, velocity, spin)
+    expected = wrench(
+        Sand(scene(""), law=LAWS[law], scheme="explicit"), position, quaternion, velocity, spin
+    )
     expected = np.concatenate([R @ expected[:3], R @ expected[3:]])
     assert found == pytest.approx(expected, abs=1e-7 * np.linalg.norm(expected))
 

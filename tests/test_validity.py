@@ -28,7 +28,7 @@ BOX = "<geom name='box' type='box' size='.04 .03 .02'/>"
 def moving(model, *, velocity=(0, 0, -0.5), height=-0.1, spin=(0, 0, 0), **options):
     """The measures of a moving body by their names, and its report."""
     options = {"law": GENERIC, "medium": "glass_beads", **options}
-    sand = Sand(model, **options)
+    sand = Sand(model, **options, scheme="explicit")
     data = mujoco.MjData(model)
     data.qpos[2], data.qvel[:3], data.qvel[3:] = height, velocity, spin
     report = sand.report(data)

@@ -53,7 +53,7 @@ def main() -> None:
             along: int,
             around: int,
             drawn: list[np.ndarray] = drawn,
-        ) -> tessellation.Facets:
+        ) -> tessellation.Cells:
             drawn += outlines(skin, along, around)
             return cut(skin, along, around)
 
