@@ -249,15 +249,15 @@ def test_a_scene_gets_elements_normals_and_forces(facets):
         np.testing.assert_allclose(scene.geoms[before + k].pos, at, atol=1e-7)
     assert {scene.geoms[k].rgba[3] for k in range(before)} == {0.25}
     assert add_elements(scene, facets, data) == 2 * number
-    pushed = (np.linalg.norm(facets.report(data).table.force, axis=1) > 0).sum()
+    # Walls that slide along themselves are pushed by what rounding leaves, which nobody sees.
+    pushed = (np.linalg.norm(facets.report(data).table.force, axis=1) > 1e-6).sum()
     assert pushed > 0
     scene.ngeom = 0
-    scale = 1000.0  # none of the forces is too small to be seen
-    drawn = add_elements(scene, facets, data, forces=True, force_scale=scale)
+    drawn = add_elements(scene, facets, data, forces=True, force_scale=1.0)
     assert drawn == 2 * number + pushed
     longest = max(float(scene.geoms[k].size[2]) for k in range(2 * number, scene.ngeom))
     greatest = np.linalg.norm(facets.report(data).table.force, axis=1).max()
-    assert longest == pytest.approx(scale * greatest, rel=0.05)  # without the head of the arrow
+    assert longest == pytest.approx(greatest, rel=0.05)  # without the head of the arrow
 
 
 def test_a_scene_gets_rods_and_blobs(rods, blobs):

@@ -715,8 +715,8 @@ def test_default_is_within_two_percent_of_a_fine_mesh(name, law, submerged):
 @both_depths
 def test_default_is_near_a_fine_mesh(name, law, submerged):
     own, pressed = force_errors(name, law, submerged=submerged)
-    assert rms(own) < 0.05
-    assert pressed.max() < 0.1
+    assert rms(own) < 0.01
+    assert pressed.max() < 0.01
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -394,9 +394,11 @@ def test_the_step_is_foreseen_with_constraints(case, integrator):
     assert surprise(model) < 1e-8
 
 
-@pytest.mark.xfail(reason="Newton's method may circle among the rows of resting contacts")
 @pytest.mark.parametrize("case", CONTACTS)
-def test_the_step_is_foreseen_on_a_floor(case):
+def test_the_step_is_foreseen_on_a_floor(case, request):
+    if case == "pyramidal, condim 6":
+        reason = "one step in forty: Newton's method circles among the many rows of the cones"
+        request.applymarker(pytest.mark.xfail(reason=reason))
     assert surprise(tree(**CONTACTS[case])) < 1e-8
 
 
@@ -619,9 +621,8 @@ def test_runge_kutta_is_refused():
         Sand(world(BLOB, option='integrator="RK4"'), law=QUADRATIC, scheme="implicit")
 
 
-@pytest.mark.xfail(reason="the integrator 'discrete' is taken for Euler, without a word")
 def test_an_integrator_it_does_not_know_is_refused():
-    with pytest.raises(InputError, match="discrete"):
+    with pytest.raises(InputError, match="Euler, implicit and implicitfast"):
         Sand(world(BLOB, option='integrator="discrete"'), law=QUADRATIC, scheme="implicit")
 
 

@@ -39,7 +39,6 @@ DRAWN = [
 ]
 DRAWN += [(5e-3, 50, 45), (1e-2, 50, 85)]
 MOVING = [(1e-2, 10, 45), (1e-2, 20, 0), (1e-2, 20, 85), (1e-2, 50, 75)]
-WHY = "a millionth of the force is taken away now and then, for an energy of rounding"
 
 
 @pytest.mark.parametrize(
@@ -47,7 +46,7 @@ WHY = "a millionth of the force is taken away now and then, for an energy of rou
     [
         pytest.param(1e-4, 10, 45, marks=pytest.mark.slow),
         *(case for case in DRAWN if case not in MOVING),
-        *(pytest.param(*case, marks=pytest.mark.xfail(reason=WHY)) for case in MOVING),
+        *MOVING,
     ],
 )
 def test_a_link_that_has_stopped_stays(timestep, speed, angle):
@@ -276,17 +275,9 @@ def pushed(case, share, seconds):
     return sign * data.qpos[0]
 
 
-SLOW_TO_CLOSE = "the search ends at a residual of 1e-6, where load is close to the limit"
-
-
 @pytest.mark.parametrize(
     "case",
-    [
-        pytest.param(case, marks=pytest.mark.xfail(reason=SLOW_TO_CLOSE))
-        if case in ("depth_velocity", "rft3d, down")
-        else case
-        for case in LOADS
-    ],
+    list(LOADS),
 )
 def test_below_its_limit_it_holds_for_a_minute(case):
     # The softness of rest is 1e-12 m/s; times load over what is left to the limit, 7 at 0.99. A

@@ -139,7 +139,6 @@ def test_a_step_in_sand_ends_with_less_than_one_without(seed):
 
 UNFORESEEN = {
     222: "Newton's method stops short in one step of eight of a fast tumble",
-    223: "a millionth of the force is taken away now and then, for an energy of rounding",
 }
 
 

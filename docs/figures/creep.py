@@ -26,7 +26,7 @@ def creep(timestep: float, *, speed: float, angle: float) -> float:
     """
     model = LINK.model(timestep)
     data = mujoco.MjData(model)
-    sand = Sand(model, law="link_distributed", bodies="link")
+    sand = Sand(model, law="link_distributed", bodies="link", scheme="explicit")
     data.qpos[:] = LINK.touching(angle)
     data.qvel[:] = LINK.moving(angle, speed, 0.0, 0.0)
     for _ in range(round(SETTLED / timestep)):

@@ -192,6 +192,8 @@ class Loader:
         digest = hashlib.blake2b(self._sizes(model), digest_size=16)
         digest.update(ctypes.string_at(model + self._layout.integrator, _SWITCHES))
         digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
+        if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it chooses by the time step
+            digest.update(ctypes.string_at(model + self._layout.timestep, 8))
         for name, (offset, size) in self._fields_of(model).items():
             if not name.startswith(_NO_MATTER):
                 digest.update(ctypes.string_at(_pointer(model + offset), size))

@@ -5,15 +5,20 @@ from __future__ import annotations
 import hashlib
 import logging
 import pickle
+import sys
+import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
 _logger = logging.getLogger(__name__)
+
+ONCE = "once on a machine, up to half a minute"
+ALWAYS = "in every process, as no folder to keep them in can be written (see NUMBA_CACHE_DIR)"
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -45,6 +50,37 @@ def _parts(function: Any) -> tuple[object, ...]:
 def _digest(value: object) -> str:
     """A short name for a value, the same in every process."""
     return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
+
+
+class Announcement:
+    """Tells that kernels are being compiled: each in the log, the first to who waits for it.
+
+    Who waits looks at a terminal. Where the log is read, and the command line reads it, that is
+    enough.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._told = False
+
+    def tell(self, name: str, how_often: str) -> None:
+        """Tells that a kernel is compiled now.
+
+        Args:
+            name: of the kernel.
+            how_often: that will happen, in words.
+        """
+        _logger.info("compiling %s", name)
+        with self._lock:
+            first, self._told = not self._told, True
+        if first and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
+            # There is no stderr in a program without a console, and a closed one cannot be asked.
+            with suppress(AttributeError, OSError, ValueError):
+                if sys.stderr.isatty():
+                    print(f"mjgranular: compiling kernels: {how_often}", file=sys.stderr)
+
+
+_announcement = Announcement()
 
 
 class _NamedFiles(IndexDataCacheFile):
@@ -89,12 +125,22 @@ class _PackageCache(FunctionCache):
         except (OSError, EOFError, pickle.UnpicklingError):
             found = None
         if found is None:
-            _logger.info("compiling %s", self._name)
+            _announcement.tell(self._name, ONCE)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):
             super().save_overload(sig, data)
+
+
+class _NoCache(NullCache):
+    """Where there is no folder to write to."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        _announcement.tell(self._name, ALWAYS)
 
 
 def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
@@ -120,8 +166,10 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
         function.__qualname__ = f"{function.__qualname__}_{_digest(parts)}"
     # IEEE arithmetic (no fastmath): both doors and all platforms are to give the same numbers.
     dispatcher: Any = numba.njit(error_model="numpy", forceinline=inline)(function)
-    with suppress(RuntimeError):  # numba: "no locator available", there is no folder to write to
+    try:
         dispatcher._cache = _PackageCache(function)
+    except RuntimeError:  # numba: "no locator available"
+        dispatcher._cache = _NoCache(function.__qualname__)
     return dispatcher
 
 

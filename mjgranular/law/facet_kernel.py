@@ -70,6 +70,12 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
             # The force acts at the wet part's centre of pressure.
             mean, s, t = wet_part(depth, h1, h2)
             px, py, pz = px + s * e1x + t * e2x, py + s * e1y + t * e2y, pz + s * e1z + t * e2z
+            if depth <= 0.0 and probe(surface, px, py, pz)[0] <= 0.0:
+                # The middle is not above the sand but beside it.
+                return (
+                    depth, 0.0, px, py, pz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+                    0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+                )  # fmt: skip
             ax, ay, az = in_world(pose, facet.spread[0, 0], facet.spread[0, 1], facet.spread[0, 2])
             bx, by, bz = in_world(pose, facet.spread[1, 0], facet.spread[1, 1], facet.spread[1, 2])
         nx, ny, nz = in_world(pose, facet.normal[0], facet.normal[1], facet.normal[2])

@@ -16,7 +16,7 @@ from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
 
 _logger = logging.getLogger(__name__)
 
-# Both chosen. Below this step the paper's link creeps by less than 0.1 mm/s with the explicit
+# Both chosen. Below this step the paper's link creeps by less than 0.5 mm/s with the explicit
 # scheme, which is of second order there (docs/scheme.md); above this number of elements a step of
 # the implicit one costs milliseconds.
 FINE_STEP = 2e-5  # [s]

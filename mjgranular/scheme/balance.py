@@ -468,3 +468,8 @@ def add_cone(desk, room, rows, i, contact, mass, reference, h):
         friction = contact.friction[k - 1]
         read_row(desk, room, rows, i + k, friction, _ANEW)
         push(desk, room, 0.0, bend, h)
+    for k in range(1, dim):
+        x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
+        friction = contact.friction[k - 1]
+        read_row(desk, room, rows, i + k, (x * friction / t) * friction, k == 1)
+    push(desk, room, 0.0, -bend, h)

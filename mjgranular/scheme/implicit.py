@@ -88,8 +88,8 @@ _FINER = 1e-3
 # the last is worth trying, and what may be rounding. Chosen by counting too.
 _COARSE, _FINE, _NEAR, _ROUNDED = 1e-3, 1e-11, 0.7, 1e-6
 # Of Newton's method at one softness; not literals, for each of which numba would compile anew.
-_STEPS, _STEPS_NEAR, _NO_STEPS = np.int64(6), np.int64(6), np.int64(0)
-_SHORTEST = 0.1  # of a step
+_STEPS, _STEPS_NEAR, _STEPS_FINE, _NO_STEPS = (np.int64(n) for n in (6, 6, 30, 0))
+_SHORTEST = 1e-3  # of a step
 _NO_ENERGY = 1e-14  # [J]
 _TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
 _HALVINGS = 20  # a share to one in a million
@@ -133,6 +133,12 @@ class Implicit(Scheme):
 
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
+        known = ("EULER", "IMPLICIT", "IMPLICITFAST")
+        if model.opt.integrator not in [getattr(mujoco.mjtIntegrator, f"mjINT_{k}") for k in known]:
+            raise InputError(
+                "the implicit scheme foresees the steps of the integrators Euler, implicit and "
+                "implicitfast: set one of them, or scheme='explicit'"
+            )
 
 
 schemes.add(Implicit.name, Implicit)
@@ -360,7 +366,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         firm = -1.0  # the last softness that was solved for, `good` its velocity
         while done < most:
             goal = (_COARSE if eps > fine else _FINE) * scale
-            more, error = newton(table, desk, room, count, h, eps, goal, floor, _STEPS)
+            steps = _STEPS if eps > fine else _STEPS_FINE
+            more, error = newton(table, desk, room, count, h, eps, goal, floor, steps)
             done += more
             if error <= goal or (eps <= fine and error <= floor):
                 if eps <= fine:
@@ -551,7 +558,7 @@ def passive_share(desk, room, h):
     has constraints; its product with the sand's momentum grows with s, so that halving finds where
     it turns positive. What is returned has been asked for.
     """
-    if power_of_share(desk, room, h, 1.0) <= 0.0:
+    if power_of_share(desk, room, h, 1.0) <= _NO_ENERGY:
         return 1.0
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
