@@ -1,5 +1,6 @@
 """Kernels kept on disk: what one process compiled is what another loads."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -125,3 +126,54 @@ def test_a_kernel_is_loaded_not_compiled_again(start):
     loaded = finish(start(code))
     assert compiled_anew == ["0", "1"]
     assert loaded == ["1", "0"]
+
+
+def seen_on_a_terminal(folder, code):
+    """What a process writes to a terminal in place of standard error."""
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(folder)}
+    done = subprocess.run([sys.executable, "-c", code], env=env, stderr=theirs, timeout=120)
+    os.close(theirs)
+    text = b""
+    with contextlib.suppress(OSError):  # by which Linux tells the end
+        while part := os.read(ours, 4096):
+            text += part
+    os.close(ours)
+    assert done.returncode == 0, text.decode()
+    return text.decode().splitlines()
+
+
+def test_who_waits_at_a_terminal_is_told_once(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
+    code = "from kernels import *; twice(1.0); thrice(1.0); import sys; print('.', file=sys.stderr)"
+    first, second = seen_on_a_terminal(tmp_path, code), seen_on_a_terminal(tmp_path, code)
+    assert first == ["mjgranular: compiling kernels: once on a machine, up to half a minute", "."]
+    assert second == ["."]
+    reads_the_log = (
+        "import logging; logging.basicConfig(level='INFO', format='%(message)s')\n"
+        f"{code.replace('twice(1.0)', 'twice(1)')}"
+    )
+    lines = seen_on_a_terminal(tmp_path, reads_the_log)
+    assert "compiling kernels.twice" in lines
+    assert not any(line.startswith("mjgranular") for line in lines)
+
+
+def test_who_does_not_look_is_not_told(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    code = "from kernels import *; twice(1.0)"
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_without_a_folder_to_write_to_it_says_so_in_every_process(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
+    code = (
+        "from numba.core import caching; caching.CacheImpl._locator_classes = []\n"
+        "from kernels import *; assert twice(1.0) == 2.0"
+    )
+    for _ in range(2):
+        (line,) = seen_on_a_terminal(tmp_path, code)
+        assert "in every process" in line
+        assert "NUMBA_CACHE_DIR" in line

@@ -28,8 +28,10 @@ from mjgranular import (
     Quantity,
     Sand,
     Surface,
+    add_sand,
 )
-from mjgranular.engine import NAME, add_sand
+from mjgranular.engine import NAME
+from mjgranular.engine.plugin import sands_in
 from mjgranular.models import Link
 
 STEPS = 300
@@ -216,6 +218,14 @@ def test_two_media_in_two_beds() -> None:
     assert data.qfrc_passive[2] == pytest.approx(100 * 0.05)
 
 
+def test_sands_of_a_model_are_told() -> None:
+    spec = mujoco.MjSpec.from_string(TWO_BEDS)
+    assert sands_in(spec.compile()) == ()
+    for side in ("left", "right"):
+        add_sand(spec, law=DepthVelocityLaw(linear=1.0), surface=Bed(side))
+    assert sands_in(spec.compile()) == ("sand", "sand_2")
+
+
 def test_what_is_written_survives_xml_copy_and_attach() -> None:
     spec = Link().spec()
     add_sand(spec, law=LinkLaw(6.5, 0.1 + 0.2, 22, 1.1), surface=Plane(0.01), resolution=3)
@@ -227,7 +237,7 @@ def test_what_is_written_survives_xml_copy_and_attach() -> None:
         "medium": "play_sand",
         "law": "link eta_d=6.5 eta_h=0.30000000000000004 eta_v=22 exponent=1.1",
         "surface": "plane height=0.01 slope=0.0 uphill=0.0",
-        "scheme": "explicit",
+        "scheme": "auto",
         "resolution": "3",
     }
     parent = mujoco.MjSpec()
@@ -249,7 +259,7 @@ def _assets() -> dict[str, bytes]:
     from mjgranular.models.link import model_path
 
     folder = model_path("link").parent / "assets"
-    return {f"assets/{path.name}": path.read_bytes() for path in folder.iterdir()}
+    return {f"assets/{path.name}": path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
 
 def test_names_with_spaces_and_quotes(tmp_path: Path) -> None:
@@ -367,6 +377,21 @@ def test_a_model_that_is_changed_is_seen_by_new_data() -> None:
         mujoco.mj_forward(model, data)
         forces.append(np.linalg.norm(data.qfrc_passive))
     assert forces[1] > 1.5 * forces[0]
+
+
+def test_the_scheme_is_chosen_anew_for_another_time_step() -> None:
+    spec = Link().spec()
+    add_sand(spec, law="link_distributed")
+    model = spec.compile()
+    for timestep, scheme in ((1e-5, "explicit"), (1e-3, "implicit"), (1e-5, "explicit")):
+        ends = []
+        model.opt.timestep = timestep
+        for same in (model, sandy_link(law="link_distributed", scheme=scheme)):
+            same.opt.timestep = timestep
+            data = released(same)
+            mujoco.mj_step(same, data, 5)
+            ends.append(data.qvel.copy())
+        np.testing.assert_array_equal(*ends)
 
 
 def test_gravity_that_is_changed_is_seen_at_once(model: mujoco.MjModel) -> None:
@@ -603,9 +628,22 @@ def test_another_process_that_lacks_something_says_so(register: Any, woken: bool
     assert done.stdout.startswith(b"error mjgranular 'sand': config 'medium': no medium 'mine'")
 
 
-def test_importing_compiles_nothing() -> None:
-    code = "import sys, mjgranular.engine; assert 'mjgranular.engine.native' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
+def test_importing_registers_and_compiles_nothing() -> None:
+    code = """
+import sys, mujoco, mjgranular
+assert "mjgranular.engine.native" not in sys.modules
+xml = '<extension><plugin plugin="mjgranular.sand"><instance name="sand"/></plugin></extension>'
+mujoco.MjModel.from_xml_string(f"<mujoco>{xml}</mujoco>")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "mjgranular 'sand': no geom of the model can meet the sand" in done.stderr
+
+
+def test_a_model_without_joints_is_refused_in_words() -> None:
+    spec = mujoco.MjSpec.from_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
+    add_sand(spec)
+    with pytest.raises(ValueError, match="no geom of the model can meet the sand"):
+        spec.compile()
 
 
 @pytest.mark.parametrize(

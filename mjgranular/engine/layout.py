@@ -63,12 +63,18 @@ class Struct:
 
     @classmethod
     def _behind(cls, owner: Any, last: np.ndarray, first: np.ndarray) -> Struct:
-        """The struct whose pointers begin behind an array in it, the first of them to `first`."""
+        """The struct whose pointers begin behind an array in it, the first of them to `first`.
+
+        Raises:
+            LayoutError: they do not begin there.
+        """
         begin = last.ctypes.data + last.nbytes
         fields = described_fields(type(owner).__name__.replace("Mj", "mj"))
         count = sum(isinstance(field.type, PointerType) for field in fields)
         words = np.frombuffer(ctypes.string_at(begin, _WORD * count), np.int64)
-        start = first.ctypes.data
+        if not count or (first.size and words[0] != first.ctypes.data):
+            raise LayoutError("the first pointer to an array")
+        start = int(words[0])  # NumPy knows no address of an array without numbers
         return cls(
             owner._address, begin - owner._address, words, range(start, start + owner.nbuffer)
         )

@@ -36,6 +36,13 @@ def library() -> ctypes.CDLL:
     return handle
 
 
+def plugin_slot(name: str) -> int:
+    """The number by which models refer to a plugin; -1 if MuJoCo knows none of that name."""
+    slot = ctypes.c_int(-1)
+    library().mjp_getPlugin(name.encode(), ctypes.addressof(slot))
+    return slot.value
+
+
 def instance_name(model: int, instance: int) -> str:
     """The name of an instance, or its number."""
     name = library().mj_id2name(model, int(mujoco.mjtObj.mjOBJ_PLUGIN), instance)

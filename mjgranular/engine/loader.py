@@ -25,7 +25,7 @@ from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.block import HEADER_DTYPE, REFUSED, Image, load, make_image
 from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, read_config
 from mjgranular.engine.layout import Layout, LayoutError, Struct
-from mjgranular.engine.library import instance_name, library
+from mjgranular.engine.library import instance_name, library, plugin_slot
 from mjgranular.engine.links import c_address
 from mjgranular.engine.native import release, retain
 from mjgranular.engine.plugin import NAME, SENSOR_KEYS
@@ -143,10 +143,9 @@ class Loader:
 
     def _sands(self, model: int) -> dict[str, int]:
         """Instances of sand in a model by their names."""
-        slot = ctypes.c_int()
-        library().mjp_getPlugin(NAME.encode(), ctypes.addressof(slot))
         slots = self._array(model, "plugin")
-        return {instance_name(model, int(i)): int(i) for i in np.flatnonzero(slots == slot.value)}
+        ours = np.flatnonzero(slots == plugin_slot(NAME))
+        return {instance_name(model, int(i)): int(i) for i in ours}
 
     def _array(self, model: int, name: str) -> np.ndarray:
         """A copy of an array of integers of a model."""

@@ -52,7 +52,7 @@ def _digest(value: object) -> str:
     return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
 
 
-class Announcement:
+class _Announcement:
     """Tells that kernels are being compiled: each in the log, the first to who waits for it.
 
     Who waits looks at a terminal. Where the log is read, and the command line reads it, that is
@@ -63,14 +63,14 @@ class Announcement:
         self._lock = threading.Lock()
         self._told = False
 
-    def tell(self, name: str, how_often: str) -> None:
+    def tell(self, function: Callable[..., Any], how_often: str) -> None:
         """Tells that a kernel is compiled now.
 
         Args:
-            name: of the kernel.
+            function: of the kernel.
             how_often: that will happen, in words.
         """
-        _logger.info("compiling %s", name)
+        _logger.info("compiling %s.%s", function.__module__, function.__qualname__)
         with self._lock:
             first, self._told = not self._told, True
         if first and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
@@ -80,7 +80,7 @@ class Announcement:
                     print(f"mjgranular: compiling kernels: {how_often}", file=sys.stderr)
 
 
-_announcement = Announcement()
+_announcement = _Announcement()
 
 
 class _NamedFiles(IndexDataCacheFile):
@@ -109,6 +109,7 @@ class _PackageCache(FunctionCache):
 
     def __init__(self, py_func: Callable[..., Any]) -> None:
         super().__init__(py_func)
+        self._function = py_func
         self._made_of = _parts(py_func)
         self._cache_file = _NamedFiles(
             cache_path=self._cache_path,
@@ -125,7 +126,7 @@ class _PackageCache(FunctionCache):
         except (OSError, EOFError, pickle.UnpicklingError):
             found = None
         if found is None:
-            _announcement.tell(self._name, ONCE)
+            _announcement.tell(self._function, ONCE)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -136,11 +137,11 @@ class _PackageCache(FunctionCache):
 class _NoCache(NullCache):
     """Where there is no folder to write to."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, py_func: Callable[..., Any]) -> None:
+        self._function = py_func
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        _announcement.tell(self._name, ALWAYS)
+        _announcement.tell(self._function, ALWAYS)
 
 
 def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
@@ -169,7 +170,7 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
     try:
         dispatcher._cache = _PackageCache(function)
     except RuntimeError:  # numba: "no locator available"
-        dispatcher._cache = _NoCache(function.__qualname__)
+        dispatcher._cache = _NoCache(function)
     return dispatcher
 
 

@@ -63,17 +63,18 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
                 deepest, 0.0, px, py, pz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
                 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
             )  # fmt: skip
+        middle = depth
         if law.rise != 0.0:
             depth = lowered(depth, pose, px, py, pz, g)
-        mean = depth
+        mean = max(depth, 0.0)
         if facet.extent > 0.0:
             # The force acts at the wet part's centre of pressure.
             mean, s, t = wet_part(depth, h1, h2)
             px, py, pz = px + s * e1x + t * e2x, py + s * e1y + t * e2y, pz + s * e1z + t * e2z
-            if depth <= 0.0 and probe(surface, px, py, pz)[0] <= 0.0:
+            if middle <= 0.0 and probe(surface, px, py, pz)[0] <= 0.0:
                 # The middle is not above the sand but beside it.
                 return (
-                    depth, 0.0, px, py, pz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+                    middle, 0.0, px, py, pz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
                     0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
                 )  # fmt: skip
             ax, ay, az = in_world(pose, facet.spread[0, 0], facet.spread[0, 1], facet.spread[0, 2])
@@ -263,4 +264,4 @@ def lowered(depth, pose, x, y, z, g):
     if vx * rx + vy * ry + vz * rz >= 0.0 or g == 0.0:
         return depth
     turning = tx * tx + ty * ty + tz * tz  # (r w)^2
-    return max(depth - turning / g, 0.0)
+    return depth - turning / g

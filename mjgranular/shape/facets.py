@@ -45,6 +45,8 @@ takes 0.9 GB while it is cut; both go with the square of the resolution."""
 # rounding, far below anything that is drawn.
 _TOUCH = 1e-6
 
+_FLAT = 1e-9  # spread of a normal that is rounding; chosen
+
 _GEOM = mujoco.mjtGeom
 
 
@@ -107,7 +109,9 @@ def facets_from_model(
         part["normal"] = facets.normals @ rotation.T
         part["area"] = facets.areas
         part["edges"] = facets.edges @ rotation.T
-        part["spread"] = facets.spread @ rotation.T
+        # What is flat is so exactly: rounding must not decide whether a face leads.
+        flat = np.abs(facets.spread).max(axis=(1, 2)) < _FLAT
+        part["spread"] = np.where(flat[:, None, None], 0.0, facets.spread @ rotation.T)
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
         part["width"] = geom_width(model, geom)
     return np.concatenate(parts)
