@@ -71,7 +71,7 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
             # The force acts at the wet part's centre of pressure.
             mean, s, t = wet_part(depth, h1, h2)
             px, py, pz = px + s * e1x + t * e2x, py + s * e1y + t * e2y, pz + s * e1z + t * e2z
-            if middle <= 0.0 and probe(surface, px, py, pz)[0] <= 0.0:
+            if mean > 0.0 and middle <= 0.0 and probe(surface, px, py, pz)[0] <= 0.0:
                 # The middle is not above the sand but beside it.
                 return (
                     middle, 0.0, px, py, pz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
