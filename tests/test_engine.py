@@ -1,5 +1,7 @@
 """The engine door: the same numbers as `Sand.step`, everywhere that MuJoCo steps."""
 
+# pyright: reportAbstractUsage=false, reportPrivateImportUsage=false, reportMissingImports=false
+
 from __future__ import annotations
 
 import copy

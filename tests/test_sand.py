@@ -1,5 +1,7 @@
 """Several Sands on one simulation; the last good state when a step goes wrong; warnings."""
 
+# pyright: reportPossiblyUnboundVariable=false
+
 import copy
 import gc
 import types
