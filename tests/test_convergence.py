@@ -27,7 +27,7 @@ def stop(timestep, speed, angle_deg, *, early=False, integrator="EULER", **sand)
     link, q = Link(), math.radians(angle_deg)
     model = link.model(timestep)
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator}")
-    sand, data = Sand(model, **sand, scheme="explicit"), mujoco.MjData(model)
+    sand, data = Sand(model, **{"scheme": "explicit", **sand}), mujoco.MjData(model)
     data.qpos[:] = link.touching(q)
     data.qvel[:] = link.moving(q, speed, 0.0, 0.0)
     if early:
