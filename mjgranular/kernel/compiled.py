@@ -29,7 +29,11 @@ def _stamp(paths: Iterable[Path]) -> tuple[int, int]:
     return max(s.st_mtime_ns for s in stats), sum(s.st_size for s in stats)
 
 
-_PACKAGE_STAMP = _stamp(_PACKAGE.rglob("*.py"))
+# Where kernels are written, and what they read while they are compiled.
+_OF_KERNELS = ("engine", "kernel", "law", "sand", "scheme", "shape", "surface")
+_PACKAGE_STAMP = _stamp(
+    path for name in _OF_KERNELS for path in _PACKAGE.joinpath(name).glob("*.py")
+)
 
 
 def _identity(value: Any) -> tuple[object, ...]:
@@ -99,12 +103,13 @@ class _NamedFiles(IndexDataCacheFile):
 class _PackageCache(FunctionCache):
     """numba's cache on disk, made safe for a package of kernels that are made of each other.
 
-    Three things differ. numba drops a cached kernel when the file that defines it changes, but not
-    when a file of a kernel that it *calls* does: after an update the old physics would go on
-    running; here the stamp covers the whole package. numba tells kernels from one factory apart by
-    pickling their closures, which differ in every process, so that they are compiled anew each
-    time; here by the names of the kernels in the closure. And a cache that cannot be read or
-    written (full disk, read-only folder) costs a compilation, never an exception.
+    Three things differ. numba drops a cached kernel when the file that defines it changes, but
+    not when a file of a kernel that it *calls* does: after an update the old physics would go
+    on running; here the stamp covers all folders with kernels. numba tells kernels from one
+    factory apart by pickling their closures, which differ in every process, so that they are
+    compiled anew each time; here by the names of the kernels in the closure. And a cache that
+    cannot be read or written (full disk, read-only folder) costs a compilation, never an
+    exception.
     """
 
     def __init__(self, py_func: Callable[..., Any]) -> None:
