@@ -14,12 +14,14 @@ from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
+from mjgranular.cli.evaluate import EvaluateCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
-from mjgranular.cli.lists import LawsCommand, MediaCommand
+from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.sweep import SweepCommand
+from mjgranular.cli.train import TrainCommand
 from mjgranular.errors import GranularError, GranularWarning
 
 # What a shell expects of a program that was interrupted: 128 + SIGINT.
@@ -33,9 +35,12 @@ Command = (
     | Annotated[DropCommand, tyro.conf.subcommand("drop")]
     | Annotated[IntrudeCommand, tyro.conf.subcommand("intrude")]
     | Annotated[ElementsCommand, tyro.conf.subcommand("elements")]
+    | Annotated[TrainCommand, tyro.conf.subcommand("train")]
+    | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
+    | Annotated[PoliciesCommand, tyro.conf.subcommand("policies")]
 )
 
 

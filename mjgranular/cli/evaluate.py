@@ -1,0 +1,123 @@
+"""`mjgranular evaluate`: returns of agents over many seeds, on several sands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.table import Table
+from rich.text import Text
+
+from mjgranular.cli.agents import find_actor
+from mjgranular.cli.console import out, print_json, progress_bar
+from mjgranular.errors import InputError
+from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
+from mjgranular.learn.evaluate import FIRST_SEED, Score, evaluate, parse_variant
+
+_SPEED = "x_velocity"
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Mean return over seeds with its 95 % confidence interval, for policies and baselines.
+
+    Each POLICY is the folder of a run, the name of a policy that comes with the package
+    (`mjgranular policies`), or with --agent zero, random or gait the id of an environment. --on
+    adds other sands: every policy is run in its own environment and in each of the variants.
+    """
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
+    """Runs, policies, or environments for --agent."""
+    agent: Annotated[str, tyro.conf.arg(metavar="policy|zero|random|gait")] = "policy"
+    """Who acts."""
+    env: Annotated[str | None, tyro.conf.arg(metavar="ENV")] = None
+    """Another environment than the one trained in; must observe and move the same."""
+    on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE,... ...")] = ()
+    """Variants of the environment, for example medium=glass_beads."""
+    seeds: Annotated[int, tyro.conf.arg(metavar="N")] = 10
+    """Episodes, one a seed."""
+    first_seed: Annotated[int, tyro.conf.arg(metavar="N")] = FIRST_SEED
+    """The first seed; the others follow it."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the results; nothing is written without it."""
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace a result that the folder holds already."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print a JSON list instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        if not self.policies:
+            raise InputError("evaluate needs a run, a policy or, with --agent, an environment")
+        for variant in self.on:
+            parse_variant(variant)
+        if self.out is None:
+            self._show(self._scores())
+            return 0
+        with ResultFolder(self.out, (CONFIG, SUMMARY)).claimed(overwrite=self.overwrite) as folder:
+            scores = self._scores()
+            asked = {
+                "policies": list(self.policies),
+                "agent": self.agent,
+                "environment": self.env,
+                "variants": list(self.on),
+                "seeds": self.seeds,
+                "first_seed": self.first_seed,
+            }
+            folder.write_config("evaluate", asked)
+            folder.write_json(SUMMARY, [score.as_json() for score in scores])
+            self._show(scores)
+        if not self.json:
+            out.print(f"written to {self.out}", highlight=False, markup=False)
+        return 0
+
+    def _scores(self) -> list[Score]:
+        actors = [
+            find_actor(what, agent=self.agent, environment=self.env) for what in self.policies
+        ]
+        jobs = [(actor, variant) for actor in actors for variant in ("", *self.on)]
+        scores: list[Score] = []
+        with progress_bar("running episodes", len(jobs) * self.seeds) as show:
+            for actor, variant in jobs:
+                done = len(scores) * self.seeds
+                scores.append(
+                    evaluate(
+                        actor.name,
+                        actor.make,
+                        actor.environment,
+                        actor.arguments,
+                        variant=variant,
+                        seeds=self.seeds,
+                        first_seed=self.first_seed,
+                        progress=lambda n, done=done: show(done + n),
+                    )
+                )
+        return scores
+
+    def _show(self, scores: list[Score]) -> None:
+        if self.json:
+            print_json([score.as_json() for score in scores])
+        else:
+            out.print(table_of(scores, self.seeds))
+
+
+def table_of(scores: list[Score], seeds: int) -> Table:
+    """Scores for people."""
+    table = Table(title=f"Mean of {seeds} seeds ± half the 95 % interval", title_justify="left")
+    moving = any(score.figure(_SPEED) is not None for score in scores)
+    headings = ["agent", "environment", "on", "return", "steps"]
+    for heading in [*headings, "speed [m/s]"] if moving else headings:
+        table.add_column(Text(heading), justify="left" if heading in headings[:3] else "right")
+    for score in scores:
+        speed = score.figure(_SPEED)
+        table.add_row(
+            Text(score.agent),
+            Text(score.environment),
+            Text(score.variant or "its own"),
+            str(score.returned),
+            f"{score.length.mean:.0f}",
+            *(("" if speed is None else str(speed),) if moving else ()),
+        )
+    return table
