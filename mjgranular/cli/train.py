@@ -56,7 +56,12 @@ class TrainCommand:
             before = run.steps()
             if before:
                 err.print(f"going on after {before} steps", style="dim", highlight=False)
-            training = self._train(run)
+            try:
+                training = self._train(run)
+            except InputError:
+                if self.resume is None:
+                    run.discard()
+                raise
         return self._tell(run, training, before)
 
     def _begun(self) -> Run:

@@ -114,7 +114,7 @@ def _has_vector_form(env_id: str) -> bool:
 
 
 def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments as environments take them: ranges of sand, a table in files, become `SandRanges`."""
+    """Arguments as environments take them: a table of ranges of sand becomes `SandRanges`."""
     resolved = dict(arguments)
     table = resolved.get("randomise")
     if isinstance(table, Mapping):

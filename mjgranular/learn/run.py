@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -102,6 +103,11 @@ class Run:
         """Keeps the newest two."""
         for folder in self.checkpoints()[_KEPT:]:
             durable.remove_folder(folder)
+
+    def discard(self) -> None:
+        """Removes the folder of a run that came to nothing: one without a checkpoint."""
+        if not self.checkpoints():
+            shutil.rmtree(self.path, ignore_errors=True)
 
     def steps(self) -> int:
         """Steps that the newest checkpoint has behind it; 0 without one."""
