@@ -47,7 +47,12 @@ class Ground:
 
 
 def put_on_sand(
-    spec: mujoco.MjSpec, grounds: Sequence[Ground], *, wrenches: bool = False, tunable: bool = False
+    spec: mujoco.MjSpec,
+    grounds: Sequence[Ground],
+    *,
+    wrenches: bool = False,
+    tunable: bool = False,
+    cut: float = 0.0,
 ) -> mujoco.MjModel:
     """Takes the floor's contacts away and adds sand and sensors.
 
@@ -60,6 +65,7 @@ def put_on_sand(
         grounds: one sand or several, of which each has an instance `sand`, `sand_2`, ...
         wrenches: whether the force and the moment on each body are to be measured as well.
         tunable: whether instances are to be tuned while they run.
+        cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
 
     Returns:
         The model.
@@ -73,7 +79,7 @@ def put_on_sand(
     surfaces = [ground.surface or _surface_of(floors) for ground in grounds]
     for floor in floors:
         floor.contype = floor.conaffinity = 0
-    _paint(spec, floors, surfaces)
+    _paint(spec, floors, surfaces, cut)
     for number, body in enumerate(spec.bodies):
         if not body.name:  # sensors find bodies by name
             body.name = f"body_{number}"
@@ -123,7 +129,10 @@ def _surface_of(floors: Sequence[mujoco.MjsGeom]) -> Plane:
 
 
 def _paint(
-    spec: mujoco.MjSpec, floors: Sequence[mujoco.MjsGeom], surfaces: Sequence[Surface]
+    spec: mujoco.MjSpec,
+    floors: Sequence[mujoco.MjsGeom],
+    surfaces: Sequence[Surface],
+    cut: float,
 ) -> None:
     """Lets floors look like sand and lie where it is."""
     material = _sand_material(spec)
@@ -141,7 +150,7 @@ def _paint(
         plane = planes[0]
         floor.material = material
         floor.rgba = [1, 1, 1, 1]
-        floor.pos = [0, 0, plane.height]
+        floor.pos = [0, 0, plane.height - cut]
         half = plane.slope / 2
         axis = (math.sin(plane.uphill), -math.cos(plane.uphill))
         floor.quat = [math.cos(half), axis[0] * math.sin(half), axis[1] * math.sin(half), 0]
