@@ -4,3 +4,4 @@ from mjgranular.models.chain import Chain as Chain
 from mjgranular.models.link import Link as Link
 from mjgranular.models.link import model_path as model_path
 from mjgranular.models.projectile import Projectile as Projectile
+from mjgranular.models.worm import Worm as Worm

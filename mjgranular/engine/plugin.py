@@ -22,6 +22,7 @@ from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.config import KEYS
 from mjgranular.engine.layout import LayoutError, find_layout
 from mjgranular.engine.library import instance_name, library, plugin_slot
+from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 
 NAME = "mjgranular.sand"
@@ -105,16 +106,16 @@ class Engine:
         struct.capabilityflags = plugin.capability
         struct.needstage = plugin.stage
 
-        def first_nstate(model: int, instance: int) -> int:
+        def nstate(model: int, instance: int) -> int:
             self._wake(plugin)
-            return 0
+            return _size_of_state(model, instance) if plugin.name == NAME else 0
 
         def first_init(model: int, data: int, instance: int) -> int:
             self._wake(plugin)
             return self._init(model, data, instance)
 
         for callback, function in {
-            "nstate": first_nstate,
+            "nstate": nstate,
             "nsensordata": _size_of_sensor,
             "init": first_init,
             "reset": _nothing,
@@ -250,6 +251,12 @@ def _size_of_sensor(model: int, instance: int, sensor: int) -> int:
 
     measure = library().mj_getPluginConfig(model, instance, b"measure")
     return size_of((measure or b"").decode())
+
+
+def _size_of_state(model: int, instance: int) -> int:
+    # What is neither true nor false is an error when the sand is prepared.
+    tunable = library().mj_getPluginConfig(model, instance, b"tunable")
+    return STATE_SIZE if tunable == b"true" else 0
 
 
 _PLUGINS = (

@@ -28,6 +28,7 @@ def add_sand(
     groups: Sequence[int] | int | None = None,
     resolution: int | None = None,
     draw: Sequence[str] | str = (),
+    tunable: bool = False,
     name: str | None = None,
 ) -> mujoco.MjsPlugin:
     """Adds sand to a model: from then on it acts inside `mj_step`.
@@ -46,6 +47,8 @@ def add_sand(
         groups: as for `Sand`.
         resolution: as for `Sand`.
         draw: what viewers and renderers are to show: "forces", "depth".
+        tunable: let each simulation have its own strength, density and height of the sand, as a
+            part of MuJoCo's state (`tune`).
         name: of the instance; None for "sand", "sand_2", ...
 
     Returns:
@@ -68,6 +71,7 @@ def add_sand(
             "groups": groups,
             "resolution": resolution,
             "draw": draw,
+            "tunable": tunable,
         }
     )
     taken = {plugin.name for plugin in spec.plugins}
