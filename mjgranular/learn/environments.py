@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
@@ -22,6 +23,7 @@ def find_spec(env_id: str) -> Any:
         MissingExtraError: Gymnasium is not installed.
     """
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    importlib.import_module("mjgranular.envs")  # makes its ids known
     try:
         if ":" not in env_id:
             return gym.spec(env_id)
@@ -69,9 +71,12 @@ def for_training(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) ->
         return _made(
             env_id, lambda: make_vec_env(env_id, n_envs=num_envs, env_kwargs=_resolved(arguments))
         )
-    from mjgranular.envs.sb3 import SandVecEnv  # pyright: ignore[reportMissingImports]
+    from gymnasium.vector import AutoresetMode
 
-    return VecMonitor(SandVecEnv(several(env_id, arguments, num_envs=num_envs)))
+    from mjgranular.learn.vector import BatchVecEnv
+
+    same_step = {**arguments, "autoreset_mode": AutoresetMode.SAME_STEP}
+    return VecMonitor(BatchVecEnv(several(env_id, same_step, num_envs=num_envs)))
 
 
 def for_filming(
