@@ -57,8 +57,9 @@ def put_on_sand(
     """Takes the floor's contacts away and adds sand and sensors.
 
     What changes beside: RK4 becomes the implicit-fast integrator, because sand that holds at rest
-    does not act within a step of RK4; the floor is drawn as sand, or goes where the sand is no
-    plane.
+    does not act within a step of RK4; a fluid that fills the world goes; the floor is drawn as
+    sand, or not at all where the sand is no plane. Where no geom of the robot makes contacts, as in
+    a swimmer, all of them meet the sand.
 
     Args:
         spec: the model to be; it is changed.
@@ -76,6 +77,8 @@ def put_on_sand(
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.density = spec.option.viscosity = 0.0
+    _let_meet(spec)
     surfaces = [ground.surface or _surface_of(floors) for ground in grounds]
     for floor in floors:
         floor.contype = floor.conaffinity = 0
@@ -115,6 +118,14 @@ def instances_of(model: mujoco.MjModel) -> list[str]:
     names = [model.sensor(number).name for number in range(model.nsensor)]
     begin = DEPTH + "/"
     return [name.removeprefix(begin) for name in names if name.startswith(begin)]
+
+
+def _let_meet(spec: mujoco.MjSpec) -> None:
+    """Has geoms collide with what collides, but not with each other, if none of them does so."""
+    geoms = [geom for body in spec.bodies[1:] for geom in body.geoms]
+    if not any(geom.contype or geom.conaffinity for geom in geoms):
+        for geom in geoms:
+            geom.conaffinity = 1
 
 
 def _is_floor(geom: mujoco.MjsGeom) -> bool:

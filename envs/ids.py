@@ -5,13 +5,28 @@ from __future__ import annotations
 import gymnasium as gym
 
 from mjgranular.envs.chains import ChainCrawl, ChainSwim
+from mjgranular.envs.gym_planar import HalfCheetah, Hopper, Swimmer, Walker2d
+from mjgranular.envs.gym_spatial import Ant, Humanoid
+from mjgranular.envs.hexapod import Hexapod
+from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task
 from mjgranular.envs.tasks import tasks
 
 NAMESPACE = "mjgranular"
 VERSION = 0
 
-_OURS: tuple[type[Task], ...] = (ChainSwim, ChainCrawl)
+_OURS: tuple[type[Task], ...] = (
+    ChainSwim,
+    ChainCrawl,
+    Hexapod,
+    LinkDrop,
+    Hopper,
+    Walker2d,
+    HalfCheetah,
+    Ant,
+    Humanoid,
+    Swimmer,
+)
 
 
 def id_of(name: str) -> str:

@@ -94,7 +94,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
             InputError: an action of another shape, or one that is not finite.
         """
         task, state = self.task, self._state
-        action = check_actions(action, (self.model.nu,))[None]
+        action = check_actions(action, self.action_space.shape)[None]
         before = task.mark(state)
         self.data.ctrl[:] = task.act(action, state)[0]
         mujoco.mj_step(self.model, self.data, nstep=task.frame_skip)

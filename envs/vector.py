@@ -156,8 +156,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             InputError: actions of another shape, or not finite.
         """
         task, state = self.task, self._state
-        actions = check_actions(actions, (self.num_envs, self.task.model.nu))
-        again = self._over
+        actions = check_actions(actions, self.action_space.shape)
+        again = self._over.copy()
         if self.autoreset_mode is not AutoresetMode.NEXT_STEP:
             if again.any():
                 raise InputError(
