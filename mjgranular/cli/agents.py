@@ -30,13 +30,20 @@ class Actor:
     make: Callable[[Any], Agent]
 
 
-def find_actor(what: str, *, agent: str = "policy", environment: str | None = None) -> Actor:
+def find_actor(
+    what: str,
+    *,
+    agent: str = "policy",
+    environment: str | None = None,
+    gait: Mapping[str, float] | None = None,
+) -> Actor:
     """Who is meant by a word on the command line.
 
     Args:
         what: a run's folder, a policy's, or an environment's id for agents that need no training.
         agent: policy, or one of `BASELINES`.
         environment: another than the one that the policy was trained in.
+        gait: parameters of the gait, where they differ from its own.
     """
     if agent not in ("policy", *BASELINES):
         raise UnknownNameError("agent", agent, ("policy", *BASELINES))
@@ -56,7 +63,7 @@ def find_actor(what: str, *, agent: str = "policy", environment: str | None = No
     if not _is_environment(what):
         run = load_policy(what).run
         env_id, arguments = run.environment, dict(run.settings.environment)
-    return Actor(agent, env_id, arguments, lambda env: make_baseline(agent, env_id, env))
+    return Actor(agent, env_id, arguments, lambda env: make_baseline(agent, env_id, env, gait=gait))
 
 
 def _policy(what: str, policy: Policy, environment: str | None) -> Actor:

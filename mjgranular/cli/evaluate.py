@@ -32,6 +32,8 @@ class EvaluateCommand:
     """Runs, policies, or environments for --agent."""
     agent: Annotated[str, tyro.conf.arg(metavar="policy|zero|random|gait")] = "policy"
     """Who acts."""
+    gait: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
+    """Parameters for --agent gait; `mjgranular gait ENV` finds the best."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ENV")] = None
     """Another environment than the one trained in; must observe and move the same."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE,... ...")] = ()
@@ -53,6 +55,8 @@ class EvaluateCommand:
             raise InputError("evaluate needs a run, a policy or, with --agent, an environment")
         for variant in self.on:
             parse_variant(variant)
+        if self.gait and self.agent != "gait":
+            raise InputError("--gait is for --agent gait")
         if self.out is None:
             self._show(self._scores())
             return 0
@@ -75,7 +79,8 @@ class EvaluateCommand:
 
     def _scores(self) -> list[Score]:
         actors = [
-            find_actor(what, agent=self.agent, environment=self.env) for what in self.policies
+            find_actor(what, agent=self.agent, environment=self.env, gait=parse_variant(self.gait))
+            for what in self.policies
         ]
         jobs = [(actor, variant) for actor in actors for variant in ("", *self.on)]
         scores: list[Score] = []

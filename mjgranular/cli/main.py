@@ -15,6 +15,7 @@ from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
 from mjgranular.cli.evaluate import EvaluateCommand
+from mjgranular.cli.gait import GaitCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
@@ -37,6 +38,7 @@ Command = (
     | Annotated[ElementsCommand, tyro.conf.subcommand("elements")]
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
+    | Annotated[GaitCommand, tyro.conf.subcommand("gait")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
