@@ -13,6 +13,7 @@ from mjgranular.envs.ground import Ground
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import media
+from mjgranular.medium.medium import get_medium
 
 SURFACES = ("plane", "dunes")
 """Surfaces that can be drawn: level but for the slope, or fixed dunes at a place drawn anew."""
@@ -176,7 +177,8 @@ def grounds_of(
                 grounds.append(
                     Ground(medium, law, surface, base.scheme, base.resolution, base.geoms)
                 )
-                choices.append(Choice(_name(medium), _name(law), name))
+                own = get_medium(medium).default_law if law is None else law
+                choices.append(Choice(_name(medium), _name(own), name))
     return grounds, choices
 
 

@@ -185,34 +185,40 @@ class Task(ABC):
         return self._sands[1]
 
     @cached_property
-    def model(self) -> mujoco.MjModel:
-        """The robot on sand."""
+    def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
+        """The model and what is read from it before anybody tilts its gravity."""
         spec = self.robot()
         grounds, choices = self._sands
         if any(choice.surface == "dunes" for choice in choices):
             add_dunes(spec, self.dunes)
-        return put_on_sand(
+        model = put_on_sand(
             spec,
             grounds,
             wrenches=self.wrenches,
             tunable=self.randomise is not None,
             cut=self.cut,
         )
+        return model, Figures(model, grounds), np.array(model.opt.gravity)
 
-    @cached_property
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The robot on sand."""
+        return self._built[0]
+
+    @property
     def figures(self) -> Figures:
         """What reads the sand's figures."""
-        return Figures(self.model, self._sands[0])
+        return self._built[1]
+
+    @property
+    def gravity(self) -> np.ndarray:
+        """On level ground [m/s^2], shape (3,)."""
+        return self._built[2]
 
     @cached_property
     def dt(self) -> float:
         """Duration of a step [s]."""
         return float(self.model.opt.timestep * self.frame_skip)
-
-    @cached_property
-    def gravity(self) -> np.ndarray:
-        """On level ground [m/s^2], shape (3,)."""
-        return np.array(self.model.opt.gravity)
 
     @cached_property
     def observation_space(self) -> Box:
