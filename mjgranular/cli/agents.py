@@ -72,12 +72,7 @@ def _policy(what: str, policy: Policy, environment: str | None) -> Actor:
     same = env_id == run.environment
     arguments = dict(run.settings.environment) if same else {}
     environments.find_spec(env_id)
-
-    def make(env: Any) -> Agent:
-        policy.check(env_id, env)
-        return policy
-
-    return Actor(what, env_id, arguments, make)
+    return Actor(what, env_id, arguments, lambda env: policy.checked(env_id, env))
 
 
 def _is_environment(what: str) -> bool:

@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 
 from mjgranular._version import __version__
+from mjgranular.cli.compare import CompareCommand
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
@@ -39,6 +40,7 @@ Command = (
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
     | Annotated[GaitCommand, tyro.conf.subcommand("gait")]
+    | Annotated[CompareCommand, tyro.conf.subcommand("compare")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]

@@ -49,8 +49,8 @@ class Policy:
             observations = self.normalizer(observations)
         return self.model.predict(observations, deterministic=True)[0]
 
-    def check(self, env_id: str, env: Any) -> None:
-        """Refuses an environment that observes or moves something else.
+    def checked(self, env_id: str, env: Any) -> Policy:
+        """Itself, unless an environment observes or moves something else.
 
         Args:
             env_id: its id.
@@ -67,6 +67,7 @@ class Policy:
                     f"the policy {self.folder} is for {self.run.environment}: its {what}s are "
                     f"{_describe(mine)}, those of {env_id} {_describe(there)}"
                 )
+        return self
 
 
 def load_policy(where: Path | str) -> Policy:
