@@ -8,9 +8,8 @@ an environment is, for any number of simulations at once; `SandEnv` runs one of 
 `SandVectorEnv` many in threads. `ranges` are of sand that is drawn at each reset.
 """
 
-from mjgranular.extras import need
-
-need("gymnasium", extra="envs", purpose="mjgranular.envs")
+# First of all: the install line, where Gymnasium is missing.
+from mjgranular.envs import _gymnasium as _gymnasium
 
 # isort: split
 

@@ -34,7 +34,9 @@ class _Chain(Task):
         if not isinstance(self.links, int) or self.links < 2:
             raise InputError(f"links must be a whole number from 2 up, not {self.links!r}")
         if not self.reset_noise_scale >= 0:
-            raise InputError(f"reset_noise_scale must not be negative, not {self.reset_noise_scale}")
+            raise InputError(
+                f"reset_noise_scale must not be negative, not {self.reset_noise_scale}"
+            )
 
     @cached_property
     def worm(self) -> Worm:

@@ -107,7 +107,12 @@ class Eyes:
             from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 
             self._viewer = MujocoRenderer(
-                model, data, self._task.camera, self.width, self.height, camera_name=self.camera_name
+                model,
+                data,
+                self._task.camera,
+                self.width,
+                self.height,
+                camera_name=self.camera_name,
             )
         viewer = self._viewer
         _make(lambda: viewer.render("human"))

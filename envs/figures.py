@@ -35,17 +35,18 @@ class Figures:
 
     def __init__(self, model: mujoco.MjModel, grounds: Sequence[Ground]) -> None:
         names = instances_of(model)
-        self._first = {
-            measure: np.array([_address(model, f"{measure}/{name}") for name in names])
-            for measure in (FORCE, DEPTH, POWER, SPEED)
-        }
-        self._gravity = float(np.linalg.norm(model.opt.gravity))
+        # The sensors of a sand stand side by side: force, depth, power, speed.
+        self._blocks = [_address(model, f"{FORCE}/{name}") for name in names]
+        for name, begin in zip(names, self._blocks, strict=True):
+            for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):
+                assert _address(model, f"{measure}/{name}") == begin + offset
+        gravity = float(np.linalg.norm(model.opt.gravity))
         limits = [_Limits(model, ground) for ground in grounds]
-        self._width = np.array([limit.width for limit in limits])
+        width = np.array([limit.width for limit in limits])
+        self._per_speed = 1 / np.sqrt(gravity * width)  # Froude number of 1 m/s
         self._froude = np.array([limit.most("froude") for limit in limits])
-        self._depth = np.array([limit.most("depth_over_width") for limit in limits])
-        self._slope = np.array([limit.most("slope") for limit in limits])
-        self._tilt = np.array([limit.tilt for limit in limits])
+        self._depth = np.array([limit.most("depth_over_width") for limit in limits]) * width
+        self._slope = np.array([limit.most("slope") - limit.tilt for limit in limits])
 
     def read(
         self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0
@@ -67,27 +68,22 @@ class Figures:
             its deepest point [m], negative above the sand; `sand/power`: of the sand on it [W];
             `sand/froude`; `sand/valid`: whether the law holds.
         """
-        force = readings[:, self._first[FORCE][0, None] + np.arange(3)]
-        depth, power, speed = (
-            readings[:, self._first[measure][0]] for measure in (DEPTH, POWER, SPEED)
-        )
-        for other in range(1, len(self._width)):
-            force = force + readings[:, self._first[FORCE][other, None] + np.arange(3)]
-            depth = depth + readings[:, self._first[DEPTH][other]]
-            power = power + readings[:, self._first[POWER][other]]
-            speed = speed + readings[:, self._first[SPEED][other]]
-        width = self._width[active]
-        froude = speed / np.sqrt(self._gravity * width)
+        first, *others = self._blocks
+        block = readings[:, first : first + 6].copy()  # nobody is to hold the simulation's memory
+        for other in others:
+            block += readings[:, other : other + 6]
+        sand = active if others else 0
+        depth, speed = block[:, 3], block[:, 5]
+        froude = speed * self._per_speed[sand]
         valid = (
-            (froude <= self._froude[active])
-            & (depth <= self._depth[active] * width)
-            & (np.abs(slope) + self._tilt[active] <= self._slope[active])
+            (froude <= self._froude[sand])
+            & (depth <= self._depth[sand])
+            & (np.abs(slope) <= self._slope[sand])
         )
-        # Copies, so that nobody holds a view of the simulation's own memory.
         return {
-            "sand/force": np.array(force),
-            "sand/depth": np.array(depth),
-            "sand/power": np.array(power),
+            "sand/force": block[:, :3],
+            "sand/depth": depth,
+            "sand/power": block[:, 4],
             "sand/froude": froude,
             "sand/valid": valid,
         }
@@ -101,23 +97,27 @@ class Wrenches:
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self._bodies: list[int] = []
-        self._force: list[np.ndarray] = []
-        self._moment: list[np.ndarray] = []
-        for sand in instances_of(model):
-            for body in range(1, model.nbody):
+        sensors = {model.sensor(i).name: int(model.sensor_adr[i]) for i in range(model.nsensor)}
+        sands = instances_of(model)
+        bodies = [
+            body
+            for body in range(model.nbody)
+            if f"{BODY_FORCE}{model.body(body).name}/{sands[0]}" in sensors
+        ]
+        # Of each sand the sensors stand side by side, body by body: force, moment.
+        self._blocks = [
+            sensors[f"{BODY_FORCE}{model.body(bodies[0]).name}/{sand}"] for sand in sands
+        ]
+        self._count = len(bodies)
+        for sand, begin in zip(sands, self._blocks, strict=True):
+            for row, body in enumerate(bodies):
                 name = model.body(body).name
-                sensor = f"{BODY_FORCE}{name}/{sand}"
-                if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, sensor) < 0:
-                    continue
-                self._bodies.append(body)
-                self._force.append(_address(model, sensor) + np.arange(3))
-                self._moment.append(
-                    _address(model, f"{BODY_MOMENT}{name}/{sand}") + np.arange(3)
-                )
-        self._forces, self._moments = np.array(self._force), np.array(self._moment)
-        self._body = np.array(self._bodies)
-        self._root = model.body_rootid[self._body]
+                assert sensors[f"{BODY_FORCE}{name}/{sand}"] == begin + 6 * row
+                assert sensors[f"{BODY_MOMENT}{name}/{sand}"] == begin + 6 * row + 3
+        roots = model.body_rootid[bodies]
+        # Slices where they will do: they are quicker, and this is done at every step.
+        self._bodies = _slice(bodies)
+        self._roots = slice(roots[0], roots[0] + 1) if (roots == roots[0]).all() else roots
 
     def of(
         self, readings: np.ndarray, centres: np.ndarray, origins: np.ndarray, nbody: int
@@ -133,20 +133,19 @@ class Wrenches:
         Returns:
             Moment and force on each body, world axes, shape (n, nbody, 6).
         """
-        force, moment = readings[:, self._forces], readings[:, self._moments]
-        arm = centres[:, self._body] - origins[:, self._root]
+        count, first = 6 * self._count, self._blocks[0]
+        block = readings[:, first : first + count]
+        for other in self._blocks[1:]:
+            block = block + readings[:, other : other + count]
+        block = block.reshape(len(readings), self._count, 6)
+        arm = centres[:, self._bodies] - origins[:, self._roots]
+        ax, ay, az = arm[..., 0], arm[..., 1], arm[..., 2]
+        fx, fy, fz = block[..., 0], block[..., 1], block[..., 2]
         wrench = np.zeros((len(readings), nbody, 6))
-        turned = np.stack(
-            [
-                arm[..., 1] * force[..., 2] - arm[..., 2] * force[..., 1],
-                arm[..., 2] * force[..., 0] - arm[..., 0] * force[..., 2],
-                arm[..., 0] * force[..., 1] - arm[..., 1] * force[..., 0],
-            ],
-            axis=-1,
-        )
-        for row, body in enumerate(self._bodies):
-            wrench[:, body, :3] += moment[:, row] + turned[:, row]
-            wrench[:, body, 3:] += force[:, row]
+        wrench[:, self._bodies, 0] = ay * fz - az * fy + block[..., 3]
+        wrench[:, self._bodies, 1] = az * fx - ax * fz + block[..., 4]
+        wrench[:, self._bodies, 2] = ax * fy - ay * fx + block[..., 5]
+        wrench[:, self._bodies, 3:] = block[..., :3]
         return wrench
 
 
@@ -167,3 +166,10 @@ class _Limits:
 
 def _address(model: mujoco.MjModel, name: str) -> int:
     return int(model.sensor(name).adr[0])
+
+
+def _slice(numbers: Sequence[int]) -> slice | np.ndarray:
+    """The numbers as a slice, if they follow one another."""
+    if list(numbers) == list(range(numbers[0], numbers[0] + len(numbers))):
+        return slice(numbers[0], numbers[0] + len(numbers))
+    return np.array(numbers)

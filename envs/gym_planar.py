@@ -100,14 +100,15 @@ class _Legged(Robot):
         return (low < z) & (z < high) & (left < angle) & (angle < right)
 
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        state.healthy = self.healthy(state)
         return {
             "reward_forward": self.forward_reward_weight * self.speed(before, state),
-            "reward_survive": self.healthy(state) * self.healthy_reward,
+            "reward_survive": state.healthy * self.healthy_reward,
             "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
         }
 
     def terminated(self, state: State) -> np.ndarray:
-        return ~self.healthy(state) & self.terminate_when_unhealthy
+        return ~state.healthy & self.terminate_when_unhealthy
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {

@@ -54,7 +54,7 @@ class _Spatial(Robot):
         return terms["reward_forward"] + terms["reward_survive"] + costs
 
     def terminated(self, state: State) -> np.ndarray:
-        return ~self.healthy(state) & self.terminate_when_unhealthy
+        return ~state.healthy & self.terminate_when_unhealthy
 
     def where(self, state: State) -> np.ndarray:
         """The place whose speed is paid for, shape (n, 2)."""
@@ -142,9 +142,10 @@ class Ant(_Spatial):
 
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         contact = self.contact_cost_weight * np.square(self.felt(state)).sum(axis=1)
+        state.healthy = self.healthy(state)
         return {
             "reward_forward": self.speed(before, state) * self.forward_reward_weight,
-            "reward_survive": self.healthy(state) * self.healthy_reward,
+            "reward_survive": state.healthy * self.healthy_reward,
             "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
             "reward_contact": -contact,
         }
@@ -250,9 +251,10 @@ class Humanoid(_Spatial):
             self.contact_cost_weight * np.square(forces).sum(axis=1), *self.contact_cost_range
         )
         effort = np.square(action.astype(float)).sum(axis=1)
+        state.healthy = self.healthy(state)
         return {
             "reward_forward": self.forward_reward_weight * self.speed(before, state),
-            "reward_survive": self.healthy(state) * self.healthy_reward,
+            "reward_survive": state.healthy * self.healthy_reward,
             "reward_ctrl": -(self.ctrl_cost_weight * effort),
             "reward_contact": -contact,
         }

@@ -11,8 +11,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular import InputError, Medium
-from mjgranular import models
+from mjgranular import InputError, Medium, models
 from mjgranular.envs.dunes import Dunes
 from mjgranular.envs.task import Start, State, Task
 
@@ -28,8 +27,8 @@ class Hexapod(Task):
 
     ## Action Space
     `Box(-1, 1, (12,), float32)`: angles that the servos go to, in units of 0.6 rad; for each leg
-    (front, middle, rear on the left, then on the right) its hip, positive with the foot going ahead,
-    and its knee, positive with the foot going up.
+    (front, middle, rear on the left, then on the right) its hip, positive with the foot going
+    ahead, and its knee, positive with the foot going up.
 
     ## Observation Space
     `Box(-inf, inf, (35,), float64)`: height of the torso over the level ground [m], its orientation
@@ -51,9 +50,9 @@ class Hexapod(Task):
 
     ## Arguments
     `forward_reward_weight=5`, `ctrl_cost_weight=0.005`, `healthy_reward=0.1`,
-    `reset_noise_scale=0.05`, `frame_skip=4` substeps of 10 ms, and those of `Task`: the medium, here
-    loosely packed poppy seed, randomised sand and so on. The default resolution is 2: the way of a
-    tripod gait is 1 % off that at 4.
+    `reset_noise_scale=0.05`, `frame_skip=4` substeps of 10 ms, and those of `Task`: the medium,
+    here loosely packed poppy seed, randomised sand and so on. The default resolution is 2: the way
+    of a tripod gait is 1 % off that at 4.
 
     ## Version History
     v0: first.
@@ -77,7 +76,9 @@ class Hexapod(Task):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.reset_noise_scale >= 0:
-            raise InputError(f"reset_noise_scale must not be negative, not {self.reset_noise_scale}")
+            raise InputError(
+                f"reset_noise_scale must not be negative, not {self.reset_noise_scale}"
+            )
 
     @cached_property
     def body(self) -> models.Hexapod:
@@ -118,14 +119,16 @@ class Hexapod(Task):
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         ahead = (state.qpos[:, 0] - before[:, 0]) / self.dt
         effort = np.square(np.clip(action, -1.0, 1.0)).sum(axis=1)
+        x, y = state.qpos[:, 4], state.qpos[:, 5]
+        state.upright = 1.0 - 2.0 * (x * x + y * y) > 0.5  # cosine of the tilt
         return {
             "reward_forward": self.forward_reward_weight * ahead,
-            "reward_survive": self.healthy_reward * self._upright(state),
+            "reward_survive": self.healthy_reward * state.upright,
             "reward_ctrl": -self.ctrl_cost_weight * effort,
         }
 
     def terminated(self, state: State) -> np.ndarray:
-        return ~self._upright(state)
+        return ~state.upright
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {
@@ -139,7 +142,3 @@ class Hexapod(Task):
             "x_velocity": (state.qpos[:, 0] - before[:, 0]) / self.dt,
             "y_velocity": (state.qpos[:, 1] - before[:, 1]) / self.dt,
         }
-
-    def _upright(self, state: State) -> np.ndarray:
-        x, y = state.qpos[:, 4], state.qpos[:, 5]
-        return 1.0 - 2.0 * (x * x + y * y) > 0.5  # cosine of the tilt

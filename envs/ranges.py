@@ -137,9 +137,7 @@ class Sample:
     slope: float = 0.0
 
 
-def draw(
-    ranges: SandRanges, choices: Sequence[Choice], random: np.random.Generator
-) -> Sample:
+def draw(ranges: SandRanges, choices: Sequence[Choice], random: np.random.Generator) -> Sample:
     """Draws a sand.
 
     Args:

@@ -42,9 +42,7 @@ class SandVecEnv(VecEnv):
         self.batch, self._full_info = batch, full_info
         self._actions: np.ndarray | None = None
         self._next_seeds: list[int | None] = [None] * batch.num_envs
-        super().__init__(
-            batch.num_envs, batch.single_observation_space, batch.single_action_space
-        )
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
     def reset(self) -> np.ndarray:
         """Begins all episodes, with the seeds of the last `seed`."""

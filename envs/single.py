@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from mjgranular.envs.eyes import RENDER_MODES, Eyes
-from mjgranular.envs.tasks import get_task
 from mjgranular.envs.task import Task, check_actions
+from mjgranular.envs.tasks import get_task
 
 
 class SandEnv(gym.Env[np.ndarray, np.ndarray]):
@@ -122,7 +122,10 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
 def _one(info: dict[str, np.ndarray]) -> dict[str, Any]:
     """The entries of the only simulation: Python's numbers, arrays in memory of their own."""
     return {
-        name: value[0].copy() if value.ndim > 1 else value[0].item() if value.dtype != object
+        name: value[0].copy()
+        if value.ndim > 1
+        else value[0].item()
+        if value.dtype != object
         else value[0]
         for name, value in info.items()
     }

@@ -152,11 +152,17 @@ class Task(ABC):
         return np.asarray(sum(terms.values()))
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
-        """Controls for actions, shape (n, nu). It may write to the state, which is before the step."""
+        """Controls for actions, shape (n, nu).
+
+        It may write to the state, which is that before the step.
+        """
         return action
 
     def terminated(self, state: State) -> np.ndarray:
-        """Whether an episode is over, shape (n,)."""
+        """Whether an episode is over, shape (n,).
+
+        It is called after `rewards`, which may keep something for it in the state.
+        """
         return np.zeros(len(state.qpos), bool)
 
     def place(self, state: State) -> dict[str, np.ndarray]:

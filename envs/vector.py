@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium as gym
+import mujoco
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from mujoco.batch import Batch
-import mujoco
 
 from mjgranular.envs.eyes import RENDER_MODES, Eyes
 from mjgranular.envs.task import Task, check_actions
@@ -86,10 +84,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "height": height,
             "camera_name": camera_name,
         }
-        self.batch = Batch(self.task.model, num_envs, threads)
-        self._state = self.task.new_state(
-            {name: self.batch.bind(name) for name in self.task.bound}
-        )
+        self.batch = _batch_class()(self.task.model, num_envs, threads)
+        self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
         self._ctrl = self.batch.bind("ctrl")
         self._gravity = self._plugin_state = None
         if self.task.randomise is not None:
@@ -158,12 +154,11 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         task, state = self.task, self._state
         actions = check_actions(actions, self.action_space.shape)
         again = self._over.copy()
-        if self.autoreset_mode is not AutoresetMode.NEXT_STEP:
-            if again.any():
-                raise InputError(
-                    f"simulations {np.flatnonzero(again).tolist()} are over: reset them with "
-                    "reset(options={'reset_mask': ...}) before they are stepped"
-                )
+        if self.autoreset_mode is not AutoresetMode.NEXT_STEP and again.any():
+            raise InputError(
+                f"simulations {np.flatnonzero(again).tolist()} are over: reset them with "
+                "reset(options={'reset_mask': ...}) before they are stepped"
+            )
         stepped = ~again
         before = task.mark(state)
         if stepped.any():
@@ -233,9 +228,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         for number, sample, start in zip(ids, samples, starts, strict=True):
             if sample is not None:
-                task.lay(
-                    sample, state, number, self._plugin_state[number], self._gravity[number]
-                )
+                task.lay(sample, state, number, self._plugin_state[number], self._gravity[number])
             state.qpos[number], state.qvel[number] = start.qpos, start.qvel
             if start.userdata is not None:
                 state.userdata[number] = start.userdata
@@ -251,6 +244,17 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         ended: dict[str, Any] = {}
         _add(ended, self.task.reset_info(self._state) | only_step, over)
         info["final_info"], info["_final_info"] = ended, over.copy()
+
+
+def _batch_class() -> Any:
+    try:
+        from mujoco.batch import Batch
+    except ImportError:
+        raise InputError(
+            f"a batch needs MuJoCo 4.0 or later, this is {mujoco.__version__}: "
+            "vectorization_mode='sync' or 'async' does without"
+        ) from None
+    return Batch
 
 
 def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:

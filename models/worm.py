@@ -64,7 +64,9 @@ class Worm:
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"the worm's {name} must be positive, not {value}")
         if not (math.isfinite(self.depth) and math.isfinite(self.armature) and self.armature >= 0):
-            raise InputError("the worm's depth and armature must be finite, the latter not negative")
+            raise InputError(
+                "the worm's depth and armature must be finite, the latter not negative"
+            )
         _ = self.chain  # checks the number of links
 
     @property

@@ -71,12 +71,10 @@ def for_training(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) ->
         return _made(
             env_id, lambda: make_vec_env(env_id, n_envs=num_envs, env_kwargs=_resolved(arguments))
         )
-    from gymnasium.vector import AutoresetMode
-
-    from mjgranular.learn.vector import BatchVecEnv
-
-    same_step = {**arguments, "autoreset_mode": AutoresetMode.SAME_STEP}
-    return VecMonitor(BatchVecEnv(several(env_id, same_step, num_envs=num_envs)))
+    make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
+    return VecMonitor(
+        _made(env_id, lambda: make(env_id, num_envs=num_envs, **_resolved(arguments)))
+    )
 
 
 def for_filming(
