@@ -118,6 +118,7 @@ class ChainSwim(_Chain):
     title: ClassVar[str] = "a buried chain swims by waves from head to tail"
     episode: ClassVar[int] = 500
     cut: ClassVar[float] = 0.056  # the worm lies on the cut
+    tile: ClassVar[float] = 0.1
     dunes: ClassVar[Dunes] = Dunes(wavelength=1.0, extent=5.0)
     camera: ClassVar[dict[str, Any]] = {
         "trackbodyid": 4, "distance": 0.35, "azimuth": 90.0, "elevation": -55.0,

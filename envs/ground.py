@@ -22,7 +22,6 @@ FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/spe
 BODY_FORCE, BODY_MOMENT = "sand/force of ", "sand/moment of "
 """Sensors of one body, with its name and the instance behind."""
 
-_GRAINS = 0.5  # edge of the picture of sand on the ground [m]; chosen
 
 
 @dataclass(frozen=True)
@@ -53,6 +52,7 @@ def put_on_sand(
     wrenches: bool = False,
     tunable: bool = False,
     cut: float = 0.0,
+    tile: float = 0.5,
 ) -> mujoco.MjModel:
     """Takes the floor's contacts away and adds sand and sensors.
 
@@ -67,6 +67,7 @@ def put_on_sand(
         wrenches: whether the force and the moment on each body are to be measured as well.
         tunable: whether instances are to be tuned while they run.
         cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
+        tile: edge of the picture of sand on the ground [m].
 
     Returns:
         The model.
@@ -75,6 +76,7 @@ def put_on_sand(
         InputError: the model has no floor and the ground no surface.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
+    _keep_extent(spec)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
@@ -82,7 +84,7 @@ def put_on_sand(
     surfaces = [ground.surface or _surface_of(floors) for ground in grounds]
     for floor in floors:
         floor.contype = floor.conaffinity = 0
-    _paint(spec, floors, surfaces, cut)
+    _paint(spec, floors, surfaces, cut, tile)
     for number, body in enumerate(spec.bodies):
         if not body.name:  # sensors find bodies by name
             body.name = f"body_{number}"
@@ -120,6 +122,17 @@ def instances_of(model: mujoco.MjModel) -> list[str]:
     return [name.removeprefix(begin) for name in names if name.startswith(begin)]
 
 
+def _keep_extent(spec: mujoco.MjSpec) -> None:
+    """Has views begin and end where they do without dunes."""
+    bare = spec.copy()
+    for geom in bare.worldbody.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
+            bare.delete(geom)
+    with quiet():
+        stat = bare.compile().stat
+    spec.stat.extent, spec.stat.center = stat.extent, stat.center
+
+
 def _let_meet(spec: mujoco.MjSpec) -> None:
     """Has geoms collide with what collides, but not with each other, if none of them does so."""
     geoms = [geom for body in spec.bodies[1:] for geom in body.geoms]
@@ -144,9 +157,10 @@ def _paint(
     floors: Sequence[mujoco.MjsGeom],
     surfaces: Sequence[Surface],
     cut: float,
+    tile: float,
 ) -> None:
     """Lets floors look like sand and lie where it is."""
-    material = _sand_material(spec)
+    material = _sand_material(spec, tile)
     for surface in surfaces:
         if isinstance(surface, HeightField):
             geom = spec.geom(surface.geom)
@@ -167,14 +181,14 @@ def _paint(
         floor.quat = [math.cos(half), axis[0] * math.sin(half), axis[1] * math.sin(half), 0]
 
 
-def _sand_material(spec: mujoco.MjSpec) -> str:
-    """A material of grains, drawn at its true size; its name."""
+def _sand_material(spec: mujoco.MjSpec, tile: float) -> str:
+    """A material of sand, whose picture has edges of that length [m]; its name."""
     name = "mjgranular_sand"
     picture = model_path("link").parent / "assets" / "sand.png"
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=str(picture.resolve()))
     material = spec.add_material(name=name)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    material.texrepeat = [1 / _GRAINS, 1 / _GRAINS]
+    material.texrepeat = [1 / tile, 1 / tile]
     material.texuniform = True
     material.specular = material.shininess = material.reflectance = 0.0
     return name

@@ -34,6 +34,11 @@ def id_of(name: str) -> str:
     return f"{NAMESPACE}/{name}-v{VERSION}"
 
 
+def name_of(identity: str) -> str:
+    """The task's name in an id; a name is taken as it is."""
+    return identity.removeprefix(f"{NAMESPACE}/").removesuffix(f"-v{VERSION}")
+
+
 def register_task(task: type[Task]) -> str:
     """Makes a task known by the name of its class: to `gymnasium.make` and to the command line.
 

@@ -62,9 +62,10 @@ class LinkDrop(Task):
 
     title: ClassVar[str] = "angle and spin of a drop for a given depth, in one step"
     episode: ClassVar[int] = 1
+    tile: ClassVar[float] = 0.2
     dunes: ClassVar[Dunes] = Dunes(wavelength=4.0, extent=10.0)
     camera: ClassVar[dict[str, Any]] = {
-        "lookat": (0.0, 0.0, 0.03), "distance": 0.7, "azimuth": 90.0, "elevation": -8.0,
+        "lookat": (0.0, 0.0, 0.03), "distance": 0.5, "azimuth": 90.0, "elevation": -12.0,
     }  # fmt: skip
 
     medium: str | Path | Medium = "play_sand"

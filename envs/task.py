@@ -88,6 +88,8 @@ class Task(ABC):
     """The dunes that are drawn."""
     cut: ClassVar[float] = 0.0
     """Depth at which the sand is drawn cut open [m]."""
+    tile: ClassVar[float] = 0.5
+    """Edge of the picture of sand on the ground [m]."""
     camera: ClassVar[dict[str, Any]] = {}
     """Of the free camera: trackbodyid, distance, azimuth, elevation, lookat."""
 
@@ -203,6 +205,7 @@ class Task(ABC):
             wrenches=self.wrenches,
             tunable=self.randomise is not None,
             cut=self.cut,
+            tile=self.tile,
         )
         return model, Figures(model, grounds), np.array(model.opt.gravity)
 

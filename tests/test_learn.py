@@ -33,6 +33,7 @@ from mjgranular.learn.normalizer import (
 )
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import Run, begin_run, open_run, read_curve
+from mjgranular.learn.search import grid
 from mjgranular.learn.settings import (
     FOLDER,
     Settings,
@@ -452,3 +453,74 @@ def test_variants_are_read_as_toml():
         "a": [1, 2],
         "b": 3,
     }
+
+
+# Gaits and grounds
+
+
+def test_a_grid_has_the_ends_of_its_ranges_and_as_many_points_as_were_asked_for():
+    points = grid({"a": (0.0, 1.0), "b": (-1.0, 2.0), "c": (3.0, 4.0)}, 200)
+    assert len(points) == 216
+    assert {point["b"] for point in points} >= {-1.0, 2.0}
+    assert len(grid({"a": (0.0, 1.0)}, 7)) == 7
+
+
+def test_the_search_finds_the_gait_that_goes_farthest(capfd):
+    wide = ["--range", "amplitude=0.2:1.0", "frequency=0.5:2", "waves=-1:1"]
+    command = ["gait", "mjgranular/ChainCrawl-v0", "--search", "8", "--json", *wide]
+    quickly = ["--on", "frame_skip=2"]
+    assert main([*command, "--by", "x_velocity", *quickly]) == 0
+    captured = capfd.readouterr()
+    found = json.loads(captured.out)
+    values = [row["value"] for row in found["tried"]]
+    assert len(values) == 8
+    assert values == sorted(values, reverse=True)
+    best = found["best"]
+    assert best["gait"] == found["tried"][0]["gait"]
+    assert len(best["seeds"]) == 10
+    # The start is drawn anew for each seed, and matters little to a gait.
+    assert best["figures"]["x_velocity"]["mean"] == pytest.approx(values[0], rel=0.2)
+    assert "at the end of the range of" in " ".join(captured.err.split())
+    assert main(["gait", "mjgranular/ChainCrawl-v0", "--range", "hop=1:2"]) == 2
+    assert "has no 'hop'; it has: amplitude" in capfd.readouterr().err
+    assert main(["gait", "mjgranular/ChainCrawl-v0", "--range", "hop"]) == 2
+    assert "NAME=LOW:HIGH" in capfd.readouterr().err
+
+
+def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
+    small = ["num_envs=2", "n_steps=32", "batch_size=64", "n_epochs=1", "checkpoint_every=1000"]
+    command = ["compare", "Hopper", "--policies", "1", "--seeds", "2", "--total-steps", "64"]
+    command += ["--json", "--out", str(tmp_path), "--set", *small]
+    assert main(command) == 0
+    cells = json.loads(capfd.readouterr().out)
+    grounds = ["rigid", "sand", "randomised sand"]
+    assert [(cell["trained_on"], cell["on"]) for cell in cells] == [
+        (a, b) for a in grounds for b in grounds
+    ]
+    assert (tmp_path / "compare.png").stat().st_size > 1000
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("policy.zip")}
+    assert main(command) == 0
+    assert json.loads(capfd.readouterr().out) == cells
+    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("policy.zip")}
+    assert main([*command, "gamma=0.5"]) == 2
+    assert "other settings" in capfd.readouterr().err
+    assert main(["compare", "Snake"]) == 2
+    assert "there are: Hopper, Hexapod" in capfd.readouterr().err
+
+
+def test_a_batch_trains_as_its_copy_does(tmp_path):
+    settings = change(
+        find_settings("mjgranular/ChainCrawl-v0", algorithm="ppo"),
+        [
+            *("num_envs=2", "total_steps=256", "checkpoint_every=128"),
+            *("n_steps=32", "batch_size=64", "n_epochs=1"),
+            "environment.randomise={strength=[0.5, 2]}",
+        ],
+    )
+    whole = begin_run(tmp_path / "whole", "mjgranular/ChainCrawl-v0", settings, seed=1)
+    train(whole)
+    broken = begin_run(tmp_path / "broken", "mjgranular/ChainCrawl-v0", settings, seed=1)
+    with pytest.raises(Killed):
+        train(broken, report=kill_after(200))
+    train(open_run(broken.path))
+    np.testing.assert_array_equal(weights(broken), weights(whole))

@@ -17,6 +17,7 @@ from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
 from mjgranular.cli.evaluate import EvaluateCommand
 from mjgranular.cli.gait import GaitCommand
+from mjgranular.cli.envs import EnvsCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
@@ -45,6 +46,7 @@ Command = (
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
     | Annotated[PoliciesCommand, tyro.conf.subcommand("policies")]
+    | Annotated[EnvsCommand, tyro.conf.subcommand("envs")]
 )
 
 

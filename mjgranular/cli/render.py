@@ -59,7 +59,7 @@ class RenderCommand:
         """Runs the command."""
         from mjgranular.picture.video import Film
 
-        command = saved_command(self.run_folder)
+        command = self._command()
         default = {"impact": VIDEO, "train": POLICY_FILM}.get(command, FILM)
         target = self.out or self.run_folder / default
         if target.suffix != ".mp4" and not (command == "train" and target.suffix == ".gif"):
@@ -82,6 +82,18 @@ class RenderCommand:
             raise problems[0]
         out.print(f"written to {target}", highlight=False, markup=False)
         return 0
+
+    def _command(self) -> str:
+        """What the folder is the result of; a name of a policy that comes with the package goes."""
+        from mjgranular.learn.policies import shipped_policies
+
+        if self.run_folder.exists() or self.run_folder.as_posix() not in shipped_policies():
+            return saved_command(self.run_folder)
+        if self.out is None:
+            raise InputError(
+                f"a film of {self.run_folder} needs a file to write to: add --out FILE"
+            )
+        return "train"
 
     def _impact(self, film: Film) -> Draw:
         """How to film a drop of the link."""

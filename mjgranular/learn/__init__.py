@@ -5,4 +5,5 @@ newest checkpoint is the policy that is evaluated and filmed.
 """
 
 from mjgranular.learn.settings import Settings as Settings
+from mjgranular.learn.settings import change as change
 from mjgranular.learn.settings import find_settings as find_settings
