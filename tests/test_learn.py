@@ -473,7 +473,7 @@ def test_the_search_finds_the_gait_that_goes_farthest(capfd):
     captured = capfd.readouterr()
     found = json.loads(captured.out)
     values = [row["value"] for row in found["tried"]]
-    assert len(values) == 8
+    assert len(values) == 16  # two of each of four parameters
     assert values == sorted(values, reverse=True)
     best = found["best"]
     assert best["gait"] == found["tried"][0]["gait"]

@@ -15,9 +15,9 @@ from mjgranular.cli.compare import CompareCommand
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
+from mjgranular.cli.envs import EnvsCommand
 from mjgranular.cli.evaluate import EvaluateCommand
 from mjgranular.cli.gait import GaitCommand
-from mjgranular.cli.envs import EnvsCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -108,12 +108,10 @@ def _bounds(
     finally:
         env.close()
     known = {**gait.bounds}
+    names = [field.name for field in fields(gait)]
     for name, (low, high) in ranges.items():
-        if not hasattr(gait, name):
-            raise InputError(
-                f"the gait of {env_id} has no {name!r}; it has: "
-                f"{', '.join(type(gait).__dataclass_fields__)}"
-            )
+        if name not in names:
+            raise InputError(f"the gait of {env_id} has no {name!r}; it has: {', '.join(names)}")
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise InputError(f"the range of {name} must be from low to high, not {low:g}:{high:g}")
         known[name] = (low, high)
