@@ -53,16 +53,15 @@ class TrainCommand:
         """Runs the command."""
         run = self._begun() if self.resume is None else self._resumed(self.resume)
         with run.locked():
-            before = run.steps()
-            if before:
-                err.print(f"going on after {before} steps", style="dim", highlight=False)
+            if self.resume is not None and self.total_steps is not None:
+                run = run.extended(self.total_steps)
             try:
                 training = self._train(run)
             except InputError:
                 if self.resume is None:
                     run.discard()
                 raise
-        return self._tell(run, training, before)
+        return self._tell(run, training)
 
     def _begun(self) -> Run:
         if self.environment is None:
@@ -100,10 +99,7 @@ class TrainCommand:
                 f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away "
                 "(--total-steps may be given)"
             )
-        run = open_run(path)
-        if self.total_steps is not None:
-            run = replace(run, settings=replace(run.settings, total_steps=self.total_steps))
-        return run
+        return open_run(path)
 
     def _train(self, run: Run) -> Training:
         total = run.settings.total_steps
@@ -119,7 +115,7 @@ class TrainCommand:
 
             return train(run, report=report)
 
-    def _tell(self, run: Run, training: Training, before: int) -> int:
+    def _tell(self, run: Run, training: Training) -> int:
         progress = training.progress
         newest = progress.curve[-1][3] if progress.curve else None
         if self.json:
@@ -147,7 +143,7 @@ class TrainCommand:
                 f"train --resume {run.path}"
             )
             return 128 + training.stopped_by
-        if progress.steps == before:
+        if progress.steps == training.began:
             err.print(
                 f"nothing to do: the run has its {progress.steps} steps; a greater --total-steps "
                 "goes on",

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.errors import InputError, RenderError
+from mjgranular.errors import GranularError, InputError, RenderError
 from mjgranular.extras import need
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
@@ -84,6 +84,8 @@ def _picture(env: Any) -> np.ndarray:
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     try:
         picture = env.render()
+    except GranularError:
+        raise
     except gym.error.DependencyNotInstalled as error:
         raise RenderError(f"the environment cannot be drawn: {error}") from None
     except Exception as error:  # every platform's GL fails in a way of its own

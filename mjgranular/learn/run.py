@@ -8,7 +8,7 @@ import json
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -104,6 +104,14 @@ class Run:
         for folder in self.checkpoints()[_KEPT:]:
             durable.remove_folder(folder)
 
+    def extended(self, total_steps: int) -> Run:
+        """The run with another number of steps to go to, noted in its folder."""
+        longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
+        file = self.path / CONFIG
+        content = json.loads(file.read_text(encoding="utf-8"))
+        durable.write_text(file, json.dumps({**content, **longer.config()}, indent=2) + "\n")
+        return longer
+
     def discard(self) -> None:
         """Removes the folder of a run that came to nothing: one without a checkpoint."""
         if not self.checkpoints():
@@ -135,10 +143,15 @@ def begin_run(path: Path, environment: str, settings: Settings, *, seed: int) ->
         if isinstance(error, OutputError):
             raise
         raise OutputError(f"cannot write to {path}: {error.strerror or error}") from None
-    run = Run(path, environment, settings, seed, versions(*_PACKAGES))
+    run = Run(path, environment, settings, seed, current_versions())
     started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
     durable.write_text(path / CONFIG, json.dumps({**run.config(), **started}, indent=2) + "\n")
     return run
+
+
+def current_versions() -> dict[str, Any]:
+    """Versions of the packages that a training depends on."""
+    return versions(*_PACKAGES)
 
 
 def open_run(path: Path) -> Run:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.errors import InputError, UnstableError
+from mjgranular.errors import InputError, UnstableError, warn_user
 from mjgranular.extras import need
 from mjgranular.learn import durable, environments
 from mjgranular.learn.checkpoint import (
@@ -22,7 +22,14 @@ from mjgranular.learn.checkpoint import (
     save_checkpoint,
     write_policy,
 )
-from mjgranular.learn.run import CHECKPOINTS, CURVE, TENSORBOARD, Run, curve_text
+from mjgranular.learn.run import (
+    CHECKPOINTS,
+    CURVE,
+    TENSORBOARD,
+    Run,
+    current_versions,
+    curve_text,
+)
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
 
 _ROWS_PER_CHECKPOINT = 5  # of the learning curve
@@ -35,10 +42,12 @@ class Training:
     Attributes:
         progress: how far it came.
         stopped_by: the signal that ended it early; None if it is finished.
+        began: steps of the checkpoint that it went on from; 0 for a new one.
     """
 
     progress: Progress
     stopped_by: int | None
+    began: int
 
 
 Report = Callable[[int, float | None], None]
@@ -76,9 +85,10 @@ def train(run: Run, *, report: Report | None = None) -> Training:
         if newest is None:
             model, progress = _new_model(run, env), Progress(0, 0.0, [])
         else:
+            _warn_of_versions(run)
             model, progress = load_checkpoint(newest, run, env)
         if progress.steps >= run.settings.total_steps:
-            return Training(progress, None)
+            return Training(progress, None, progress.steps)
         return _learn(run, model, progress, report)
     finally:
         env.close()
@@ -96,6 +106,20 @@ def begin_episodes(model: Any, seed: int) -> None:
     model._last_obs = model.env.reset()
     model._last_episode_starts = np.ones(model.env.num_envs, dtype=bool)
     model._last_original_obs = model.get_vec_normalize_env().get_original_obs()
+
+
+def _warn_of_versions(run: Run) -> None:
+    """Says so where a run goes on with other packages than it was begun with."""
+    now = current_versions()
+    changed = [
+        f"{name} {then} (now {now.get(name)})"
+        for name, then in run.versions.items()
+        if name != "platform" and now.get(name) != then
+    ]
+    if changed:
+        warn_user(
+            f"{run.path} was begun with {', '.join(changed)}: numbers may differ from here on"
+        )
 
 
 def _environments(run: Run) -> Any:
@@ -199,7 +223,7 @@ def _learn(run: Run, model: Any, progress: Progress, report: Report | None) -> T
     stopped_by = received[0] if received else None
     if stopped_by is None:
         write_policy(run, run.checkpoint_folder(saved.steps))
-    return Training(saved, stopped_by)
+    return Training(saved, stopped_by, progress.steps)
 
 
 def _keeper(run: Run, progress: Progress, report: Report | None) -> Any:
