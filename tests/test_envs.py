@@ -258,9 +258,7 @@ def test_the_lower_end_meets_the_sand_at_the_speed_that_is_asked_for():
     mujoco.mj_forward(env.model, env.data)
     velocity = np.zeros(6)
     site = env.model.site("T").id
-    mujoco.mj_objectVelocity(
-        env.model, env.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0
-    )
+    mujoco.mj_objectVelocity(env.model, env.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
     assert velocity[5] == pytest.approx(-observation[1], rel=1e-12)
     assert env.data.site_xpos[site][2] == pytest.approx(0.0, abs=1e-12)
 

@@ -31,7 +31,7 @@ from mjgranular.learn.normalizer import (
     read_normalizer,
     restore_normalizer,
 )
-from mjgranular.learn.policies import load_policy
+from mjgranular.learn.policies import POLICY_FILES, load_policy
 from mjgranular.learn.run import Run, begin_run, open_run, read_curve
 from mjgranular.learn.search import grid
 from mjgranular.learn.settings import (
@@ -431,9 +431,27 @@ def test_without_the_extra_the_install_line_is_given():
     assert MissingExtraError.__doc__
 
 
-def test_policies_are_listed(capfd):
+def test_policies_that_come_with_the_package_go_by_name(trained, tmp_path, monkeypatch, capfd):
+    folder = tmp_path / "policies" / "Pendulum-v1" / "ppo-3"
+    folder.mkdir(parents=True)
+    for name in POLICY_FILES:
+        (folder / name).write_bytes((trained.path / name).read_bytes())
+    monkeypatch.setattr("mjgranular.learn.policies.SHIPPED", tmp_path / "policies")
     assert main(["policies", "--json"]) == 0
-    assert isinstance(json.loads(capfd.readouterr().out), list)
+    (row,) = json.loads(capfd.readouterr().out)
+    assert (row["name"], row["environment"], row["seed"]) == ("Pendulum-v1/ppo-3", ID, 3)
+    assert main(["policies"]) == 0
+    assert "Pendulum-v1/ppo-3" in capfd.readouterr().out
+    np.testing.assert_array_equal(
+        load_policy("Pendulum-v1/ppo-3").act(np.ones((2, 3)), np.zeros(2)),
+        load_policy(trained.path).act(np.ones((2, 3)), np.zeros(2)),
+    )
+    assert main(["evaluate", "Pendulum-v1/ppo-3", "--seeds", "2"]) == 0
+    capfd.readouterr()
+    assert main(["render", "Pendulum-v1/ppo-3"]) == 2
+    assert "add --out FILE" in capfd.readouterr().err
+    with pytest.raises(UnknownNameError, match="there are: Pendulum-v1/ppo-3"):
+        load_policy("Pendulum-v1/ppo-4")
 
 
 def test_a_training_run_is_filmed(tmp_path):

@@ -16,6 +16,8 @@ FILES = (
     "mjgranular/models/assets/sand.png",
     "mjgranular/envs/__init__.py",
     "mjgranular/cli/main.py",
+    "mjgranular/learn/settings/default.toml",
+    "mjgranular/learn/settings/mjgranular/ChainSwim-v0.toml",
     "mjgranular/kernel/memory.py",
 )
 

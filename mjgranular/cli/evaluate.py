@@ -114,7 +114,10 @@ def table_of(scores: list[Score], seeds: int) -> Table:
     moving = any(score.figure(_SPEED) is not None for score in scores)
     headings = ["agent", "environment", "on", "return", "steps"]
     for heading in [*headings, "speed [m/s]"] if moving else headings:
-        table.add_column(Text(heading), justify="left" if heading in headings[:3] else "right")
+        left = heading in headings[:3]
+        table.add_column(
+            Text(heading), justify="left" if left else "right", no_wrap=not left, overflow="fold"
+        )
     for score in scores:
         speed = score.figure(_SPEED)
         table.add_row(

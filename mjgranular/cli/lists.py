@@ -114,7 +114,7 @@ class PoliciesCommand:
             return 0
         table = Table(title="Policies", title_justify="left")
         for heading in ("name", "environment", "algorithm", "seed", "steps", "return at the end"):
-            table.add_column(Text(heading))
+            table.add_column(Text(heading), no_wrap=heading == "name")
         for row in rows:
             *cells, reached = row.values()
             table.add_row(*map(str, cells), "" if reached is None else f"{reached:.4g}")
