@@ -256,8 +256,9 @@ def _keeper(run: Run, progress: Progress, report: Report | None) -> Any:
                 self.next_checkpoint = (self.num_timesteps // every + 1) * every
                 self.save()
                 begin_episodes(self.model, run.seed)
-                if getattr(self.model, "use_sde", False):
-                    self.model.policy.reset_noise(self.training_env.num_envs)
+                policy: Any = self.model.policy
+                if self.model.use_sde:  # as the algorithm does before each rollout
+                    policy.reset_noise(self.training_env.num_envs)
 
         def _on_step(self) -> bool:
             self.ended += [info["episode"] for info in self.locals["infos"] if "episode" in info]
