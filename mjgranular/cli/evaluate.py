@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -17,6 +18,7 @@ from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.learn.evaluate import FIRST_SEED, Score, evaluate, parse_variant
 
 _SPEED = "x_velocity"
+_VALID = "sand/valid"
 
 
 @dataclass(frozen=True)
@@ -109,23 +111,33 @@ class EvaluateCommand:
 
 
 def table_of(scores: list[Score], seeds: int) -> Table:
-    """Scores for people."""
-    table = Table(title=f"Mean of {seeds} seeds ± half the 95 % interval", title_justify="left")
-    moving = any(score.figure(_SPEED) is not None for score in scores)
-    headings = ["agent", "environment", "on", "return", "steps"]
-    for heading in [*headings, "speed [m/s]"] if moving else headings:
-        left = heading in headings[:3]
+    """Scores for people; columns that would say the same in every row are left out."""
+    environments = {score.environment for score in scores}
+    where = f" in {environments.pop()}" if len(environments) == 1 else ""
+    columns: list[tuple[str, Callable[[Score], str]]] = [("agent", lambda score: score.agent)]
+    if not where:
+        columns.append(("environment", lambda score: score.environment))
+    if any(score.variant for score in scores):
+        columns.append(("on", lambda score: score.variant or "its own"))
+    words = len(columns)
+    columns.append(("return", lambda score: str(score.returned)))
+    columns.append(("steps", lambda score: f"{score.length.mean:.0f}"))
+    if any(score.figure(_SPEED) is not None for score in scores):
+        columns.append(("speed [m/s]", lambda score: str(score.figure(_SPEED) or "")))
+    if any(score.figure(_VALID) is not None for score in scores):
+        columns.append(("law held", _held))
+    title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
+    table = Table(title=title, title_justify="left")
+    for number, (heading, _) in enumerate(columns):
+        left = number < words
         table.add_column(
             Text(heading), justify="left" if left else "right", no_wrap=not left, overflow="fold"
         )
     for score in scores:
-        speed = score.figure(_SPEED)
-        table.add_row(
-            Text(score.agent),
-            Text(score.environment),
-            Text(score.variant or "its own"),
-            str(score.returned),
-            f"{score.length.mean:.0f}",
-            *(("" if speed is None else str(speed),) if moving else ()),
-        )
+        table.add_row(*(Text(cell(score)) for _, cell in columns))
     return table
+
+
+def _held(score: Score) -> str:
+    valid = score.figure(_VALID)
+    return "" if valid is None else f"{valid.mean:.0%}"

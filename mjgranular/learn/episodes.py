@@ -85,7 +85,8 @@ def _run(env: Any, agent: Agent, seeds: list[int], progress: Callable[[int], obj
         returns[running] += rewards[running]
         lengths[running] += 1
         for name, values in info.items():
-            if _is_number_each(values, count):
+            # Names with a dash before say which simulations have the entry.
+            if not name.startswith("_") and _is_number_each(values, count):
                 total = sums.setdefault(name, np.zeros(count))
                 total[running] += values[running]
         running &= ~(ended | cut) & (lengths < LONGEST)
@@ -95,9 +96,9 @@ def _run(env: Any, agent: Agent, seeds: list[int], progress: Callable[[int], obj
 
 
 def _is_number_each(values: object, count: int) -> bool:
-    """Whether an entry of a vector environment's info is one number for each simulation."""
+    """Whether an entry of `info` is one number, or yes or no, for each simulation."""
     return (
         isinstance(values, np.ndarray)
         and values.shape == (count,)
-        and np.issubdtype(values.dtype, np.number)
+        and (np.issubdtype(values.dtype, np.number) or values.dtype == bool)
     )
