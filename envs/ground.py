@@ -23,7 +23,6 @@ BODY_FORCE, BODY_MOMENT = "sand/force of ", "sand/moment of "
 """Sensors of one body, with its name and the instance behind."""
 
 
-
 @dataclass(frozen=True)
 class Ground:
     """The sand under a robot: arguments of `mjgranular.add_sand`.

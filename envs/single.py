@@ -75,7 +75,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         random = self.np_random
         sample = task.sample(random, self._episodes)
         self._episodes += 1
-        start = task.start(random, task.height_under(sample))
+        start = task.begin(random, sample)
         mujoco.mj_resetData(model, data)
         if sample is not None:
             task.lay(sample, self._state, 0, data.plugin_state, model.opt.gravity)
@@ -85,7 +85,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         mujoco.mj_forward(model, data)
         if self.render_mode == "human":
             self.render()
-        return task.observation(self._state)[0], _one(task.reset_info(self._state))
+        return task.observation(self._state)[0], first_of(task.reset_info(self._state))
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advances by `frame_skip` substeps.
@@ -107,7 +107,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
             float(task.total(terms)[0]),
             bool(task.terminated(state)[0]),
             False,  # the time limit is a wrapper's
-            _one(info),
+            first_of(info),
         )
 
     def render(self) -> np.ndarray | None:
@@ -119,7 +119,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self.eyes.close()
 
 
-def _one(info: dict[str, np.ndarray]) -> dict[str, Any]:
+def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:
     """The entries of the only simulation: Python's numbers, arrays in memory of their own."""
     return {
         name: value[0].copy()

@@ -23,11 +23,20 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from mjgranular import HeightField, InputError, Law, Medium, Scheme, Surface
-from mjgranular.engine import tune
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import Ground, instances_of, put_on_sand
-from mjgranular.envs.ranges import Choice, Sample, SandRanges, draw, grounds_of
+from mjgranular.envs.ground import Ground, put_on_sand
+from mjgranular.envs.ranges import (
+    Choice,
+    Sample,
+    SandRanges,
+    check_drawing,
+    draw,
+    grounds_of,
+    lay,
+    next_ranges,
+    told,
+)
 
 State = SimpleNamespace
 """Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and of
@@ -106,13 +115,7 @@ class Task(ABC):
     def __post_init__(self) -> None:
         if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
             raise InputError(f"frame_skip must be a whole number from 1 up, not {self.frame_skip}")
-        if self.randomise is not None and not isinstance(self.randomise, SandRanges):
-            raise InputError(f"randomise must be a SandRanges, not {self.randomise!r}")
-        if self.curriculum is not None and self.randomise is None:
-            raise InputError(
-                "a curriculum needs randomise=SandRanges(...), which names all media, laws and "
-                "surfaces that it may draw"
-            )
+        check_drawing(self.randomise, self.curriculum)
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
 
@@ -271,13 +274,8 @@ class Task(ABC):
         """
         if self.randomise is None:
             return None
-        ranges = self.randomise
-        if self.curriculum is not None:
-            ranges = self.curriculum(episode)
-            if not isinstance(ranges, SandRanges):
-                raise InputError(f"the curriculum must give a SandRanges, not {ranges!r}")
-            ranges.check_within(self.randomise)
-        return draw(ranges, self.choices, random)
+        ranges = next_ranges(self.randomise, self.curriculum, episode)
+        return draw(ranges, self.choices, random, span=self.dunes.wavelength)
 
     def lay(
         self, sample: Sample, state: State, row: int, plugin_state: np.ndarray, gravity: np.ndarray
@@ -291,27 +289,25 @@ class Task(ABC):
             plugin_state: of that simulation; written to.
             gravity: of that simulation; written to.
         """
-        for number, name in enumerate(instances_of(self.model)):
-            tune(
-                self.model,
-                plugin_state,
-                name,
-                active=float(number == sample.number),
-                strength=sample.strength,
-                density=sample.density,
-            )
-        g = float(np.linalg.norm(self.gravity))
-        gravity[:] = -g * np.sin(sample.slope), 0.0, -g * np.cos(sample.slope)
+        strength = float(np.linalg.norm(self.gravity))
+        lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
         state.active[row] = sample.number
         state.strength[row] = sample.strength
         state.density[row] = sample.density
         state.slope[row] = sample.slope
 
-    def height_under(self, sample: Sample | None) -> Callable[[float, float], float]:
-        """The height of the sand at x, y over the floor [m], for the sand that was drawn."""
-        if sample is not None and self.choices[sample.number].surface == "dunes":
-            return self.dunes.height
-        return lambda x, y: 0.0
+    def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
+        """How an episode begins on the sand that was drawn.
+
+        Args:
+            random: of that simulation.
+            sample: what was drawn; None for the sand that is always the same.
+        """
+        if sample is None or self.choices[sample.number].surface != "dunes":
+            return self.start(random, lambda x, y: 0.0)
+        start = self.start(random, lambda x, y: self.dunes.height(x + sample.place, y))
+        start.qpos[0] += sample.place  # x comes first in all of our models
+        return start
 
     def observation(self, state: State) -> np.ndarray:
         """Observations, shape (n, k), with what was drawn where that is wanted."""
@@ -328,12 +324,7 @@ class Task(ABC):
         info = self.place(state)
         info.update(self.figures.read(state.sensordata, state.active, state.slope))
         if self.randomise is not None:
-            info["sand/strength"] = state.strength.copy()
-            info["sand/density"] = state.density.copy()
-            info["sand/slope"] = state.slope.copy()
-            for key in ("medium", "law", "surface"):
-                names = [getattr(choice, key) for choice in self.choices]
-                info[f"sand/{key}"] = np.array(names, object)[state.active]
+            info |= told(self.choices, state.active, state.strength, state.density, state.slope)
         return info
 
     def options(self) -> dict[str, Any]:

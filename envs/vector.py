@@ -221,7 +221,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             random = self._random(number)
             sample = task.sample(random, int(self._episodes[number]))
             samples.append(sample)
-            starts.append(task.start(random, task.height_under(sample)))
+            starts.append(task.begin(random, sample))
         self._episodes[ids] += 1
         self._elapsed[ids] = 0
         self._over[ids] = False

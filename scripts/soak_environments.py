@@ -58,7 +58,8 @@ def main() -> int:
     parser.add_argument("names", nargs="*", default=list(mjgranular.envs.tasks))
     parser.add_argument("--steps", type=int, default=1_000_000)
     options = parser.parse_args()
-    return 0 if all([soak(name, options.steps) for name in options.names]) else 1
+    results = [soak(name, options.steps) for name in options.names]
+    return 0 if all(results) else 1
 
 
 if __name__ == "__main__":
