@@ -83,6 +83,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         if start.userdata is not None:
             data.userdata[:] = start.userdata
         mujoco.mj_forward(model, data)
+        self._state.found.clear()
         if self.render_mode == "human":
             self.render()
         return task.observation(self._state)[0], first_of(task.reset_info(self._state))
@@ -98,6 +99,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         before = task.mark(state)
         self.data.ctrl[:] = task.act(action, state)[0]
         mujoco.mj_step(self.model, self.data, nstep=task.frame_skip)
+        state.found.clear()
         terms = task.rewards(before, action, state)
         info = task.reset_info(state) | task.progress(before, state) | terms
         if self.render_mode == "human":
@@ -122,12 +124,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
 def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:
     """The entries of the only simulation: Python's numbers, arrays in memory of their own."""
     return {
-        name: value[0].copy()
-        if value.ndim > 1
-        else value[0].item()
-        if value.dtype != object
-        else value[0]
-        for name, value in info.items()
+        name: value.item() if value.ndim == 1 else value[0].copy() for name, value in info.items()
     }
 
 

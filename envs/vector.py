@@ -165,6 +165,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._ctrl[:] = task.act(actions, state)
             ids = None if not again.any() else np.flatnonzero(stepped)
             self.batch.step(ids, nstep=task.frame_skip)
+            state.found.clear()
         self._elapsed += 1
         terms = task.rewards(before, actions, state)
         only_step = task.progress(before, state) | terms
@@ -233,6 +234,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if start.userdata is not None:
                 state.userdata[number] = start.userdata
         self.batch.forward(ids)
+        state.found.clear()
 
     def _finish(self, info: dict[str, Any], over: np.ndarray, only_step: dict[str, Any]) -> None:
         """Puts what episodes ended with into `info`, as Gymnasium does."""
