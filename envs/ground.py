@@ -89,7 +89,6 @@ def put_on_sand(
             body.name = f"body_{number}"
     names = []
     for ground, surface in zip(grounds, surfaces, strict=True):
-        options = {"tunable": True} if tunable else {}
         instance = add_sand(
             spec,
             medium=ground.medium,
@@ -98,7 +97,7 @@ def put_on_sand(
             scheme=ground.scheme,
             resolution=ground.resolution,
             geoms=ground.geoms,
-            **options,
+            tunable=tunable,
         )
         names.append(instance.name)
     _add_sensors(spec, names, grounds[0].geoms, wrenches=wrenches)

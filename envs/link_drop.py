@@ -89,7 +89,7 @@ class LinkDrop(Task):
         """The link."""
         return Link()
 
-    @property
+    @cached_property
     def action_space(self) -> Box:
         return Box(-1.0, 1.0, (2,), np.float32)
 

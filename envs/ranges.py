@@ -180,9 +180,9 @@ def draw(
         and (not ranges.surfaces or choice.surface in ranges.surfaces)
     ]
     number = fitting[int(random.integers(len(fitting)))]
-    numbers = [float(random.uniform(*getattr(ranges, key))) for key in _DRAWN]
+    numbers = {key: float(random.uniform(*getattr(ranges, key))) for key in _DRAWN}
     place = float(random.uniform(-span, span))
-    return Sample(number, *numbers, place if choices[number].surface == "dunes" else 0.0)
+    return Sample(number, **numbers, place=place if choices[number].surface == "dunes" else 0.0)
 
 
 def lay(

@@ -176,7 +176,7 @@ class Task(ABC):
         """What `info` has after a step alone, by name, each of shape (n, ...)."""
         return {}
 
-    @property
+    @cached_property
     def action_space(self) -> Box:
         """Of one simulation."""
         return Box(-ACTION_LIMIT, ACTION_LIMIT, (self.model.nu,), np.float32)
@@ -348,7 +348,7 @@ class Task(ABC):
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
-def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
+def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
     """Actions as an array.
 
     Raises:

@@ -156,7 +156,7 @@ def test_out_of_the_sands_reach_it_is_gymnasiums_own(name, tmp_path):
 
 def test_an_ant_at_rest_feels_its_weight_in_cfrc_ext():
     env = on_sand("Ant-v5", terminate_when_unhealthy=False, reset_noise_scale=0.0).unwrapped
-    env.reset(seed=0)
+    _, info = env.reset(seed=0)
     for _ in range(120):
         *_, info = env.step(np.zeros(8))
     weight = 9.81 * env.model.body_mass.sum()
@@ -183,7 +183,7 @@ def test_on_sand_takes_what_sand_takes():
     hard = on_sand("Hopper-v5", medium="quikrete_medium", reset_noise_scale=0.0)
     depths = []
     for env in (soft, hard):
-        env.reset(seed=0)
+        _, info = env.reset(seed=0)
         for _ in range(60):
             *_, info = env.step(np.zeros(3))
         depths.append(info["sand/depth"])
@@ -240,6 +240,7 @@ def test_a_drop_is_that_of_sand_step(angle, spin):
     data.qpos[:] = -half * np.sin(tilt), half * np.cos(tilt), tilt
     data.qvel[:] = 0.0, -observation[1] - half * np.sin(tilt) * turn, turn
     sand = Sand(model, medium="play_sand", law="link_distributed", scheme="implicit")
+    depth = 0.0
     for _ in range(300):
         depth = sand.report(data)["link"].depth
         sand.step(data)

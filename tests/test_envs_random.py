@@ -81,7 +81,7 @@ def test_strength_is_the_laws_own_scale():
     ends = []
     for env in (drawn, made, plain):
         # The generator is asked for the sand first: the start itself is to be the same here.
-        env.reset(seed=0)
+        observation, _ = env.reset(seed=0)
         env.data.qpos[:], env.data.qvel[:] = env.model.qpos0, 0.0
         for _ in range(40):
             observation, *_ = env.step(np.zeros(3, np.float32))
@@ -96,7 +96,7 @@ def test_slope_tilts_gravity_and_a_ball_rolls_down_nothing_else():
     gravity = env.model.opt.gravity
     assert np.linalg.norm(gravity) == pytest.approx(9.81, rel=1e-12)
     assert math.atan2(-gravity[0], -gravity[2]) == pytest.approx(0.2)  # uphill towards +x
-    env.reset(seed=1)
+    _, info = env.reset(seed=1)
     assert np.linalg.norm(gravity) == pytest.approx(9.81, rel=1e-12)
     for _ in range(25):
         *_, info = env.step(np.zeros(12, np.float32))
