@@ -34,7 +34,7 @@ class Figures:
     """
 
     def __init__(self, model: mujoco.MjModel, grounds: Sequence[Ground]) -> None:
-        names = instances_of(model)
+        self.sands = names = instances_of(model)
         # The sensors of a sand stand side by side: force, depth, power, speed.
         self._blocks = [_address(model, f"{FORCE}/{name}") for name in names]
         for name, begin in zip(names, self._blocks, strict=True):

@@ -23,7 +23,6 @@ BODY_FORCE, BODY_MOMENT = "sand/force of ", "sand/moment of "
 """Sensors of one body, with its name and the instance behind."""
 
 
-
 @dataclass(frozen=True)
 class Ground:
     """The sand under a robot: arguments of `mjgranular.add_sand`.
@@ -90,7 +89,6 @@ def put_on_sand(
             body.name = f"body_{number}"
     names = []
     for ground, surface in zip(grounds, surfaces, strict=True):
-        options = {"tunable": True} if tunable else {}
         instance = add_sand(
             spec,
             medium=ground.medium,
@@ -99,7 +97,7 @@ def put_on_sand(
             scheme=ground.scheme,
             resolution=ground.resolution,
             geoms=ground.geoms,
-            **options,
+            tunable=tunable,
         )
         names.append(instance.name)
     _add_sensors(spec, names, grounds[0].geoms, wrenches=wrenches)

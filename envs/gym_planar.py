@@ -89,7 +89,7 @@ class _Legged(Robot):
     frame_skip: int = 4
 
     def observe(self, state: State) -> np.ndarray:
-        velocity = np.clip(state.qvel, -10, 10)
+        velocity = np.minimum(np.maximum(state.qvel, -10), 10)
         return np.concatenate((self.seen(state.qpos), velocity), axis=1)
 
     def healthy(self, state: State) -> np.ndarray:
@@ -100,15 +100,20 @@ class _Legged(Robot):
         return (low < z) & (z < high) & (left < angle) & (angle < right)
 
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
-        state.healthy = self.healthy(state)
         return {
             "reward_forward": self.forward_reward_weight * self.speed(before, state),
-            "reward_survive": state.healthy * self.healthy_reward,
+            "reward_survive": self.stands(state) * self.healthy_reward,
             "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
         }
 
+    def stands(self, state: State) -> np.ndarray:
+        """`healthy`, worked out once."""
+        return self.once(state, "healthy", self.healthy)
+
     def terminated(self, state: State) -> np.ndarray:
-        return ~state.healthy & self.terminate_when_unhealthy
+        if not self.terminate_when_unhealthy:
+            return np.zeros(len(state.qpos), bool)
+        return ~self.stands(state)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {
@@ -159,7 +164,7 @@ class Hopper(_Legged):
     def healthy(self, state: State) -> np.ndarray:
         low, high = self.healthy_state_range
         rest = np.concatenate([state.qpos[:, 2:], state.qvel], axis=1)
-        return super().healthy(state) & ((low < rest) & (rest < high)).all(axis=1)
+        return super().healthy(state) & (low < rest.min(axis=1)) & (rest.max(axis=1) < high)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,6 +41,9 @@ class _Spatial(Robot):
 
     def external(self, state: State) -> np.ndarray:
         """Moments and forces on bodies from outside, shape (n, nbody, 6)."""
+        return self.once(state, "external", self._external)
+
+    def _external(self, state: State) -> np.ndarray:
         return self.sand_wrenches.of(
             state.sensordata, state.xipos, state.subtree_com, self.model.nbody
         )
@@ -53,18 +56,28 @@ class _Spatial(Robot):
         costs = terms["reward_ctrl"] + terms["reward_contact"]
         return terms["reward_forward"] + terms["reward_survive"] + costs
 
+    def stands(self, state: State) -> np.ndarray:
+        """`healthy`, worked out once."""
+        return self.once(state, "healthy", self.healthy)
+
     def terminated(self, state: State) -> np.ndarray:
-        return ~state.healthy & self.terminate_when_unhealthy
+        if not self.terminate_when_unhealthy:
+            return np.zeros(len(state.qpos), bool)
+        return ~self.stands(state)
 
     def where(self, state: State) -> np.ndarray:
         """The place whose speed is paid for, shape (n, 2)."""
         raise NotImplementedError
 
+    def here(self, state: State) -> np.ndarray:
+        """`where`, worked out once."""
+        return self.once(state, "where", self.where)
+
     def mark(self, state: State) -> np.ndarray:
         return np.array(self.where(state))
 
     def speed(self, before: np.ndarray, state: State) -> np.ndarray:
-        return (self.where(state)[:, 0] - before[:, 0]) / self.dt
+        return (self.here(state)[:, 0] - before[:, 0]) / self.dt
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         x, y = state.qpos[:, 0], state.qpos[:, 1]
@@ -75,7 +88,7 @@ class _Spatial(Robot):
         }
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
-        x, y = ((self.where(state) - before) / self.dt).T
+        x, y = ((self.here(state) - before) / self.dt).T
         return {"x_velocity": x, "y_velocity": y}
 
 
@@ -131,6 +144,9 @@ class Ant(_Spatial):
 
     def felt(self, state: State) -> np.ndarray:
         """Clipped forces on the bodies, shape (n, 6 nbody)."""
+        return self.once(state, "felt", self._felt)
+
+    def _felt(self, state: State) -> np.ndarray:
         forces = np.clip(self.external(state), *self.contact_force_range)
         return forces.reshape(len(forces), -1)
 
@@ -142,10 +158,9 @@ class Ant(_Spatial):
 
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         contact = self.contact_cost_weight * np.square(self.felt(state)).sum(axis=1)
-        state.healthy = self.healthy(state)
         return {
             "reward_forward": self.speed(before, state) * self.forward_reward_weight,
-            "reward_survive": state.healthy * self.healthy_reward,
+            "reward_survive": self.stands(state) * self.healthy_reward,
             "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
             "reward_contact": -contact,
         }
@@ -219,8 +234,8 @@ class Humanoid(_Spatial):
     def _mass(self) -> tuple[np.ndarray, float]:
         return self.model.body_mass, self.model.body_mass.sum()
 
-    def external(self, state: State) -> np.ndarray:
-        return state.cfrc_ext + super().external(state)
+    def _external(self, state: State) -> np.ndarray:
+        return state.cfrc_ext + super()._external(state)
 
     def healthy(self, state: State) -> np.ndarray:
         low, high = self.healthy_z_range
@@ -251,10 +266,9 @@ class Humanoid(_Spatial):
             self.contact_cost_weight * np.square(forces).sum(axis=1), *self.contact_cost_range
         )
         effort = np.square(action.astype(float)).sum(axis=1)
-        state.healthy = self.healthy(state)
         return {
             "reward_forward": self.forward_reward_weight * self.speed(before, state),
-            "reward_survive": state.healthy * self.healthy_reward,
+            "reward_survive": self.stands(state) * self.healthy_reward,
             "reward_ctrl": -(self.ctrl_cost_weight * effort),
             "reward_contact": -contact,
         }

@@ -119,16 +119,14 @@ class Hexapod(Task):
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
         ahead = (state.qpos[:, 0] - before[:, 0]) / self.dt
         effort = np.square(np.clip(action, -1.0, 1.0)).sum(axis=1)
-        x, y = state.qpos[:, 4], state.qpos[:, 5]
-        state.upright = 1.0 - 2.0 * (x * x + y * y) > 0.5  # cosine of the tilt
         return {
             "reward_forward": self.forward_reward_weight * ahead,
-            "reward_survive": self.healthy_reward * state.upright,
+            "reward_survive": self.healthy_reward * self.once(state, "upright", _upright),
             "reward_ctrl": -self.ctrl_cost_weight * effort,
         }
 
     def terminated(self, state: State) -> np.ndarray:
-        return ~state.upright
+        return ~self.once(state, "upright", _upright)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         return {
@@ -142,3 +140,8 @@ class Hexapod(Task):
             "x_velocity": (state.qpos[:, 0] - before[:, 0]) / self.dt,
             "y_velocity": (state.qpos[:, 1] - before[:, 1]) / self.dt,
         }
+
+
+def _upright(state: State) -> np.ndarray:
+    x, y = state.qpos[:, 4], state.qpos[:, 5]
+    return 1.0 - 2.0 * (x * x + y * y) > 0.5  # cosine of the tilt

@@ -89,7 +89,7 @@ class LinkDrop(Task):
         """The link."""
         return Link()
 
-    @property
+    @cached_property
     def action_space(self) -> Box:
         return Box(-1.0, 1.0, (2,), np.float32)
 
@@ -112,12 +112,12 @@ class LinkDrop(Task):
         half, release = self.link.length / 2, np.clip(action, -1.0, 1.0)
         for row in range(len(action)):  # one by one: NumPy's own sine may differ in long arrays
             angle = STEEPEST * (float(release[row, 0]) + 1) / 2
-            ground = state.qpos[row, 1] - half * math.cos(state.qpos[row, 2])
-            state.qpos[row] = -half * math.sin(angle), ground + half * math.cos(angle), angle
+            place, height, _ = state.qpos[row]  # upright, its lower end on the ground
+            centre = place - half * math.sin(angle), height - half + half * math.cos(angle)
+            state.qpos[row] = *centre, angle
             # The lower end comes down at the speed that is given, whatever the spin.
             spin, speed = FASTEST * float(release[row, 1]), state.userdata[row, 1]
-            centre = -speed - half * math.sin(angle) * spin
-            state.qvel[row] = 0.0, centre, spin
+            state.qvel[row] = 0.0, -speed - half * math.sin(angle) * spin, spin
         return np.zeros((len(action), 0))
 
     def observe(self, state: State) -> np.ndarray:

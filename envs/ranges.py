@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import mujoco
 import numpy as np
 
+from mjgranular.engine import tune
 from mjgranular.envs.ground import Ground
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
@@ -22,6 +24,7 @@ STEEPEST = math.radians(34)
 """Greatest slope: beyond its angle of repose sand slides by itself; 34 degrees is that of Quikrete
 medium sand (Agarwal, Goldman, Kamrin, PNAS 120 (2023), tangent of internal friction)."""
 
+_DRAWN = ("strength", "density", "slope")
 _STRONGEST = 100.0  # factor; chosen: far beyond any sand
 
 
@@ -51,7 +54,7 @@ class SandRanges:
     surfaces: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("strength", "density", "slope"):
+        for name in _DRAWN:
             self._check_range(name)
         if not self.strength[0] > 0:
             raise InputError(f"SandRanges: strength must be positive, not {self.strength[0]}")
@@ -111,6 +114,21 @@ class SandRanges:
                         )
 
 
+def check_drawing(ranges: Any, curriculum: Any) -> None:
+    """Makes sure of what an environment is given to draw its sand by.
+
+    Raises:
+        InputError: something else than ranges, or a curriculum without any.
+    """
+    if ranges is not None and not isinstance(ranges, SandRanges):
+        raise InputError(f"randomise must be a SandRanges, not {ranges!r}")
+    if curriculum is not None and ranges is None:
+        raise InputError(
+            "a curriculum needs randomise=SandRanges(...), which names all media, laws and "
+            "surfaces that it may draw"
+        )
+
+
 @dataclass(frozen=True)
 class Choice:
     """One of the sands in a model: names of medium, law and surface as they were asked for."""
@@ -129,21 +147,30 @@ class Sample:
         strength: factor on static resistance.
         density: factor on resistance by velocity.
         slope: of the ground [rad].
+        place: x at which the robot starts [m]; 0 where there are no dunes.
     """
 
     number: int = 0
     strength: float = 1.0
     density: float = 1.0
     slope: float = 0.0
+    place: float = 0.0
 
 
-def draw(ranges: SandRanges, choices: Sequence[Choice], random: np.random.Generator) -> Sample:
+def draw(
+    ranges: SandRanges,
+    choices: Sequence[Choice],
+    random: np.random.Generator,
+    *,
+    span: float = 0.0,
+) -> Sample:
     """Draws a sand.
 
     Args:
         ranges: from where.
         choices: the sands that the model has.
         random: where numbers come from; the same number of them at each call.
+        span: robots start on dunes at x up to that, either way [m].
     """
     fitting = [
         number
@@ -153,8 +180,75 @@ def draw(ranges: SandRanges, choices: Sequence[Choice], random: np.random.Genera
         and (not ranges.surfaces or choice.surface in ranges.surfaces)
     ]
     number = fitting[int(random.integers(len(fitting)))]
-    numbers = [random.uniform(*getattr(ranges, key)) for key in ("strength", "density", "slope")]
-    return Sample(number, *(float(value) for value in numbers))
+    numbers = {key: float(random.uniform(*getattr(ranges, key))) for key in _DRAWN}
+    place = float(random.uniform(-span, span))
+    return Sample(number, **numbers, place=place if choices[number].surface == "dunes" else 0.0)
+
+
+def lay(
+    sample: Sample,
+    model: mujoco.MjModel,
+    sands: Sequence[str],
+    plugin_state: np.ndarray,
+    gravity: np.ndarray,
+    strength: float,
+) -> None:
+    """Gives a simulation the sand that was drawn.
+
+    Args:
+        sample: what was drawn.
+        model: the model.
+        sands: names of the instances of sand in it.
+        plugin_state: of the simulation; written to.
+        gravity: of the simulation [m/s^2], shape (3,); written to.
+        strength: of gravity [m/s^2].
+    """
+    for number, name in enumerate(sands):
+        tune(
+            model,
+            plugin_state,
+            name,
+            active=float(number == sample.number),
+            strength=sample.strength,
+            density=sample.density,
+        )
+    gravity[:] = -strength * math.sin(sample.slope), 0.0, -strength * math.cos(sample.slope)
+
+
+def next_ranges(
+    ranges: SandRanges, curriculum: Callable[[int], SandRanges] | None, episode: int
+) -> SandRanges:
+    """The ranges for an episode: the curriculum's, or the same as ever.
+
+    Raises:
+        InputError: a curriculum that gives something else, or ranges beyond these.
+    """
+    if curriculum is None:
+        return ranges
+    given = curriculum(episode)
+    if not isinstance(given, SandRanges):
+        raise InputError(f"the curriculum must give a SandRanges, not {given!r}")
+    given.check_within(ranges)
+    return given
+
+
+def told(
+    choices: Sequence[Choice],
+    active: np.ndarray,
+    strength: np.ndarray,
+    density: np.ndarray,
+    slope: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """What `info` says of the sand that was drawn, of n simulations."""
+    info = {
+        "sand/strength": strength.copy(),
+        "sand/density": density.copy(),
+        "sand/slope": slope.copy(),
+    }
+    for key in ("medium", "law", "surface"):
+        names = [getattr(choice, key) for choice in choices]
+        info[f"sand/{key}"] = np.array(names, object)[active]
+    return info
 
 
 def grounds_of(

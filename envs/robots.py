@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -13,6 +14,17 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from mjgranular.envs.figures import Figures, Wrenches
 from mjgranular.envs.ground import Ground, put_on_sand, quiet
+from mjgranular.envs.ranges import (
+    Sample,
+    SandRanges,
+    check_drawing,
+    draw,
+    grounds_of,
+    lay,
+    next_ranges,
+    told,
+)
+from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownNameError
 
 COARSE = 4
@@ -28,6 +40,8 @@ def on_sand(
     scheme: Any = "auto",
     resolution: int | None = COARSE,
     geoms: Any = None,
+    randomise: SandRanges | None = None,
+    curriculum: Callable[[int], SandRanges] | None = None,
     **options: Any,
 ) -> gym.Env:
     """Makes a MuJoCo environment of Gymnasium's with sand in the place of its floor.
@@ -52,6 +66,9 @@ def on_sand(
         scheme: as for `mjgranular.Sand`.
         resolution: as for `mjgranular.Sand`; the default is coarse and quick.
         geoms: as for `mjgranular.Sand`.
+        randomise: from where the sand of each episode is drawn; None for always the same. Dunes are
+            for our own environments: Gymnasium's robots start at their own height.
+        curriculum: gives the ranges for the next episode, called with the number of episodes begun.
         **options: of the environment or of `gymnasium.make`.
 
     Returns:
@@ -70,6 +87,8 @@ def on_sand(
         "scheme": scheme,
         "resolution": resolution,
         "geoms": geoms,
+        "randomise": randomise,
+        "curriculum": curriculum,
     }
     ours = EnvSpec(
         id=spec.id.replace("-v", "OnSand-v") if spec.version is not None else f"{spec.id}OnSand",
@@ -102,7 +121,7 @@ class OnSand(MujocoEnv):
     """What is added to an environment of Gymnasium's.
 
     Args:
-        sand: the fields of `Ground`.
+        sand: the arguments of `on_sand` that say what the sand is.
         **options: of the environment.
     """
 
@@ -110,7 +129,17 @@ class OnSand(MujocoEnv):
 
     def __init__(self, sand: dict[str, Any], **options: Any) -> None:
         self._made_of = sand, options
-        self._ground = Ground(**sand)
+        base = dict(sand)
+        self._ranges: SandRanges | None = base.pop("randomise", None)
+        self._curriculum = base.pop("curriculum", None)
+        check_drawing(self._ranges, self._curriculum)
+        if self._ranges is not None and "dunes" in self._ranges.surfaces:
+            raise InputError(
+                "on_sand draws no dunes, because Gymnasium's robots start at their own height: "
+                "take an environment of mjgranular's, or a surface of the model's own"
+            )
+        self._grounds, self._choices = grounds_of(self._ranges, Ground(**base), None)
+        self._drawn, self._episodes = Sample(), 0
         super().__init__(**options)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -120,11 +149,13 @@ class OnSand(MujocoEnv):
     def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         with quiet():
             spec = mujoco.MjSpec.from_file(self.fullpath)
-            model = put_on_sand(spec, [self._ground], wrenches=True)
+            tunable = self._ranges is not None
+            model = put_on_sand(spec, self._grounds, wrenches=True, tunable=tunable)
         screen = model.vis.global_
         screen.offwidth = max(screen.offwidth, self.width)
         screen.offheight = max(screen.offheight, self.height)
-        self._figures = Figures(model, [self._ground])
+        self._figures = Figures(model, self._grounds)
+        self._strength = float(np.linalg.norm(model.opt.gravity))
         self._wrenches = Wrenches(model)
         return model, mujoco.MjData(model)
 
@@ -136,6 +167,21 @@ class OnSand(MujocoEnv):
         super().set_state(qpos, qvel)
         mujoco.mj_rnePostConstraint(self.model, self.data)
         self._add_wrenches()
+
+    def reset_model(self) -> Any:
+        if self._ranges is not None:
+            ranges = next_ranges(self._ranges, self._curriculum, self._episodes)
+            self._drawn = draw(ranges, self._choices, self.np_random)
+            lay(
+                self._drawn,
+                self.model,
+                self._figures.sands,
+                self.data.plugin_state,
+                self.model.opt.gravity,
+                self._strength,
+            )
+        self._episodes += 1
+        return super().reset_model()
 
     def _add_wrenches(self) -> None:
         data = self.data
@@ -152,8 +198,13 @@ class OnSand(MujocoEnv):
 
     def sand_figures(self) -> dict[str, Any]:
         """The sand's figures now; see `Figures.read`."""
-        read = self._figures.read(self.data.sensordata[None])
-        return {name: values[0] for name, values in read.items()}
+        drawn = self._drawn
+        active, slope = np.array([drawn.number]), np.array([drawn.slope])
+        read = self._figures.read(self.data.sensordata[None], active, slope)
+        if self._ranges is not None:
+            strength, density = np.array([drawn.strength]), np.array([drawn.density])
+            read |= told(self._choices, active, strength, density, slope)
+        return first_of(read)
 
 
 def _again(environment: str, sand: dict[str, Any], options: dict[str, Any]) -> gym.Env:

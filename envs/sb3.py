@@ -41,13 +41,13 @@ class SandVecEnv(VecEnv):
             )
         self.batch, self._full_info = batch, full_info
         self._actions: np.ndarray | None = None
-        self._next_seeds: list[int | None] = [None] * batch.num_envs
+        self._next_seeds: Sequence[int | None] = [None] * batch.num_envs
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
     def reset(self) -> np.ndarray:
         """Begins all episodes, with the seeds of the last `seed`."""
         seeds, self._next_seeds = self._next_seeds, [None] * self.num_envs
-        observations, info = self.batch.reset(seed=seeds)
+        observations, info = self.batch.reset(seed=list(seeds))
         self.reset_infos = _split(info, np.ones(self.num_envs, bool))
         return observations
 

@@ -75,7 +75,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         random = self.np_random
         sample = task.sample(random, self._episodes)
         self._episodes += 1
-        start = task.start(random, task.height_under(sample))
+        start = task.begin(random, sample)
         mujoco.mj_resetData(model, data)
         if sample is not None:
             task.lay(sample, self._state, 0, data.plugin_state, model.opt.gravity)
@@ -83,9 +83,10 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         if start.userdata is not None:
             data.userdata[:] = start.userdata
         mujoco.mj_forward(model, data)
+        self._state.found.clear()
         if self.render_mode == "human":
             self.render()
-        return task.observation(self._state)[0], _one(task.reset_info(self._state))
+        return task.observation(self._state)[0], first_of(task.reset_info(self._state))
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advances by `frame_skip` substeps.
@@ -98,6 +99,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         before = task.mark(state)
         self.data.ctrl[:] = task.act(action, state)[0]
         mujoco.mj_step(self.model, self.data, nstep=task.frame_skip)
+        state.found.clear()
         terms = task.rewards(before, action, state)
         info = task.reset_info(state) | task.progress(before, state) | terms
         if self.render_mode == "human":
@@ -107,7 +109,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
             float(task.total(terms)[0]),
             bool(task.terminated(state)[0]),
             False,  # the time limit is a wrapper's
-            _one(info),
+            first_of(info),
         )
 
     def render(self) -> np.ndarray | None:
@@ -119,15 +121,10 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self.eyes.close()
 
 
-def _one(info: dict[str, np.ndarray]) -> dict[str, Any]:
+def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:
     """The entries of the only simulation: Python's numbers, arrays in memory of their own."""
     return {
-        name: value[0].copy()
-        if value.ndim > 1
-        else value[0].item()
-        if value.dtype != object
-        else value[0]
-        for name, value in info.items()
+        name: value.item() if value.ndim == 1 else value[0].copy() for name, value in info.items()
     }
 
 

@@ -10,6 +10,7 @@ and uses no function that NumPy computes in another way for short arrays than fo
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
@@ -23,15 +24,24 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from mjgranular import HeightField, InputError, Law, Medium, Scheme, Surface
-from mjgranular.engine import tune
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import Ground, instances_of, put_on_sand
-from mjgranular.envs.ranges import Choice, Sample, SandRanges, draw, grounds_of
+from mjgranular.envs.ground import Ground, put_on_sand
+from mjgranular.envs.ranges import (
+    Choice,
+    Sample,
+    SandRanges,
+    check_drawing,
+    draw,
+    grounds_of,
+    lay,
+    next_ranges,
+    told,
+)
 
 State = SimpleNamespace
 """Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and of
-the sand of each `active`, `strength`, `density`, `slope`, shape (n,)."""
+the sand of each `active`, `strength`, `density`, `slope`, shape (n,). `found` is for `once`."""
 
 ACTION_LIMIT = 1.0
 """Actions are within one either way; what they stand for is the task's."""
@@ -106,13 +116,7 @@ class Task(ABC):
     def __post_init__(self) -> None:
         if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
             raise InputError(f"frame_skip must be a whole number from 1 up, not {self.frame_skip}")
-        if self.randomise is not None and not isinstance(self.randomise, SandRanges):
-            raise InputError(f"randomise must be a SandRanges, not {self.randomise!r}")
-        if self.curriculum is not None and self.randomise is None:
-            raise InputError(
-                "a curriculum needs randomise=SandRanges(...), which names all media, laws and "
-                "surfaces that it may draw"
-            )
+        check_drawing(self.randomise, self.curriculum)
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
 
@@ -161,10 +165,7 @@ class Task(ABC):
         return action
 
     def terminated(self, state: State) -> np.ndarray:
-        """Whether an episode is over, shape (n,).
-
-        It is called after `rewards`, which may keep something for it in the state.
-        """
+        """Whether an episode is over, shape (n,)."""
         return np.zeros(len(state.qpos), bool)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
@@ -175,7 +176,7 @@ class Task(ABC):
         """What `info` has after a step alone, by name, each of shape (n, ...)."""
         return {}
 
-    @property
+    @cached_property
     def action_space(self) -> Box:
         """Of one simulation."""
         return Box(-ACTION_LIMIT, ACTION_LIMIT, (self.model.nu,), np.float32)
@@ -236,6 +237,21 @@ class Task(ABC):
         size = self.observation(self.state_of(data)).shape[1]
         return Box(-np.inf, np.inf, (size,), np.float64)
 
+    @staticmethod
+    def once(state: State, name: str, find: Callable[[State], Any]) -> Any:
+        """What is found from a state, worked out once.
+
+        The environment forgets it as soon as a simulation moves.
+
+        Args:
+            state: the state.
+            name: of what is found.
+            find: works it out.
+        """
+        if name not in state.found:
+            state.found[name] = find(state)
+        return state.found[name]
+
     # What an environment does with it.
 
     @property
@@ -253,6 +269,7 @@ class Task(ABC):
             strength=np.ones(n),
             density=np.ones(n),
             slope=np.zeros(n),
+            found={},
         )
 
     def state_of(self, data: mujoco.MjData) -> State:
@@ -271,13 +288,8 @@ class Task(ABC):
         """
         if self.randomise is None:
             return None
-        ranges = self.randomise
-        if self.curriculum is not None:
-            ranges = self.curriculum(episode)
-            if not isinstance(ranges, SandRanges):
-                raise InputError(f"the curriculum must give a SandRanges, not {ranges!r}")
-            ranges.check_within(self.randomise)
-        return draw(ranges, self.choices, random)
+        ranges = next_ranges(self.randomise, self.curriculum, episode)
+        return draw(ranges, self.choices, random, span=self.dunes.wavelength)
 
     def lay(
         self, sample: Sample, state: State, row: int, plugin_state: np.ndarray, gravity: np.ndarray
@@ -291,27 +303,25 @@ class Task(ABC):
             plugin_state: of that simulation; written to.
             gravity: of that simulation; written to.
         """
-        for number, name in enumerate(instances_of(self.model)):
-            tune(
-                self.model,
-                plugin_state,
-                name,
-                active=float(number == sample.number),
-                strength=sample.strength,
-                density=sample.density,
-            )
-        g = float(np.linalg.norm(self.gravity))
-        gravity[:] = -g * np.sin(sample.slope), 0.0, -g * np.cos(sample.slope)
+        strength = float(np.linalg.norm(self.gravity))
+        lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
         state.active[row] = sample.number
         state.strength[row] = sample.strength
         state.density[row] = sample.density
         state.slope[row] = sample.slope
 
-    def height_under(self, sample: Sample | None) -> Callable[[float, float], float]:
-        """The height of the sand at x, y over the floor [m], for the sand that was drawn."""
-        if sample is not None and self.choices[sample.number].surface == "dunes":
-            return self.dunes.height
-        return lambda x, y: 0.0
+    def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
+        """How an episode begins on the sand that was drawn.
+
+        Args:
+            random: of that simulation.
+            sample: what was drawn; None for the sand that is always the same.
+        """
+        if sample is None or self.choices[sample.number].surface != "dunes":
+            return self.start(random, lambda x, y: 0.0)
+        start = self.start(random, lambda x, y: self.dunes.height(x + sample.place, y))
+        start.qpos[0] += sample.place  # x comes first in all of our models
+        return start
 
     def observation(self, state: State) -> np.ndarray:
         """Observations, shape (n, k), with what was drawn where that is wanted."""
@@ -326,14 +336,11 @@ class Task(ABC):
     def reset_info(self, state: State) -> dict[str, np.ndarray]:
         """`info` after a reset, by name, each of shape (n, ...)."""
         info = self.place(state)
-        info.update(self.figures.read(state.sensordata, state.active, state.slope))
-        if self.randomise is not None:
-            info["sand/strength"] = state.strength.copy()
-            info["sand/density"] = state.density.copy()
-            info["sand/slope"] = state.slope.copy()
-            for key in ("medium", "law", "surface"):
-                names = [getattr(choice, key) for choice in self.choices]
-                info[f"sand/{key}"] = np.array(names, object)[state.active]
+        if self.randomise is None:
+            info.update(self.figures.read(state.sensordata))
+        else:
+            info.update(self.figures.read(state.sensordata, state.active, state.slope))
+            info |= told(self.choices, state.active, state.strength, state.density, state.slope)
         return info
 
     def options(self) -> dict[str, Any]:
@@ -341,7 +348,7 @@ class Task(ABC):
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
-def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
+def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
     """Actions as an array.
 
     Raises:
@@ -350,6 +357,7 @@ def check_actions(actions: Any, shape: tuple[int, ...]) -> np.ndarray:
     array = np.asarray(actions)
     if array.shape != shape:
         raise InputError(f"Action dimension mismatch. Expected {shape}, found {array.shape}")
-    if not np.isfinite(array).all():
+    # The sum is quicker, and finite if all are, unless they are enormous.
+    if not math.isfinite(array.sum()) and not np.isfinite(array).all():
         raise InputError(f"an action must be finite, not {array}")
     return array

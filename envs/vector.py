@@ -87,10 +87,10 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.batch = _batch_class()(self.task.model, num_envs, threads)
         self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
         self._ctrl = self.batch.bind("ctrl")
-        self._gravity = self._plugin_state = None
+        self._plugin_state = self.batch.bind("plugin_state")
+        self._gravity = np.zeros((num_envs, 3))
         if self.task.randomise is not None:
             self._gravity = self.batch.expand("opt.gravity")
-            self._plugin_state = self.batch.bind("plugin_state")
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds: list[int | None] = [None] * num_envs
         self._episodes = np.zeros(num_envs, int)
@@ -101,7 +101,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return _again, (type(self.task), self.task.options(), self.num_envs, self._settings)
 
     @property
-    def np_random(self) -> Any:
+    def np_random(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The generators of the simulations, as `SyncVectorEnv` has them."""
         return tuple(self._random(number) for number in range(self.num_envs))
 
@@ -123,9 +123,12 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             seed: of the first simulation, the others have the following ones; or one each.
             options: `reset_mask`, a bool for each simulation, resets some; nothing else is used.
         """
-        seeds = seed
-        if seeds is None or isinstance(seeds, (int, np.integer)):
-            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        if seed is None:
+            seeds: list[int | None] = [None] * self.num_envs
+        elif isinstance(seed, (int, np.integer)):
+            seeds = [int(seed) + number for number in range(self.num_envs)]
+        else:
+            seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise InputError(f"{self.num_envs} simulations need as many seeds, not {len(seeds)}")
         chosen = np.ones(self.num_envs, bool)
@@ -165,6 +168,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             self._ctrl[:] = task.act(actions, state)
             ids = None if not again.any() else np.flatnonzero(stepped)
             self.batch.step(ids, nstep=task.frame_skip)
+            state.found.clear()
         self._elapsed += 1
         terms = task.rewards(before, actions, state)
         only_step = task.progress(before, state) | terms
@@ -221,7 +225,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             random = self._random(number)
             sample = task.sample(random, int(self._episodes[number]))
             samples.append(sample)
-            starts.append(task.start(random, task.height_under(sample)))
+            starts.append(task.begin(random, sample))
         self._episodes[ids] += 1
         self._elapsed[ids] = 0
         self._over[ids] = False
@@ -233,6 +237,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             if start.userdata is not None:
                 state.userdata[number] = start.userdata
         self.batch.forward(ids)
+        state.found.clear()
 
     def _finish(self, info: dict[str, Any], over: np.ndarray, only_step: dict[str, Any]) -> None:
         """Puts what episodes ended with into `info`, as Gymnasium does."""

@@ -12,13 +12,10 @@ import argparse
 import sys
 import time
 
-import gymnasium as gym
 import mujoco
 import numpy as np
 
-import mjgranular.envs
-from mjgranular.envs import SandRanges
-from mjgranular.envs.ids import id_of
+from mjgranular.envs import SandRanges, SandVectorEnv, tasks
 
 RANGES = SandRanges(strength=(0.5, 2.0), density=(0.5, 2.0), slope=(-0.15, 0.15))
 NUM_ENVS = 64
@@ -26,9 +23,7 @@ NUM_ENVS = 64
 
 def soak(name: str, steps: int) -> bool:
     """Runs one environment; says what happened and whether all was well."""
-    batch = gym.make_vec(
-        id_of(name), num_envs=NUM_ENVS, vectorization_mode="vector_entry_point", randomise=RANGES
-    )
+    batch = SandVectorEnv(name, NUM_ENVS, max_episode_steps=tasks[name].episode, randomise=RANGES)
     batch.reset(seed=0)
     batch.action_space.seed(0)
     started, bad, fastest = time.perf_counter(), 0, 0.0
@@ -38,8 +33,8 @@ def soak(name: str, steps: int) -> bool:
     for _ in range(rounds):
         observations, rewards, *_ = batch.step(batch.action_space.sample())
         bad += not (np.isfinite(observations).all() and np.isfinite(rewards).all())
-        fastest = max(fastest, float(np.abs(batch.unwrapped.batch.bind("qvel")).max()))
-        numbers = batch.unwrapped.batch.warning[:, :, 1].sum(axis=0)  # until a reset clears them
+        fastest = max(fastest, float(np.abs(batch.batch.bind("qvel")).max()))
+        numbers = batch.batch.warning[:, :, 1].sum(axis=0)  # until a reset clears them
         for kind, number in zip(kinds, numbers, strict=True):
             if number:
                 told[kind.name.removeprefix("mjWARN_")] = int(number)
@@ -55,10 +50,11 @@ def soak(name: str, steps: int) -> bool:
 def main() -> int:
     """Runs those that are named, or all."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", default=list(mjgranular.envs.tasks))
+    parser.add_argument("names", nargs="*", default=list(tasks))
     parser.add_argument("--steps", type=int, default=1_000_000)
     options = parser.parse_args()
-    return 0 if all([soak(name, options.steps) for name in options.names]) else 1
+    results = [soak(name, options.steps) for name in options.names]
+    return 0 if all(results) else 1
 
 
 if __name__ == "__main__":
