@@ -116,7 +116,7 @@ def table_of(scores: list[Score], seeds: int) -> Table:
     where = f" in {environments.pop()}" if len(environments) == 1 else ""
     columns: list[tuple[str, Callable[[Score], str]]] = [("agent", lambda score: score.agent)]
     if not where:
-        columns.append(("environment", lambda score: score.environment))
+        columns.append(("environment", lambda score: score.environment.rpartition("/")[2]))
     if any(score.variant for score in scores):
         columns.append(("on", lambda score: score.variant or "its own"))
     words = len(columns)

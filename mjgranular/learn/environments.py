@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from mjgranular.errors import GranularError, InputError, RenderError, UnknownNameError
 from mjgranular.extras import need
+from mjgranular.learn import refine
 
 T = TypeVar("T")
 _PURPOSE = "Training and evaluating policies"
@@ -43,7 +44,7 @@ def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     """One environment, a `gymnasium.Env`."""
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     find_spec(env_id)
-    return _made(env_id, lambda: gym.make(env_id, **_resolved(arguments)))
+    return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
 
 
 def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
@@ -55,9 +56,8 @@ def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
     mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
     return _made(
         env_id,
-        lambda: gym.make_vec(
-            env_id, num_envs=num_envs, vectorization_mode=mode, **_resolved(arguments)
-        ),
+        arguments,
+        lambda given: gym.make_vec(env_id, num_envs=num_envs, vectorization_mode=mode, **given),
     )
 
 
@@ -69,12 +69,13 @@ def for_training(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) ->
 
     if not _has_vector_form(env_id):
         return _made(
-            env_id, lambda: make_vec_env(env_id, n_envs=num_envs, env_kwargs=_resolved(arguments))
+            env_id,
+            arguments,
+            lambda given: make_vec_env(env_id, n_envs=num_envs, env_kwargs=given),
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    return VecMonitor(
-        _made(env_id, lambda: make(env_id, num_envs=num_envs, **_resolved(arguments)))
-    )
+    env = _made(env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **given))
+    return VecMonitor(env)
 
 
 def for_filming(
@@ -132,11 +133,21 @@ def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
     return resolved
 
 
-def _made(env_id: str, make: Callable[[], T]) -> T:
-    """What `make` makes; an environment's own complaints as one sentence."""
+def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
+    """What `make` makes of the arguments; an environment's own complaints as one sentence."""
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    given, times = refine.split(_resolved(arguments))
     try:
-        return make()
+        if times == 1:
+            return make(given)
+        coarse = gym.make(env_id, **given)
+        try:
+            given["frame_skip"] = times * refine.frame_skip_of(coarse)
+        finally:
+            coarse.close()
+        env = make(given)
+        refine.refine(env, times)
+        return env
     except GranularError:
         raise
     except gym.error.DependencyNotInstalled as error:

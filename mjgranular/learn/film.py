@@ -59,7 +59,8 @@ def film_episode(
     )
     try:
         agent = make_agent(env)
-        rate = env.metadata.get("render_fps") or film.fps
+        step_time = getattr(env.unwrapped, "dt", None)
+        rate = 1 / step_time if step_time else env.metadata.get("render_fps") or film.fps
         every = max(1, math.ceil(rate / film.fps))  # steps from one picture to the next
         observation, _ = env.reset(seed=seed)
         pictures, total, step, over = [_picture(env)], 0.0, 0, False
