@@ -21,7 +21,7 @@ from mjgranular.errors import (
     OutputError,
     UnknownNameError,
 )
-from mjgranular.learn import durable
+from mjgranular.learn import durable, environments
 from mjgranular.learn.agents import Random, Zero
 from mjgranular.learn.episodes import run_episodes
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
@@ -543,3 +543,45 @@ def test_a_batch_trains_as_its_copy_does(tmp_path):
         train(broken, report=kill_after(200))
     train(open_run(broken.path))
     np.testing.assert_array_equal(weights(broken), weights(whole))
+
+
+# Finer steps
+
+
+@pytest.mark.parametrize("name", ["Swimmer-v5", "mjgranular/ChainCrawl-v0"])
+def test_refined_environments_have_shorter_substeps_and_the_same_steps(name):
+    coarse, fine = environments.one(name, {}), environments.one(name, {"refine": 4})
+    a, b = coarse.unwrapped, fine.unwrapped
+    assert b.model.opt.timestep == a.model.opt.timestep / 4
+    assert b.dt == pytest.approx(a.dt)
+    fine.reset(seed=0)
+    for _ in range(3):
+        x = fine.step(fine.action_space.sample())[-1]["x_position"]
+    before = x
+    *_, info = fine.step(fine.action_space.sample())
+    assert b.data.time == pytest.approx(4 * a.dt)
+    assert info["x_velocity"] * a.dt == pytest.approx(info["x_position"] - before)
+    coarse.close()
+    fine.close()
+
+
+def test_a_refined_batch_is_the_refined_environment():
+    name = "mjgranular/ChainCrawl-v0"
+    one = environments.one(name, {"refine": 2})
+    many = environments.several(name, {"refine": 2}, num_envs=2)
+    first, _ = one.reset(seed=3)
+    both, _ = many.reset(seed=[3, 4])
+    np.testing.assert_array_equal(first, both[0])
+    for k in range(5):
+        action = np.full(6, np.sin(k), np.float32)
+        seen, reward, *_ = one.step(action)
+        all_seen, rewards, *_ = many.step(np.array([action, -action]))
+        np.testing.assert_array_equal(seen, all_seen[0])
+        assert reward == rewards[0]
+
+
+def test_what_cannot_be_refined_says_so():
+    with pytest.raises(InputError, match="refine is for environments of MuJoCo's"):
+        environments.one("CartPole-v1", {"refine": 2})
+    with pytest.raises(InputError, match="refine must be a whole number of at least 1"):
+        environments.one("Swimmer-v5", {"refine": 0.5})
