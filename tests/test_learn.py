@@ -534,6 +534,7 @@ def test_a_batch_trains_as_its_copy_does(tmp_path):
             *("num_envs=2", "total_steps=256", "checkpoint_every=128"),
             *("n_steps=32", "batch_size=64", "n_epochs=1"),
             *("environment.randomise={strength=[0.5, 2]}", "use_sde=true", "sde_sample_freq=4"),
+            "environment.refine=2",
         ],
     )
     whole = begin_run(tmp_path / "whole", "mjgranular/ChainCrawl-v0", settings, seed=1)

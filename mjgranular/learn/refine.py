@@ -45,9 +45,13 @@ def refine(env: Any, times: int) -> None:
     """Makes the substeps shorter; `frame_skip` must be longer by as much already.
 
     Args:
-        env: an environment, or several of them: a batch, a `SyncVectorEnv`, a `DummyVecEnv`.
+        env: an environment, or several of them: a batch, with or without `SandVecEnv`
+            around it, a `SyncVectorEnv`, a `DummyVecEnv`.
         times: how many times shorter.
     """
+    inside = getattr(env, "batch", None)
+    if hasattr(inside, "task"):  # `SandVecEnv` around `SandVectorEnv`
+        env = inside
     for one in getattr(env, "envs", None) or [env]:
         inner = getattr(one.unwrapped, "task", one.unwrapped)
         inner.model.opt.timestep /= times
