@@ -7,7 +7,7 @@ from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip, in_world, speed_of_all
+from mjgranular.law.kernel import LawKernel, grip_of_all, in_world
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.shape.facets import facet_records
 
@@ -143,42 +143,51 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
         return gain * sx, gain * sy, gain * sz
 
     @compiled
-    def facet_respond(facet, law, g, v, eps, reach, shares):
+    def facet_respond(facet, law, g, v, p, eps):
         nx, ny, nz, push = facet[5], facet[6], facet[7], facet[22]
         vx, vy, vz = v
-        speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-        fx, fy, fz = 0.0, 0.0, 0.0
+        px, py, pz = p
+        fx, fy, fz, bend = 0.0, 0.0, 0.0, 0.0
         k0, k1, k2, k3, k4, k5, k6, k7, k8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if speed > _STILL:
-            s = 1.0 / speed
-            ux, uy, uz = s * vx, s * vy, s * vz
+        size = math.sqrt(px * px + py * py + pz * pz)
+        if size > _STILL:
+            ux, uy, uz = px / size, py / size, pz / size
             sx, sy, sz = led_stress(facet, law, g, ux, uy, uz)
             if sx != 0.0 or sy != 0.0 or sz != 0.0:
-                # The stress depends on the direction alone: its derivative needs two turns of it.
-                px, py, pz = across(ux, uy, uz)
-                qx, qy, qz = uy * pz - uz * py, uz * px - ux * pz, ux * py - uy * px
-                ax, ay, az = led_stress(
-                    facet, law, g, ux + _TURN * px, uy + _TURN * py, uz + _TURN * pz
+                # The stress S depends on the direction of p alone, |p| S is taken as its force: the
+                # derivative of that by p is S along p, and the turn of S across it.
+                ax, ay, az = across(ux, uy, uz)
+                bx, by, bz = uy * az - uz * ay, uz * ax - ux * az, ux * ay - uy * ax
+                mx, my, mz = led_stress(
+                    facet, law, g, ux + _TURN * ax, uy + _TURN * ay, uz + _TURN * az
                 )
-                bx, by, bz = led_stress(
-                    facet, law, g, ux + _TURN * qx, uy + _TURN * qy, uz + _TURN * qz
+                tx, ty, tz = led_stress(
+                    facet, law, g, ux + _TURN * bx, uy + _TURN * by, uz + _TURN * bz
                 )
-                strength, along, level = grip(speed, 1.0, eps, reach, shares[0])
-                strength *= speed
-                fx, fy, fz = strength * sx, strength * sy, strength * sz
-                t = -level / _TURN
-                ax, ay, az = t * (ax - sx), t * (ay - sy), t * (az - sz)
-                bx, by, bz = t * (bx - sx), t * (by - sy), t * (bz - sz)
-                sx, sy, sz = -along * sx, -along * sy, -along * sz
-                k0 = sx * ux + ax * px + bx * qx
-                k1 = sx * uy + ax * py + bx * qy
-                k2 = sx * uz + ax * pz + bx * qz
-                k3 = sy * ux + ay * px + by * qx
-                k4 = sy * uy + ay * py + by * qy
-                k5 = sy * uz + ay * pz + by * qz
-                k6 = sz * ux + az * px + bz * qx
-                k7 = sz * uy + az * py + bz * qy
-                k8 = sz * uz + az * pz + bz * qz
+                t = 1.0 / _TURN
+                mx, my, mz = t * (mx - sx), t * (my - sy), t * (mz - sz)
+                tx, ty, tz = t * (tx - sx), t * (ty - sy), t * (tz - sz)
+                k0 = sx * ux + mx * ax + tx * bx
+                k1 = sx * uy + mx * ay + tx * by
+                k2 = sx * uz + mx * az + tx * bz
+                k3 = sy * ux + my * ax + ty * bx
+                k4 = sy * uy + my * ay + ty * by
+                k5 = sy * uz + my * az + ty * bz
+                k6 = sz * ux + mz * ax + tz * bx
+                k7 = sz * uy + mz * ay + tz * by
+                k8 = sz * uz + mz * az + tz * bz
+                # p is to become v / sqrt(v^2 + eps^2): the force then, and its derivative.
+                scale = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz + eps * eps)
+                wx, wy, wz = scale * vx, scale * vy, scale * vz
+                fx = k0 * wx + k1 * wy + k2 * wz
+                fy = k3 * wx + k4 * wy + k5 * wz
+                fz = k6 * wx + k7 * wy + k8 * wz
+                dx, dy, dz = wx - px, wy - py, wz - pz
+                bend = dx * dx + dy * dy + dz * dz
+                sx, sy, sz = size * sx, size * sy, size * sz
+                k0, k1, k2 = scale * (sx * wx - k0), scale * (sx * wy - k1), scale * (sx * wz - k2)
+                k3, k4, k5 = scale * (sy * wx - k3), scale * (sy * wy - k4), scale * (sy * wz - k5)
+                k6, k7, k8 = scale * (sz * wx - k6), scale * (sz * wy - k7), scale * (sz * wz - k8)
         vn = vx * nx + vy * ny + vz * nz
         if push != 0.0 and vn > 0.0:
             inertial = push * vn
@@ -195,10 +204,10 @@ def facet_kernel(stress: Any, probe: Any) -> LawKernel:
             k6 += inertial * nz * nx
             k7 += inertial * nz * ny
             k8 += inertial * nz * nz
-        return fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8
+        return fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8, bend
 
     return LawKernel(
-        facet_records, facet_immerse, facet_resist, facet_respond, speed_of_all, numbers=18
+        facet_records, facet_immerse, facet_resist, facet_respond, grip_of_all, numbers=18
     )
 
 

@@ -23,10 +23,7 @@ WET_DTYPE = np.dtype(
         ("body", np.int64),
         ("arm", np.float64, (3,)),  # from the centre of the tree to where force acts [m]
         ("velocity", np.float64, (3,)),  # last looked at [m/s]
-        ("shares", np.float64, (2,)),  # of its limits that it needs, negative: not known
-        ("base_velocity", np.float64, (3,)),  # both before a step of Newton's method,
-        ("base_shares", np.float64, (2,)),
-        ("change", np.float64, (3,)),  # and the change of velocity in the whole of that step
+        ("grip", np.float64, (3,)),  # there: what is called on of the limits (`law.kernel`)
         ("immersed", np.float64, (IMMERSED_SIZE,)),  # what the law's `immerse` gave
     ]
 )
@@ -105,10 +102,14 @@ Room = namedtuple(
         "residual",
         "sand",  # momentum of the sand
         "bound",  # momentum of the constraints
+        "rate",  # of the velocity over the step
         "acceleration",
-        "row",
+        "row",  # of a constraint, or of several of them together
+        "firm",  # what the row makes of a change of velocity
         "answer",
         "product",
+        "weight",  # 1 / the diagonal of what resists
+        "columns",  # integers: where a row of the matrix is not zero
         "inertia",  # what resists a change of velocity over the step, nv x nv
         "extra",  # of it, what is not inertia
         "matrix",  # derivative of the residual
@@ -117,13 +118,19 @@ Room = namedtuple(
         "total",  # the same with those of the bodies that they carry
         "stiffness",  # derivative of the wrench, 6 x 6 each
         "wet",  # whether a body or one that it carries has an element in the sand
+        "rows",  # rows of the constraints, nv numbers each, of the first ROWS_KEPT
+        "firms",  # the same as `firm`
     ],
 )
 
 
+ROWS_KEPT = 64
+"""Constraint rows that are prepared once a step; more are worked out whenever they are read."""
+
+
 def room_size(nv: int, nbody: int) -> int:
     """How many numbers `open_room` divides."""
-    return 13 * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
+    return (17 + 2 * ROWS_KEPT) * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
 
 
 @compiled
@@ -135,14 +142,17 @@ def open_room(desk):
     nv, nbody = desk[NV], desk[NBODY]
     v, m = 8 * nv, 8 * nv * nv
     a = desk[NUMBERS]
-    b = a + 13 * v
+    b = a + 17 * v
     c = b + 3 * m
     w = 48 * nbody  # of six numbers a body
+    e = c + 9 * w + 8 * nbody
     return Room(
         a, a + v, a + 2 * v, a + 3 * v, a + 4 * v, a + 5 * v, a + 6 * v, a + 7 * v, a + 8 * v,
-        a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v,
+        a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v, a + 13 * v, a + 14 * v, a + 15 * v,
+        a + 16 * v,
         b, b + m, b + 2 * m,
         c, c + w, c + 2 * w, c + 3 * w, c + 9 * w,
+        e, e + ROWS_KEPT * v,
     )  # fmt: skip
 
 
