@@ -97,7 +97,6 @@ Room = namedtuple(
         "start",  # at the beginning
         "trial",
         "change",
-        "good",  # the last of the solver's velocities that solved something
         "smooth",  # momentum of all forces but sand and constraints
         "residual",
         "sand",  # momentum of the sand
@@ -109,7 +108,6 @@ Room = namedtuple(
         "answer",
         "product",
         "weight",  # 1 / the diagonal of what resists
-        "columns",  # integers: where a row of the matrix is not zero
         "inertia",  # what resists a change of velocity over the step, nv x nv
         "extra",  # of it, what is not inertia
         "matrix",  # derivative of the residual
@@ -130,7 +128,7 @@ ROWS_KEPT = 64
 
 def room_size(nv: int, nbody: int) -> int:
     """How many numbers `open_room` divides."""
-    return (17 + 2 * ROWS_KEPT) * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
+    return (15 + 2 * ROWS_KEPT) * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
 
 
 @compiled
@@ -142,14 +140,13 @@ def open_room(desk):
     nv, nbody = desk[NV], desk[NBODY]
     v, m = 8 * nv, 8 * nv * nv
     a = desk[NUMBERS]
-    b = a + 17 * v
+    b = a + 15 * v
     c = b + 3 * m
     w = 48 * nbody  # of six numbers a body
     e = c + 9 * w + 8 * nbody
     return Room(
         a, a + v, a + 2 * v, a + 3 * v, a + 4 * v, a + 5 * v, a + 6 * v, a + 7 * v, a + 8 * v,
-        a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v, a + 13 * v, a + 14 * v, a + 15 * v,
-        a + 16 * v,
+        a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v, a + 13 * v, a + 14 * v,
         b, b + m, b + 2 * m,
         c, c + w, c + 2 * w, c + 3 * w, c + 9 * w,
         e, e + ROWS_KEPT * v,

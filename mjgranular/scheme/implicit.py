@@ -325,7 +325,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         done = 1
         stuck = 0
         while done <= steps and stuck < _STUCK and (error > goal or bend > _BEND):
-            if not solve(room, matrix, residual, change, nv):
+            if not solve(matrix, residual, change, nv):
                 break
             for j in range(nv):
                 velocity[j] -= change[j]
@@ -598,7 +598,7 @@ def power_of_share(desk, room, h, share):
             trial[j] = h * (smooth[j] + constraint[j] if bound else smooth[j])
         for k in range(nv * nv):
             matrix[k] = inertia[k]
-        if not solve(room, matrix, trial, answer, nv):
+        if not solve(matrix, trial, answer, nv):
             return math.inf
     power = 0.0
     for j in range(nv):
