@@ -698,21 +698,3 @@ def test_a_plugin_of_another_make_is_not_registered(monkeypatch: pytest.MonkeyPa
     plugin.register()
     with pytest.raises(LayoutError, match="tested versions"):
         add_sand(Link().spec())
-
-
-def test_gymnasium(tmp_path: Path) -> None:
-    pytest.importorskip("gymnasium")
-    pytest.importorskip("imageio")
-    from gymnasium.envs.mujoco import MujocoEnv
-    from gymnasium.spaces import Box
-
-    spec = mujoco.MjSpec.from_string(TWO_BEDS)
-    add_sand(spec, law=DepthVelocityLaw(linear=1.0))
-    path = tmp_path / "beds.xml"
-    path.write_text(spec.to_xml())
-    space = Box(-np.inf, np.inf, (14,), np.float64)
-    env = MujocoEnv(str(path), frame_skip=5, observation_space=space)
-    env.data.qvel[0] = 1.0
-    env.do_simulation(np.zeros(0), 5)
-    assert 0.0 < env.data.qvel[0] < 1.0
-    env.close()
