@@ -69,8 +69,9 @@ def _rested(name: str, model: mujoco.MjModel) -> Case:
 
 
 def _in_the_engine() -> Sequence[Case]:
-    explicit, implicit = {"scheme": "explicit"}, {"scheme": "implicit"}
-    spread = {"law": "link_distributed"}
+    explicit: dict[str, Any] = {"scheme": "explicit"}
+    implicit: dict[str, Any] = {"scheme": "implicit"}
+    spread: dict[str, Any] = {"law": "link_distributed"}
     return [
         _inside("mj_step without sand", _model(_IMPACT)),
         _inside("MuJoCo's ellipsoid fluid", _model(_IMPACT, fluid=True)),
@@ -99,7 +100,7 @@ def _in_python() -> Sequence[Case]:
 
 
 def _at_rest() -> Sequence[Case]:
-    spread = {"law": "link_distributed", "scheme": "implicit"}
+    spread: dict[str, Any] = {"law": "link_distributed", "scheme": "implicit"}
     return [
         _inside("mj_step without sand", _model(_LARGE)),
         _rested("link_distributed (20 elements), implicit", _model(_LARGE, **spread)),

@@ -74,7 +74,7 @@ def test_an_environment_of_gymnasiums_own(tmp_path: Path) -> None:
     heights = []
     for file in (str(path), "hopper.xml"):
         env = gymnasium.make("Hopper-v5", xml_file=file, terminate_when_unhealthy=False)
-        env.reset(seed=1)
+        observation, _ = env.reset(seed=1)
         for _ in range(20):
             observation, *_ = env.step(np.zeros(3))
         assert np.isfinite(observation).all()

@@ -240,6 +240,7 @@ def test_passive_viewer_of_sand_in_a_model(display: str) -> None:
     environment = {**os.environ, "DISPLAY": display}
     environment.pop("MUJOCO_GL", None)
     code = f"""
+import threading
 import mujoco, mujoco.viewer
 from mjgranular import add_sand
 spec = mujoco.MjSpec.from_string({BLOCK!r})
@@ -254,6 +255,9 @@ with mujoco.viewer.launch_passive(model, data) as viewer:
         viewer.sync()
     assert viewer.is_running()
     assert data.qfrc_passive.any()
+for thread in threading.enumerate():  # the viewer's still clears up, and must be through
+    if thread is not threading.main_thread():
+        thread.join(timeout=5.0)
 """
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120
