@@ -41,6 +41,9 @@ FAMILIES = {
     "robots": robots.GROUPS,
     "start": start.GROUPS,
 }
+NEEDS = {"batches": "a MuJoCo that has mujoco.batch", "robots": "gymnasium"}
+"""What families that have no groups here would need."""
+
 Family = Literal["doors", "elements", "batches", "robots", "start"]
 
 
@@ -83,6 +86,9 @@ def main(options: Options) -> None:
         f"mjgranular {machine['mjgranular']}",
         highlight=False,
     )
+    for name in options.only or FAMILIES:
+        if not FAMILIES[name]:
+            console.print(f"{name}: left out, needs {NEEDS[name]}", highlight=False)
     found = []
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("", total=effort.turns * len(groups))
