@@ -23,6 +23,7 @@ import numpy as np
 
 from mjgranular.engine.layout import Struct
 from mjgranular.engine.library import library, memory_at
+from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
 from mjgranular.sand.binding import bind
 from mjgranular.scheme import Scheme
@@ -48,6 +49,10 @@ HEADER_DTYPE = np.dtype(
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
         ("ends", np.int64),  # address of room for the ends of an arrow
+        ("tunings", np.int64),  # address, in the share: what the sand's state changes
+        ("tuning_count", np.int64),  # 0 where it has none
+        ("tuned", np.int64),  # whether `applied` is what the block was last made to
+        ("applied", np.float64, (STATE_SIZE,)),
     ]
 )
 RELOCATION_DTYPE = np.dtype(
@@ -89,6 +94,7 @@ def make_image(
     elements: np.ndarray,
     scene: np.ndarray,
     scheme: Scheme,
+    tunings: np.ndarray,
     values: dict[str, Any],
 ) -> Image:
     """Makes the image of a block.
@@ -99,6 +105,7 @@ def make_image(
         elements: of the law.
         scene: parameters of law, medium and surface.
         scheme: how forces become a step.
+        tunings: what the sand's state changes (`engine.tuning`).
         values: those fields of the header that are no places: program, lead, drawing.
 
     Raises:
@@ -106,7 +113,9 @@ def make_image(
     """
     slots = elements["slot"].astype(np.int64)
     room = np.zeros(_MOST_RELOCATIONS, RELOCATION_DTYPE)
-    share, (_, slots, elements, room) = _allocate([np.ones(1, SHARE_DTYPE), slots, elements, room])
+    share, (_, slots, elements, tunings, room) = _allocate(
+        [np.ones(1, SHARE_DTYPE), slots, elements, tunings, room]
+    )
     binding = bind(model, data, elements, scene, scheme)
     head = np.zeros(1, HEADER_DTYPE)
     table, desk = binding.table, binding.desk
@@ -131,6 +140,8 @@ def make_image(
         "results_size": places[scene.ctypes.data] - places[binding.bodies.ctypes.data],
         "slots": slots.ctypes.data,
         "ends": ends.ctypes.data,
+        "tunings": tunings.ctypes.data if len(tunings) else 0,
+        "tuning_count": len(tunings),
     }.items():
         head[name] = value
 

@@ -25,7 +25,10 @@ from mjgranular.registry import Registry
 from mjgranular.scheme import Scheme, schemes
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
-KEYS = ("medium", "law", "surface", "scheme", "bodies", "geoms", "groups", "resolution", "draw")
+KEYS = (
+    "medium", "law", "surface", "scheme", "bodies", "geoms", "groups", "resolution", "draw",
+    "tunable",
+)  # fmt: skip
 """Keys of `mjgranular.sand`, in the order in which they are written."""
 
 DEFAULT_MEDIUM = "play_sand"
@@ -47,10 +50,12 @@ class Config:
     Attributes:
         arguments: of `Sand`, those that were given.
         draw: names out of `DRAWINGS`.
+        tunable: whether the sand has state of its own (`engine.tuning`).
     """
 
     arguments: Mapping[str, Any]
     draw: tuple[str, ...] = ()
+    tunable: bool = False
 
 
 def read_config(texts: Mapping[str, str]) -> Config:
@@ -69,23 +74,25 @@ def read_config(texts: Mapping[str, str]) -> Config:
         "groups": lambda text: [_value(word, int, "a group") for word in _words(text)],
         "resolution": _read_resolution,
         "draw": _read_draw,
+        "tunable": lambda text: _value(text, bool, "tunable"),
     }
     read: dict[str, Any] = {}
     for key, reader in readers.items():
         if key in given:
-            with _named(key):
+            with named(key):
                 read[key] = reader(given[key])
     if "law" in given:
-        with _named("law"):
+        with named("law"):
             read["law"] = _read_law(given["law"], read.get("medium") or get_medium(DEFAULT_MEDIUM))
-    return Config(read, read.pop("draw", ()))
+    return Config(read, read.pop("draw", ()), read.pop("tunable", False))
 
 
 def write_config(arguments: Mapping[str, Any]) -> dict[str, str]:
     """The texts, by their keys, that `read_config` reads as these arguments of `Sand`.
 
     Args:
-        arguments: those of `Sand`, and `draw`; None or an empty sequence for one not given.
+        arguments: those of `Sand`, `draw` and `tunable`; None, False or an empty sequence for one
+            not given.
 
     Raises:
         InputError: an object that has no name to be written by.
@@ -100,18 +107,23 @@ def write_config(arguments: Mapping[str, Any]) -> dict[str, str]:
         "groups": lambda groups: _write_words(np.atleast_1d(groups).tolist()),
         "resolution": str,
         "draw": _write_words,
+        "tunable": lambda _: "true",
     }
     texts = {}
     for key in KEYS:
         value = arguments.get(key)
-        if value is not None and not (isinstance(value, Sequence) and not value):
+        if (
+            value is not None
+            and value is not False
+            and not (isinstance(value, Sequence) and not value)
+        ):
             texts[key] = writers[key](value)
     read_config(texts)
     return texts
 
 
 @contextmanager
-def _named(key: str) -> Iterator[None]:
+def named(key: str) -> Iterator[None]:
     """Tells errors together with the key they belong to."""
     try:
         yield

@@ -20,7 +20,7 @@ from mujoco.introspect.structs import STRUCTS
 
 from mjgranular.errors import GranularError
 
-TESTED = ("4.0.0",)
+TESTED = ("3.17.0", "4.0.0")
 """Versions of MuJoCo that the tests have been run with."""
 
 _WORD = 8  # bytes
@@ -124,6 +124,9 @@ class Layout:
         integrator: of `opt.integrator` in mjModel.
         plugin: of the pointer `plugin` in mjModel.
         plugin_data: of the pointer `plugin_data` in mjData.
+        plugin_state: of the pointer `plugin_state` in mjData.
+        plugin_stateadr: of the pointer `plugin_stateadr` in mjModel.
+        plugin_statenum: of the pointer `plugin_statenum` in mjModel.
         sensordata: of the pointer `sensordata` in mjData.
     """
 
@@ -131,6 +134,9 @@ class Layout:
     integrator: int
     plugin: int
     plugin_data: int
+    plugin_state: int
+    plugin_stateadr: int
+    plugin_statenum: int
     sensordata: int
 
 
@@ -141,8 +147,9 @@ def find_layout(plugin: str) -> Layout:
         LayoutError: something is not where it can be told from all else.
     """
     model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><extension><plugin plugin="{plugin}"><instance name="probe"/></plugin>'
-        '</extension><worldbody><body><freejoint/><geom size="1"/></body></worldbody>'
+        f'<mujoco><extension><plugin plugin="{plugin}"><instance name="probe">'
+        '<config key="tunable" value="true"/></instance></plugin></extension>'
+        "<worldbody><body><freejoint/><geom size='1'/></body></worldbody>"
         "<sensor><clock/></sensor></mujoco>"
     )
     data = mujoco.MjData(model)
@@ -159,6 +166,9 @@ def find_layout(plugin: str) -> Layout:
         integrator,
         plugin=in_model.field(model.plugin, "plugin"),
         plugin_data=in_data.field(data.plugin_data, "plugin_data"),
+        plugin_state=in_data.field(data.plugin_state, "plugin_state"),
+        plugin_stateadr=in_model.field(model.plugin_stateadr, "plugin_stateadr"),
+        plugin_statenum=in_model.field(model.plugin_statenum, "plugin_statenum"),
         sensordata=in_data.field(data.sensordata, "sensordata"),
     )
 

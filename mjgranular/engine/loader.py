@@ -23,14 +23,16 @@ from numba import types
 from mjgranular.engine import sensor
 from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.block import HEADER_DTYPE, REFUSED, Image, load, make_image
-from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, read_config
+from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read_config
+from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
-from mjgranular.engine.library import instance_name, library, plugin_slot
+from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
 from mjgranular.engine.links import c_address
 from mjgranular.engine.native import release, retain
-from mjgranular.engine.plugin import NAME, SENSOR_KEYS
+from mjgranular.engine.plugin import SENSOR_KEYS
 from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
+from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import get_law, make_scene
 from mjgranular.medium import media
@@ -210,13 +212,6 @@ class Loader:
         return changed
 
 
-def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
-    """What is written for an instance under each key, "" for nothing."""
-    read = library().mj_getPluginConfig
-    texts = {key: read(model, instance, key.encode()) for key in keys}
-    return {key: (text or b"").decode() for key, text in texts.items()}
-
-
 def _pointer(address: int) -> int:
     return ctypes.c_int64.from_address(address).value
 
@@ -292,6 +287,10 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     elements = law.elements(model, geoms, given.get("resolution"))
     scheme = scheme.settle(model, len(elements))
     scene = make_scene(law, medium, surface, model)
+    tunings = NO_TUNINGS
+    if config.tunable:
+        with named("tunable"):
+            tunings = make_tunings(law, surface, scene, model)
     silent = np.flatnonzero(contacts & ~(model.geom_contype | model.geom_conaffinity))
     program = scheme.program(law.kernel(surface), scene.dtype)
     values = {
@@ -308,6 +307,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         elements=elements,
         scene=scene,
         scheme=scheme,
+        tunings=tunings,
         values=values,
     )
     return Prepared(

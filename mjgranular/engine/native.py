@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numba import types
 
+from mjgranular.engine.adjust import adjuster
 from mjgranular.engine.block import (
     BUSY,
     HEADER_DTYPE,
@@ -29,6 +30,7 @@ from mjgranular.engine.rows import (
     rows_address,
 )
 from mjgranular.engine.sensor import sensor_compute
+from mjgranular.engine.tuning import INITIAL, STATE_SIZE
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import (
     BODIES,
@@ -170,6 +172,7 @@ def add_wrenches(table, qfrc, awake):
 def life(layout: Layout) -> Callbacks:
     """What is called when simulations are made, copied and freed, the same for all plugins."""
     find_row, find_block = row_finder(layout), block_finder(layout)
+    statenum = layout.plugin_statenum
 
     @compiled
     def start(model, data, instance):
@@ -209,10 +212,15 @@ def life(layout: Layout) -> Callbacks:
         from_ = _bytes(other.results, other.results_size)
         for i in range(mine.results_size):
             into[i] = from_[i]
+        mine.tuned = 0
 
     @compiled
     def reset(model, state, handle, instance):
-        return
+        sizes = ints(longs(model + statenum, 1)[0], instance + 1)
+        if sizes[instance] == STATE_SIZE:
+            numbers = floats(state, STATE_SIZE)
+            for k in range(STATE_SIZE):
+                numbers[k] = INITIAL[k]
 
     return {
         "start": (start, INIT_TYPES),
@@ -226,7 +234,7 @@ def life(layout: Layout) -> Callbacks:
 @cache
 def sand_callbacks(layout: Layout) -> Callbacks:
     """The compiled functions of `mjgranular.sand`."""
-    find_block = block_finder(layout)
+    find_block, adjust = block_finder(layout), adjuster(layout)
     timestep, integrator = layout.timestep, layout.integrator
     begin = HEADER_DTYPE.itemsize
 
@@ -239,6 +247,8 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         if header.busy != 0:
             if header.busy == REFUSED:
                 _error(block + begin)
+            return
+        if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
         # A batch may run this mjData on another model, or move arrays of the same.
         link(block, model, data, header.of_model)

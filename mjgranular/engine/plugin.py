@@ -16,15 +16,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.config import KEYS
+from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import LayoutError, find_layout
-from mjgranular.engine.library import instance_name, library, plugin_slot
+from mjgranular.engine.library import instance_name, library
+from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 
-NAME = "mjgranular.sand"
 SENSOR = "mjgranular.sensor"
 SENSOR_KEYS = ("measure", "sand")
 
@@ -105,16 +105,16 @@ class Engine:
         struct.capabilityflags = plugin.capability
         struct.needstage = plugin.stage
 
-        def first_nstate(model: int, instance: int) -> int:
+        def nstate(model: int, instance: int) -> int:
             self._wake(plugin)
-            return 0
+            return _size_of_state(model, instance) if plugin.name == NAME else 0
 
         def first_init(model: int, data: int, instance: int) -> int:
             self._wake(plugin)
             return self._init(model, data, instance)
 
         for callback, function in {
-            "nstate": first_nstate,
+            "nstate": nstate,
             "nsensordata": _size_of_sensor,
             "init": first_init,
             "reset": _nothing,
@@ -252,6 +252,12 @@ def _size_of_sensor(model: int, instance: int, sensor: int) -> int:
     return size_of((measure or b"").decode())
 
 
+def _size_of_state(model: int, instance: int) -> int:
+    # What is neither true nor false is an error when the sand is prepared.
+    tunable = library().mj_getPluginConfig(model, instance, b"tunable")
+    return STATE_SIZE if tunable == b"true" else 0
+
+
 _PLUGINS = (
     Plugin(NAME, KEYS, _PASSIVE),
     Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY),
@@ -271,14 +277,6 @@ def register() -> None:
     except (GranularError, ImportError, AttributeError) as error:
         _logger.warning("the engine plugin is not registered: %s", error)
         _refused.append(error)
-
-
-def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the instances of sand that a model has, which act inside `mj_step`."""
-    if model.nplugin == 0 or _refused:
-        return ()
-    ours = np.flatnonzero(model.plugin == plugin_slot(NAME))
-    return tuple(instance_name(model._address, int(instance)) for instance in ours)
 
 
 def check_registered() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import mujoco
 
 from mjgranular.engine.config import DEFAULT_MEDIUM, write_config
-from mjgranular.engine.plugin import NAME, check_registered
+from mjgranular.engine.instances import NAME
+from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
 from mjgranular.law import Law
 from mjgranular.medium import Medium
@@ -28,6 +29,7 @@ def add_sand(
     groups: Sequence[int] | int | None = None,
     resolution: int | None = None,
     draw: Sequence[str] | str = (),
+    tunable: bool = False,
     name: str | None = None,
 ) -> mujoco.MjsPlugin:
     """Adds sand to a model: from then on it acts inside `mj_step`.
@@ -46,6 +48,8 @@ def add_sand(
         groups: as for `Sand`.
         resolution: as for `Sand`.
         draw: what viewers and renderers are to show: "forces", "depth".
+        tunable: let each simulation have its own strength, density and height of the sand, as a
+            part of MuJoCo's state (`tune`).
         name: of the instance; None for "sand", "sand_2", ...
 
     Returns:
@@ -68,6 +72,7 @@ def add_sand(
             "groups": groups,
             "resolution": resolution,
             "draw": draw,
+            "tunable": tunable,
         }
     )
     taken = {plugin.name for plugin in spec.plugins}

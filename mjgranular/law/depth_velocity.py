@@ -125,6 +125,8 @@ class DepthVelocityLaw(Law):
         "D. J. Durian (Nature Physics 3 (2007))"
     )
 
+    strength_keys: ClassVar[tuple[str, ...]] = ("constant", "stiffness")
+    density_keys: ClassVar[tuple[str, ...]] = ("linear", "quadratic")
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("slope", math.radians(10), "measured on level surfaces; 10 degrees is chosen"),
     )

@@ -32,12 +32,17 @@ class Law(ABC):
         title: one line for lists.
         citation: where it was published.
         validity: limits within which it holds; `Sand.report` says how a body stands against them.
+        strength_keys: fields of its record that the static resistance is proportional to.
+        density_keys: fields that resistance by velocity is proportional to, as a medium's density
+            makes it. Both are what tunable sand scales (`engine.tuning`).
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     citation: ClassVar[str]
     validity: ClassVar[tuple[Limit, ...]] = ()
+    strength_keys: ClassVar[tuple[str, ...]] = ()
+    density_keys: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     @abstractmethod

@@ -45,6 +45,9 @@ class _LinkForm(Law):
     """What both forms of the law share: coefficients, and a kernel over rods."""
 
     limits: ClassVar[Any]
+    # Not `density`, which all of the law is proportional to: strength and density are two things.
+    strength_keys: ClassVar[tuple[str, ...]] = ("eta_h", "eta_v")
+    density_keys: ClassVar[tuple[str, ...]] = ("eta_d",)
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("slope", math.radians(10), "written for a level surface; 10 degrees is chosen"),
     )

@@ -22,6 +22,7 @@ class RftLaw(Law):
     """Resistive force theory: a stress on every leading facet, linear in its depth."""
 
     stress: ClassVar[Any]
+    density_keys: ClassVar[tuple[str, ...]] = ("inertia",)
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("froude", 0.4, "quasi-static RFT, Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),
         Limit("inertial_number", 0.1, "Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),

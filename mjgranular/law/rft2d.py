@@ -127,6 +127,7 @@ class Rft2dLaw(RftLaw):
         "Robotics and Automation Letters 6 (2021), doi 10.1109/LRA.2021.3057052"
     )
     stress: ClassVar[Any] = rft2d_stress
+    strength_keys: ClassVar[tuple[str, ...]] = ("scale",)
 
     A00: float
     A10: float

@@ -126,6 +126,7 @@ class Rft3dLaw(RftLaw):
         "D. I. Goldman, K. Kamrin, Sci. Adv. 7 eabe0631 (2021)"
     )
     stress: ClassVar[Any] = rft3d_stress
+    strength_keys: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     density: float
     internal_friction: float

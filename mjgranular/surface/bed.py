@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 from mjgranular.surface.surface import Surface
@@ -75,6 +77,12 @@ class Bed(Surface):
 
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed"),)
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        raise InputError(
+            f"the bed {self.geom!r} cannot be raised or lowered: it is the box that the model has; "
+            "tunable sand needs a plane or a height_field"
+        )
 
     def tilt(self, model: mujoco.MjModel) -> float:
         return tilt_of(self.record(model)["normal"][0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -103,6 +104,9 @@ class HeightField(Surface):
 
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field"),)
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        return {"position": self.record(model)["axes"][0][2::3]}
 
     def tilt(self, model: mujoco.MjModel) -> float:
         field = self.record(model)[0]

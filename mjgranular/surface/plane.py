@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -67,6 +68,9 @@ class Plane(Surface):
         plane["normal"] = self.normal
         plane["offset"] = self.height * math.cos(self.slope)
         return plane
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        return {"offset": np.ones(())}
 
     def tilt(self, model: mujoco.MjModel) -> float:
         return abs(self.slope)

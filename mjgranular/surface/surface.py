@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+
+from mjgranular.errors import InputError
 
 
 class Surface(ABC):
@@ -32,6 +35,17 @@ class Surface(ABC):
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         """Ids of the geoms that are the sand and so do not meet it."""
         return ()
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        """How the record changes for each metre that the surface rises along its normal.
+
+        Returns:
+            For each field that changes its change [1/m], in the shape of the field.
+
+        Raises:
+            InputError: this kind of surface cannot rise.
+        """
+        raise InputError(f"a surface of the kind {type(self).__name__} cannot be moved")
 
     @abstractmethod
     def tilt(self, model: mujoco.MjModel) -> float:

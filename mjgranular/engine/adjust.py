@@ -1,0 +1,123 @@
+"""Has a block follow the state of a tunable sand (`tuning`): compiled, at each step."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+from mjgranular.engine.block import HEADER_DTYPE
+from mjgranular.engine.layout import Layout
+from mjgranular.engine.tuning import (
+    ACTIVE,
+    DENSITY,
+    HEIGHT,
+    STATE_SIZE,
+    STRENGTH,
+    TUNING_DTYPE,
+)
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CONTACTS,
+    ELEMENT_COUNT,
+    NV,
+    SCENE,
+    floats,
+    ints,
+    longs,
+    records,
+    table_at,
+)
+from mjgranular.kernel.records import body_records, contact_records
+
+_header = records(HEADER_DTYPE)
+_tunings = records(TUNING_DTYPE)
+_APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptionalSubscript]
+
+
+@compiled
+def is_reasonable(state):
+    """Whether all numbers of a state are finite, and none but the height negative."""
+    for k in range(STATE_SIZE):
+        if not math.isfinite(state[k]) or (k != HEIGHT and state[k] < 0.0):
+            return False
+    return True
+
+
+@compiled
+def spoil(header):
+    """Forces that are no numbers: MuJoCo finds them, warns and resets, as with any bad state."""
+    table = table_at(header.table)
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    forces = floats(header.qfrc, table[NV])
+    for slot in range(len(bodies)):
+        forces[bodies[slot].last_dof] = math.nan
+
+
+@compiled
+def clear(header):
+    """Leaves nothing behind for sensors and drawings."""
+    table = table_at(header.table)
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    for slot in range(len(bodies)):
+        for k in range(6):
+            bodies[slot].wrench[k] = 0.0
+    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    for i in range(len(contacts)):
+        contacts[i].depth = 0.0
+
+
+@compiled
+def rescale(header, state):
+    """Makes the block's own scene anew, from what it was: nothing adds up."""
+    count = header.tuning_count
+    tunings = _tunings(header.tunings, count)
+    scene = table_at(header.table)[SCENE]
+    for i in range(count):
+        tuning = tunings[i]
+        value = tuning.base
+        if tuning.number == STRENGTH:
+            value *= state[STRENGTH]
+        elif tuning.number == DENSITY:
+            value *= state[DENSITY]
+        else:
+            value += tuning.rate * state[HEIGHT]
+        floats(scene + 8 * tuning.word, 1)[0] = value
+
+
+@cache
+def adjuster(layout: Layout) -> Any:
+    """A compiled function `adjust(block, model, data, instance)` for tunable instances.
+
+    It says whether forces are to be computed. One `mjData` may serve many simulations in turn, so
+    the state is compared with that last applied at each call, bit by bit.
+    """
+    plugin_state, stateadr = layout.plugin_state, layout.plugin_stateadr
+
+    @compiled
+    def adjust(block, model, data, instance):
+        header = _header(block, 1)[0]
+        adr = ints(longs(model + stateadr, 1)[0], instance + 1)[instance]
+        address = longs(data + plugin_state, 1)[0] + 8 * adr
+        state, bits = floats(address, STATE_SIZE), longs(address, STATE_SIZE)
+        applied = longs(block + _APPLIED, STATE_SIZE)
+        known = header.tuned != 0
+        for k in range(STATE_SIZE):
+            known = known and bits[k] == applied[k]
+        if not known:
+            if not is_reasonable(state):
+                header.tuned = 0
+                clear(header)
+                spoil(header)
+                return False
+            rescale(header, state)
+            if state[ACTIVE] == 0.0:
+                clear(header)
+            for k in range(STATE_SIZE):
+                applied[k] = bits[k]
+            header.tuned = 1
+        return state[ACTIVE] != 0.0
+
+    return adjust

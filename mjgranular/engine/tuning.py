@@ -1,0 +1,126 @@
+"""Sand that every simulation may have in its own way: what its state is, and what that changes.
+
+A tunable instance has four numbers in `mjData.plugin_state`: whether it is there, two factors on
+its resistance, and how far its surface is raised. They are MuJoCo's state: saved, restored, copied
+and batched with it. What they change is a list of numbers in the record that kernels read of law
+and surface, made from each law's own word on what its fields are; `adjust` applies it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.engine.instances import instance_of
+from mjgranular.errors import InputError
+from mjgranular.law import Law
+from mjgranular.surface import Surface
+
+STATE = ("active", "strength", "density", "height")
+"""The numbers of a tunable instance, in their order in `plugin_state`."""
+
+ACTIVE, STRENGTH, DENSITY, HEIGHT = range(len(STATE))
+STATE_SIZE = len(STATE)
+
+INITIAL = (1.0, 1.0, 1.0, 0.0)
+"""What they are after a reset."""
+
+TUNING_DTYPE = np.dtype(
+    [
+        ("word", np.int64),  # of the scene
+        ("number", np.int64),  # of the state: STRENGTH, DENSITY or HEIGHT
+        ("base", np.float64),  # its value where the state is INITIAL
+        ("rate", np.float64),  # its change for each metre of height
+    ]
+)
+NO_TUNINGS = np.zeros(0, TUNING_DTYPE)
+
+
+def make_tunings(
+    law: Law, surface: Surface, scene: np.ndarray, model: mujoco.MjModel
+) -> np.ndarray:
+    """What the state changes in a scene: rows of `TUNING_DTYPE`.
+
+    Args:
+        law: says which of its fields are meant (`Law.strength_keys`, `Law.density_keys`).
+        surface: says what changes where it rises (`Surface.lift`).
+        scene: made of both (`law.make_scene`).
+        model: the model.
+
+    Raises:
+        InputError: a law that does not say so, or a surface that cannot rise.
+    """
+    if not (law.strength_keys or law.density_keys):
+        raise InputError(
+            f"the law {law.name!r} does not say what its strength and density are: it needs "
+            "strength_keys or density_keys"
+        )
+    rows: list[tuple[int, int, float, float]] = []
+    for number, keys in ((STRENGTH, law.strength_keys), (DENSITY, law.density_keys)):
+        for key in keys:
+            rows += [(word, number, base, 0.0) for word, base in _words(scene, "law", key)]
+    for key, rates in surface.lift(model).items():
+        words = _words(scene, "surface", key)
+        for (word, base), rate in zip(words, np.ravel(rates), strict=True):
+            rows.append((word, HEIGHT, base, float(rate)))
+    return np.array(rows, TUNING_DTYPE)
+
+
+def _words(scene: np.ndarray, part: str, key: str) -> list[tuple[int, float]]:
+    """Where the numbers of a field lie in the scene [words of 8 bytes], and the numbers."""
+    fields: Any = scene.dtype.fields
+    inner: Any = fields[part][0].fields
+    first = (fields[part][1] + inner[key][1]) // 8
+    return [(first + i, float(value)) for i, value in enumerate(np.ravel(scene[part][key]))]
+
+
+def tune(
+    model: mujoco.MjModel,
+    state: np.ndarray,
+    name: str,
+    *,
+    active: Any = None,
+    strength: Any = None,
+    density: Any = None,
+    height: Any = None,
+) -> None:
+    """Sets the state of a tunable sand, made with `tunable="true"`; what is not given stays.
+
+    Args:
+        model: the model.
+        state: `data.plugin_state`, or a row or all rows of `batch.bind("plugin_state")`, shape
+            (..., npluginstate); written to. Other values may be arrays of the shape before the
+            last.
+        name: of the instance.
+        active: whether the sand is there.
+        strength: factor on static resistance.
+        density: factor on resistance by velocity.
+        height: of the surface above where it was, along its normal [m].
+
+    Raises:
+        UnknownNameError: the model has no such sand; lists those it has.
+        InputError: it is not tunable, `state` is not the model's, or a value that is negative or
+            not finite. Then nothing is written.
+    """
+    instance = instance_of(model, name)
+    if model.plugin_statenum[instance] != STATE_SIZE:
+        raise InputError(
+            f"the sand {name!r} is not tunable: make it with add_sand(..., tunable=True) or "
+            '<config key="tunable" value="true"/>'
+        )
+    if state.ndim == 0 or state.shape[-1] != model.npluginstate:
+        raise InputError(
+            f"the state must have {model.npluginstate} numbers, as plugin_state of this model, "
+            f"not the shape {state.shape}"
+        )
+    values = dict(zip(STATE, (active, strength, density, height), strict=True))
+    given = {key: np.asarray(value, float) for key, value in values.items() if value is not None}
+    for key, value in given.items():
+        if not np.isfinite(value).all() or (key != "height" and (value < 0).any()):
+            kind = "finite" if key == "height" else "finite and not negative"
+            raise InputError(f"{key} must be {kind}, not {value}")
+    first = int(model.plugin_stateadr[instance])
+    for key, value in given.items():
+        state[..., first + STATE.index(key)] = value
