@@ -22,7 +22,7 @@ from numba import types
 
 from mjgranular.engine import sensor
 from mjgranular.engine.aside import aside, is_aside
-from mjgranular.engine.block import HEADER_DTYPE, REFUSED, Image, load, make_image
+from mjgranular.engine.block import HEADER_DTYPE, Image, load, make_image
 from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
@@ -121,7 +121,7 @@ class Loader:
     def refuse(self, data: int, instance: int, text: bytes) -> None:
         """Gives an instance a block that is an error of MuJoCo's as soon as it is used."""
         head = np.zeros(1, HEADER_DTYPE)
-        head["busy"] = REFUSED
+        head["refused"] = 1
         with self._lock:
             message = np.frombuffer(text + b"\0", np.uint8)
             self._rows.seat(data, instance, load(np.concatenate([head.view(np.uint8), message])))

@@ -42,8 +42,10 @@ ACCOUNT_DTYPE = np.dtype(
 )
 account_records = records(ACCOUNT_DTYPE)
 
-# The desk's table: sizes and switches, then addresses. The order is that of `make_desk`.
-NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT = range(7)
+# The desk's table: sizes and switches, then addresses. The order is that of `make_desk`. WITHIN is 1
+# where the sand is asked for its forces among MuJoCo's passive ones: those that come after them in
+# the step are not there yet.
+NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN = range(8)
 OF_MODEL = (
     "M_rownnz",
     "M_rowadr",
@@ -71,8 +73,9 @@ OF_DATA = (
     "qfrc_constraint",
     "qacc_warmstart",
     "qacc",
+    "qfrc_bias",
 )
-FIRST_OF_MODEL = 7
+FIRST_OF_MODEL = 8
 FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
 WET, NUMBERS, ACCOUNT, ROWS, LONE = range(
     FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 5
@@ -84,7 +87,7 @@ DESK_SIZE = LONE + 1
 ) = range(FIRST_OF_MODEL, FIRST_OF_DATA)  # fmt: skip
 (
     QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM,
-    CONSTRAINT, WARMSTART, QACC,
+    CONSTRAINT, WARMSTART, QACC, BIAS,
 ) = range(FIRST_OF_DATA, WET)  # fmt: skip
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
@@ -163,6 +166,7 @@ def make_desk(
     model: mujoco.MjModel,
     elements: int,
     *,
+    within: bool,
     model_address: int,
     data_address: int,
     of_model: Callable[[str], int],
@@ -173,6 +177,7 @@ def make_desk(
     Args:
         model: the model.
         elements: how many there are.
+        within: whether forces are asked for among MuJoCo's passive ones, inside its step.
         model_address: of `mjModel`.
         data_address: of `mjData`.
         of_model: address of an array of the model by its name.
@@ -191,6 +196,7 @@ def make_desk(
         integrator_of(model),
         int(mujoco.mj_isSparse(model)),
         len(lone),
+        int(within),
     )
     holds: tuple[Any, ...] = (wet, numbers, account, rows, lone)
     addresses = (

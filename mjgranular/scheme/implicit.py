@@ -33,10 +33,13 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import (
+    bias_forces,
+    constraint_references,
     forward_acceleration,
     forward_actuation,
     forward_constraint,
     solve_inertia,
+    tendon_bias_forces,
 )
 from mjgranular.kernel.memory import (
     BODIES,
@@ -131,10 +134,18 @@ class Implicit(Scheme):
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
         return implicit_program(kernel, scene, self.evaluations)
 
-    def desk(self, model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray) -> Desk:
+    def desk(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        elements: np.ndarray,
+        *,
+        within: bool = False,
+    ) -> Desk:
         return d.make_desk(
             model,
             len(elements),
+            within=within,
             model_address=model._address,
             data_address=data._address,
             of_model=lambda name: getattr(model, name).ctypes.data,
@@ -406,8 +417,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             clear(bodies[slot].wrench)
         count = immerse_all(table, desk)
         if count > 0:
-            forward_actuation(desk[d.MODEL], desk[d.DATA])
-            forward_acceleration(desk[d.MODEL], desk[d.DATA])
+            forward_smooth(desk)
             room = d.open_room(desk)
             wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
             coarse, fine, scale = begin(desk, room, wet, count, lead)
@@ -444,6 +454,18 @@ def add_row(s, i, a, b, c, x, y, z):
     s[i + 3] += a
     s[i + 4] += b
     s[i + 5] += c
+
+
+@compiled
+def forward_smooth(desk):
+    """Has the engine find the accelerations of all smooth forces but the sand's."""
+    model, data = desk[d.MODEL], desk[d.DATA]
+    if desk[d.WITHIN] != 0:
+        constraint_references(model, data)
+        bias_forces(model, data, 0, desk[d.BIAS])
+        tendon_bias_forces(model, data, desk[d.BIAS])
+    forward_actuation(model, data)
+    forward_acceleration(model, data)
 
 
 @compiled
