@@ -21,6 +21,7 @@ from mjgranular.cli.lists import LawsCommand, MediaCommand
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.sweep import SweepCommand
+from mjgranular.cli.view import ViewCommand
 from mjgranular.errors import GranularError, GranularWarning
 
 # What a shell expects of a program that was interrupted: 128 + SIGINT.
@@ -32,6 +33,7 @@ Command = (
     | Annotated[SweepCommand, tyro.conf.subcommand("sweep")]
     | Annotated[ReproduceCommand, tyro.conf.subcommand("reproduce")]
     | Annotated[DropCommand, tyro.conf.subcommand("drop")]
+    | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[IntrudeCommand, tyro.conf.subcommand("intrude")]
     | Annotated[ElementsCommand, tyro.conf.subcommand("elements")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
