@@ -126,6 +126,8 @@ def test_a_kernel_is_loaded_not_compiled_again(start):
     loaded = finish(start(code))
     assert compiled_anew == ["0", "1"]
     assert loaded == ["1", "0"]
+    another = f"import mujoco; mujoco.__version__ = '9.9'; {code}"
+    assert finish(start(another)) == ["0", "1"]
 
 
 def seen_on_a_terminal(folder, code):

@@ -39,13 +39,6 @@ def test_the_video_script(tmp_path):
     assert (tmp_path / "film.mp4").stat().st_size > 1000
 
 
-@pytest.mark.slow
-def test_the_benchmark_saves_and_compares(tmp_path):
-    run(ROOT / "benchmarks" / "step.py", "--save", "figures.json", cwd=tmp_path)
-    again = run(ROOT / "benchmarks" / "step.py", "--compare", "figures.json", cwd=tmp_path)
-    assert "before" in again
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_code_in_the_pages_runs(page):
     blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjgranular import MissingExtraError, OutputError, Sand, errors
+from mjgranular import MissingExtraError, OutputError, Sand, add_sand, errors
 from mjgranular.cli import main
 from mjgranular.experiment.drop import Drop
 from mjgranular.models import model_path
@@ -440,3 +440,17 @@ def test_without_matplotlib_the_numbers_are_still_written(
     assert "pip install 'mjgranular[figures]'" in captured.err
     assert str(len(facets.elements)) in captured.out
     assert (folder / "elements.csv").exists()
+
+
+def test_a_model_with_sand_of_its_own_is_looked_at_too(tmp_path, capfd):
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><body name="rod"><freejoint/>'
+        '<geom type="capsule" size=".01 .1"/></body></worldbody></mujoco>'
+    )
+    add_sand(spec, law="link")
+    path = tmp_path / "rod.xml"
+    path.write_text(spec.to_xml())
+    assert main(["elements", str(path), "--medium", "play_sand", "--law", "link", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["elements"] == 1
+    assert main(["drop", str(path), "--medium", "play_sand", "--law", "link"]) == 2
+    assert "the model has sand of its own" in capfd.readouterr().err

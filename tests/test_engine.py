@@ -33,7 +33,7 @@ from mjgranular import (
     add_sand,
 )
 from mjgranular.engine import NAME
-from mjgranular.engine.plugin import sands_in
+from mjgranular.engine.instances import sands_in
 from mjgranular.models import Link
 
 STEPS = 300
@@ -226,6 +226,17 @@ def test_sands_of_a_model_are_told() -> None:
     for side in ("left", "right"):
         add_sand(spec, law=DepthVelocityLaw(linear=1.0), surface=Bed(side))
     assert sands_in(spec.compile()) == ("sand", "sand_2")
+
+
+def test_sand_beside_sand_of_the_models_own_is_refused() -> None:
+    spec = mujoco.MjSpec.from_string(TWO_BEDS)
+    law = DepthVelocityLaw(linear=1.0)
+    add_sand(spec, law=law, surface=Bed("left"), bodies="a")
+    model = spec.compile()
+    with pytest.raises(InputError, match=r"instance 'sand', which acts on body 'a' .*shared=True"):
+        Sand(model, law=law, surface=Bed("right"))
+    Sand(model, law=law, surface=Bed("right"), bodies="b").step(mujoco.MjData(model))
+    Sand(model, law=law, surface=Bed("right"), shared=True).step(mujoco.MjData(model))
 
 
 def test_what_is_written_survives_xml_copy_and_attach() -> None:
@@ -687,21 +698,3 @@ def test_a_plugin_of_another_make_is_not_registered(monkeypatch: pytest.MonkeyPa
     plugin.register()
     with pytest.raises(LayoutError, match="tested versions"):
         add_sand(Link().spec())
-
-
-def test_gymnasium(tmp_path: Path) -> None:
-    pytest.importorskip("gymnasium")
-    pytest.importorskip("imageio")
-    from gymnasium.envs.mujoco import MujocoEnv
-    from gymnasium.spaces import Box
-
-    spec = mujoco.MjSpec.from_string(TWO_BEDS)
-    add_sand(spec, law=DepthVelocityLaw(linear=1.0))
-    path = tmp_path / "beds.xml"
-    path.write_text(spec.to_xml())
-    space = Box(-np.inf, np.inf, (14,), np.float64)
-    env = MujocoEnv(str(path), frame_skip=5, observation_space=space)
-    env.data.qvel[0] = 1.0
-    env.do_simulation(np.zeros(0), 5)
-    assert 0.0 < env.data.qvel[0] < 1.0
-    env.close()

@@ -61,7 +61,7 @@ def moving(draw: str = "") -> tuple[mujoco.MjModel, mujoco.MjData]:
 def test_sensors_say_what_the_report_says() -> None:
     model, data = moving()
     mujoco.mj_step(model, data, 10)
-    sand = Sand(model, law="link_distributed", bodies=["a", "b"], scheme="explicit")
+    sand = Sand(model, law="link_distributed", bodies=["a", "b"], scheme="explicit", shared=True)
     report = sand.report(data)
     mujoco.mj_forward(model, data)
     readings = {name: data.sensor(name).data for name in ("force", "moment", "power", "depth")}

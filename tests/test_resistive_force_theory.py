@@ -699,6 +699,10 @@ def keep_off_jumps(mover, state, normal=UP, surface=0.0):
     elements = mover.sand.elements
     points, n = elements["point"] @ R.T, elements["normal"] @ R.T
     v = velocity + np.cross(spin, points)
+    # Where force acts, which is not the middle of a patch that lies partly in the sand.
+    pressed = mover.report(*state).elements
+    dry = np.array([not element.velocity.any() for element in pressed])
+    v = np.where(dry[:, None], v, [element.velocity for element in pressed])
     speed = np.linalg.norm(v, axis=1)
     leading = np.abs((v * n).sum(axis=1))
     upright = np.abs(n @ normal)
@@ -706,7 +710,8 @@ def keep_off_jumps(mover, state, normal=UP, surface=0.0):
     wet = (position + points) @ normal < surface + 1e-9
     return bool(
         (
-            ~wet | ((speed > 1e-3) & (leading > 1e-7 * speed) & (upright > 1e-9) & (level > 1e-8))
+            (dry & ~wet)
+            | ((speed > 1e-3) & (leading > 1e-7 * speed) & (upright > 1e-9) & (level > 1e-8))
         ).all()
     )
 

@@ -121,7 +121,8 @@ class ElementsCommand:
             geoms=self.geoms or None,
             groups=self.groups or None,
             resolution=self.resolution,
-            scheme="explicit",  # no step is made
+            scheme="explicit",  # no step is made, so
+            shared=True,  # sand of the model's own is no matter
         )
         return sand, qpos
 

@@ -25,6 +25,7 @@ from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
+from mjgranular.cli.view import ViewCommand
 from mjgranular.errors import GranularError, GranularWarning
 
 # What a shell expects of a program that was interrupted: 128 + SIGINT.
@@ -36,6 +37,7 @@ Command = (
     | Annotated[SweepCommand, tyro.conf.subcommand("sweep")]
     | Annotated[ReproduceCommand, tyro.conf.subcommand("reproduce")]
     | Annotated[DropCommand, tyro.conf.subcommand("drop")]
+    | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[IntrudeCommand, tyro.conf.subcommand("intrude")]
     | Annotated[ElementsCommand, tyro.conf.subcommand("elements")]
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]

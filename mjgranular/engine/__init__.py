@@ -7,7 +7,7 @@ state of its own, `adjust` has a block follow it. `layout`, `library` and `links
 memory and functions.
 """
 
-from mjgranular.engine.plugin import NAME as NAME
+from mjgranular.engine.instances import NAME as NAME
 from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand
 from mjgranular.engine.tuning import tune as tune

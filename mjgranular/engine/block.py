@@ -44,7 +44,7 @@ HEADER_DTYPE = np.dtype(
         ("results_size", np.int64),  # [bytes]
         ("slots", np.int64),  # address, in the share: for each element its row in `bodies`
         ("whole", np.int64),  # whether the scheme reads forces that are not there yet
-        ("busy", np.int64),  # BUSY while they are being computed
+        ("refused", np.int64),  # not 0: the sand does nothing, and behind the header stands why
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
@@ -63,9 +63,6 @@ RELOCATION_DTYPE = np.dtype(
         ("delta", np.int64),  # added to a pointer [bytes]
     ]
 )
-BUSY, REFUSED = 1, 2
-"""Blocks that do nothing now; behind the header of a refused one stands why."""
-
 SHARE_DTYPE = np.dtype([("users", np.int64)])
 IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
 """Kinds of relocation. Those that read the model are the last two."""
@@ -116,7 +113,7 @@ def make_image(
     share, (_, slots, elements, tunings, room) = _allocate(
         [np.ones(1, SHARE_DTYPE), slots, elements, tunings, room]
     )
-    binding = bind(model, data, elements, scene, scheme)
+    binding = bind(model, data, elements, scene, scheme, within=True)
     head = np.zeros(1, HEADER_DTYPE)
     table, desk = binding.table, binding.desk
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and nobody

@@ -20,7 +20,7 @@ from mujoco.introspect.structs import STRUCTS
 
 from mjgranular.errors import GranularError
 
-TESTED = ("4.0.0",)
+TESTED = ("3.17.0", "4.0.0")
 """Versions of MuJoCo that the tests have been run with."""
 
 _WORD = 8  # bytes

@@ -49,6 +49,13 @@ def instance_name(model: int, instance: int) -> str:
     return (name or str(instance).encode()).decode()
 
 
+def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
+    """What is written for an instance under each key, "" for nothing."""
+    read = library().mj_getPluginConfig
+    texts = {key: read(model, instance, key.encode()) for key in keys}
+    return {key: (text or b"").decode() for key, text in texts.items()}
+
+
 def memory_at(address: int, size: int) -> np.ndarray:
     """Bytes of memory that is not Python's, not copied."""
     return np.ctypeslib.as_array((ctypes.c_ubyte * size).from_address(address))

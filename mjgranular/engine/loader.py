@@ -22,13 +22,14 @@ from numba import types
 
 from mjgranular.engine import sensor
 from mjgranular.engine.aside import aside, is_aside
-from mjgranular.engine.block import HEADER_DTYPE, REFUSED, Image, load, make_image
+from mjgranular.engine.block import HEADER_DTYPE, Image, load, make_image
 from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read_config
+from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
-from mjgranular.engine.library import instance_name, library, plugin_slot
+from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
 from mjgranular.engine.links import c_address
 from mjgranular.engine.native import release, retain
-from mjgranular.engine.plugin import NAME, SENSOR_KEYS
+from mjgranular.engine.plugin import SENSOR_KEYS
 from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
@@ -120,7 +121,7 @@ class Loader:
     def refuse(self, data: int, instance: int, text: bytes) -> None:
         """Gives an instance a block that is an error of MuJoCo's as soon as it is used."""
         head = np.zeros(1, HEADER_DTYPE)
-        head["busy"] = REFUSED
+        head["refused"] = 1
         with self._lock:
             message = np.frombuffer(text + b"\0", np.uint8)
             self._rows.seat(data, instance, load(np.concatenate([head.view(np.uint8), message])))
@@ -209,13 +210,6 @@ class Loader:
                     ctypes.c_int32.from_address(bits).value = 0
                     changed = True
         return changed
-
-
-def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
-    """What is written for an instance under each key, "" for nothing."""
-    read = library().mj_getPluginConfig
-    texts = {key: read(model, instance, key.encode()) for key in keys}
-    return {key: (text or b"").decode() for key, text in texts.items()}
 
 
 def _pointer(address: int) -> int:

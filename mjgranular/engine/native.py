@@ -11,13 +11,11 @@ from numba import types
 
 from mjgranular.engine.adjust import adjuster
 from mjgranular.engine.block import (
-    BUSY,
     HEADER_DTYPE,
     IN_DATA,
     IN_MODEL,
     POINTER_IN_DATA,
     POINTER_IN_MODEL,
-    REFUSED,
     RELOCATION_DTYPE,
 )
 from mjgranular.engine.layout import Layout
@@ -52,7 +50,7 @@ from mjgranular.kernel.records import body_records
 PREPARE = "mjgranular_prepare"
 """Name by which compiled code finds the way into Python."""
 
-FUNCTIONS = ("mju_error", "mju_free", "mj_fwdVelocity", "mjv_initGeom", "mjv_connector")
+FUNCTIONS = ("mju_error", "mju_free", "mjv_initGeom", "mjv_connector")
 """Functions of MuJoCo's that compiled code calls."""
 
 INIT_TYPES = (types.int64, types.int64, types.int32)
@@ -73,7 +71,6 @@ _relocations = records(RELOCATION_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _prepare = types.ExternalFunction(PREPARE, types.int64(*INIT_TYPES))
 _error = types.ExternalFunction("mju_error", types.void(types.int64))
-_forward_velocity = types.ExternalFunction("mj_fwdVelocity", types.void(types.int64, types.int64))
 _free = types.ExternalFunction("mju_free", types.void(types.int64))
 
 
@@ -244,9 +241,8 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         if block == 0:
             return
         header = _header(block, 1)[0]
-        if header.busy != 0:
-            if header.busy == REFUSED:
-                _error(block + begin)
+        if header.refused != 0:
+            _error(block + begin)
             return
         if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
@@ -255,12 +251,6 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         lead = 0.0
         if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
             lead = header.lead * floats(model + timestep, 1)[0]
-        if header.whole != 0:
-            # Bias and reference forces come after passive ones, and are needed now. This comes back
-            # here, where it ends at once.
-            header.busy = BUSY
-            _forward_velocity(model, data)
-            header.busy = 0
         call_program(header.program, header.table, lead)
         add_wrenches(table_at(header.table), header.qfrc, header.awake)
 

@@ -16,16 +16,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import mujoco
-import numpy as np
 
 from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.config import KEYS
+from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import LayoutError, find_layout
-from mjgranular.engine.library import instance_name, library, plugin_slot
+from mjgranular.engine.library import instance_name, library
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 
-NAME = "mjgranular.sand"
 SENSOR = "mjgranular.sensor"
 SENSOR_KEYS = ("measure", "sand")
 
@@ -278,14 +277,6 @@ def register() -> None:
     except (GranularError, ImportError, AttributeError) as error:
         _logger.warning("the engine plugin is not registered: %s", error)
         _refused.append(error)
-
-
-def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the instances of sand that a model has, which act inside `mj_step`."""
-    if model.nplugin == 0 or _refused:
-        return ()
-    ours = np.flatnonzero(model.plugin == plugin_slot(NAME))
-    return tuple(instance_name(model._address, int(instance)) for instance in ours)
 
 
 def check_registered() -> None:

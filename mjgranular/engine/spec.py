@@ -8,7 +8,8 @@ from pathlib import Path
 import mujoco
 
 from mjgranular.engine.config import DEFAULT_MEDIUM, write_config
-from mjgranular.engine.plugin import NAME, check_registered
+from mjgranular.engine.instances import NAME
+from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
 from mjgranular.law import Law
 from mjgranular.medium import Medium

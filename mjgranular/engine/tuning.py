@@ -13,7 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.engine.instances import instance_of
+from mjgranular.errors import InputError
 from mjgranular.law import Law
 from mjgranular.surface import Surface
 
@@ -103,11 +104,7 @@ def tune(
         InputError: it is not tunable, `state` is not the model's, or a value that is negative or
             not finite. Then nothing is written.
     """
-    from mjgranular.engine.plugin import sands_in
-
-    if name not in (known := sands_in(model)):
-        raise UnknownNameError("sand of the model", name, known)
-    instance = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, name)
+    instance = instance_of(model, name)
     if model.plugin_statenum[instance] != STATE_SIZE:
         raise InputError(
             f"the sand {name!r} is not tunable: make it with add_sand(..., tunable=True) or "

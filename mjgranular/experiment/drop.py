@@ -20,7 +20,9 @@ from mjgranular.models import Chain
 from mjgranular.sand import Sand
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
-_LARGEST_STEP = 1e-4  # of a run whose time step is left to us [s]; chosen, not measured
+LARGEST_STEP = 1e-4
+"""Of a run with the explicit scheme whose time step is left to us [s]; chosen, not measured."""
+
 _PROGRESS_STEPS = 1000  # between two calls of `progress`
 
 
@@ -270,7 +272,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         if drop.timestep is not None:
             model.opt.timestep = drop.timestep
         elif drop.scheme == "explicit":
-            model.opt.timestep = min(model.opt.timestep, _LARGEST_STEP)
+            model.opt.timestep = min(model.opt.timestep, LARGEST_STEP)
         return model, spec.to_xml()
     except (ValueError, OSError, mujoco.FatalError) as error:
         if isinstance(error, InputError):
@@ -279,14 +281,24 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         raise InputError(f"MuJoCo cannot load {drop.title}: {reason}") from None
 
 
+def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:
+    """Starts from a keyframe; None for as the model is.
+
+    Raises:
+        UnknownNameError: the model has no such keyframe; lists those it has.
+    """
+    if keyframe is None:
+        return
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
+    if key < 0:
+        known = [model.key(k).name for k in range(model.nkey)]
+        raise UnknownNameError("keyframe of the model", keyframe, known)
+    mujoco.mj_resetDataKeyframe(model, data, key)
+
+
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
     """Starts from the keyframe, lifts and throws the model as asked."""
-    if drop.keyframe is not None:
-        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, drop.keyframe)
-        if key < 0:
-            known = [model.key(k).name for k in range(model.nkey)]
-            raise UnknownNameError("keyframe of the model", drop.keyframe, known)
-        mujoco.mj_resetDataKeyframe(model, data, key)
+    start_from(model, data, drop.keyframe)
     if drop.state is not None:
         if len(drop.state) != model.nq + model.nv:
             raise InputError(

@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 
@@ -103,12 +104,13 @@ class _NamedFiles(IndexDataCacheFile):
 class _PackageCache(FunctionCache):
     """numba's cache on disk, made safe for a package of kernels that are made of each other.
 
-    Three things differ. numba drops a cached kernel when the file that defines it changes, but
+    Four things differ. numba drops a cached kernel when the file that defines it changes, but
     not when a file of a kernel that it *calls* does: after an update the old physics would go
     on running; here the stamp covers all folders with kernels. numba tells kernels from one
     factory apart by pickling their closures, which differ in every process, so that they are
-    compiled anew each time; here by the names of the kernels in the closure. And a cache that
-    cannot be read or written (full disk, read-only folder) costs a compilation, never an
+    compiled anew each time; here by the names of the kernels in the closure. MuJoCo's structs and
+    enumerations are constants of the code, which is compiled anew for another version of it. And a
+    cache that cannot be read or written (full disk, read-only folder) costs a compilation, never an
     exception.
     """
 
@@ -123,7 +125,7 @@ class _PackageCache(FunctionCache):
         )
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return sig, codegen.magic_tuple(), self._made_of
+        return sig, codegen.magic_tuple(), mujoco.__version__, self._made_of
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:

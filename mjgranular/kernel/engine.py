@@ -46,6 +46,9 @@ def _function(name: str, *arguments: Any) -> Any:
 _ADDRESS, _INT = types.int64, types.int32
 forward_actuation = _function("mj_fwdActuation", _ADDRESS, _ADDRESS)
 forward_acceleration = _function("mj_fwdAcceleration", _ADDRESS, _ADDRESS)
+bias_forces = _function("mj_rne", _ADDRESS, _ADDRESS, _INT, _ADDRESS)
+tendon_bias_forces = _function("mj_tendonBias", _ADDRESS, _ADDRESS, _ADDRESS)
+constraint_references = _function("mj_referenceConstraint", _ADDRESS, _ADDRESS)
 forward_constraint = _function("mj_fwdConstraint", _ADDRESS, _ADDRESS)
 solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)
 smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
@@ -135,7 +138,7 @@ def _verify(rows: dict[str, int], data: mujoco.MjData) -> None:
 def _unknown_layout() -> ImportError:
     return ImportError(
         f"mjData of MuJoCo {mujoco.mj_versionString()} is not laid out as MuJoCo describes it: the "
-        "implicit scheme was tested with MuJoCo 4.0; scheme='explicit' works without"
+        "implicit scheme was tested with MuJoCo 3.17 and 4.0; scheme='explicit' works without"
     )
 
 

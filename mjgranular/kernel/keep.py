@@ -33,6 +33,10 @@ _PARTS = {  # of mjSTATE_INTEGRATION, in its order, but for the time, which come
     "PLUGIN": "plugin_state",
     "PLASTIC": "plastic",
 }
+# A version of MuJoCo before 4.0 has no plasticity.
+_PARTS = {
+    part: name for part, name in _PARTS.items() if hasattr(mujoco.mjtState, f"mjSTATE_{part}")
+}
 _STATE = sum(int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) for part in ("TIME", *_PARTS))
 _MOST = len(_PARTS) + 2  # spans: a part each, the time, the end
 

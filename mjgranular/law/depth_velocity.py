@@ -13,7 +13,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip, in_world, speed_of_all
+from mjgranular.law.kernel import LawKernel, grip_of_all, in_world
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
@@ -39,32 +39,26 @@ def depth_velocity_resist(blob, law, g, v, d):
 
 
 @compiled
-def depth_velocity_respond(blob, law, g, v, eps, reach, shares):
+def depth_velocity_respond(blob, law, g, v, p, eps):
     """Resistance and its derivative, rest made soft (see `law.kernel`)."""
     vx, vy, vz = v
-    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    gain, along, across = grip(speed, blob[5], eps, reach, shares[0])
+    square = vx * vx + vy * vy + vz * vz
+    scale = 1.0 / math.sqrt(square + eps * eps)
+    hold = scale * blob[5]
     # d(A |v| v)/dv = A (|v| + v v / |v|)
-    turn = 0.0
-    if speed > 0.0:
-        turn = law.quadratic / speed + (along - across) / (speed * speed)
-    drag = law.linear + law.quadratic * speed
-    gain += drag
-    across += drag
+    speed = math.sqrt(square)
+    turn = law.quadratic / speed if speed > 0.0 else 0.0
+    gain = hold + law.linear + law.quadratic * speed
+    bx, by, bz = scale * vx - p[0], scale * vy - p[1], scale * vz - p[2]
+    hold *= scale
+    ux, uy, uz = turn * vx - hold * p[0], turn * vy - hold * p[1], turn * vz - hold * p[2]
     return (
-        -gain * vx,
-        -gain * vy,
-        -gain * vz,
-        across + turn * vx * vx,
-        turn * vx * vy,
-        turn * vx * vz,
-        turn * vy * vx,
-        across + turn * vy * vy,
-        turn * vy * vz,
-        turn * vz * vx,
-        turn * vz * vy,
-        across + turn * vz * vz,
-    )
+        -gain * vx, -gain * vy, -gain * vz,
+        gain + ux * vx, ux * vy, ux * vz,
+        uy * vx, gain + uy * vy, uy * vz,
+        uz * vx, uz * vy, gain + uz * vz,
+        bx * bx + by * by + bz * bz,
+    )  # fmt: skip
 
 
 @cache
@@ -95,7 +89,7 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
         depth_velocity_immerse,
         depth_velocity_resist,
         depth_velocity_respond,
-        speed_of_all,
+        grip_of_all,
         numbers=1,
     )
 

@@ -45,20 +45,21 @@ class LawKernel:
         resist: kernel `resist(immersed, law, g, v, d)`: the force [N] (x, y, z) on the element
             that `immerse` described, from the velocity of its point [m/s] for what depends on the
             direction of motion (`v`) and for what grows with speed (`d`, which may lead).
-        respond: kernel `respond(immersed, law, g, v, eps, reach, shares)`, with the numbers of
-            `immersed` in an array, to be taken one by one: the force and, row by
-            row, the nine numbers of minus its derivative by velocity [N s/m]. Static resistance,
-            which jumps where the motion turns round, is made soft by `grip`, with which it is to
-            be written; a law may have two such limits, each with its share.
-        speeds: kernel `speeds(immersed, v, c)`: the two speeds that `grip` is given, and how they
-            change with a change `c` of the velocity; `speed_of_all` where there is one.
+        respond: kernel `respond(immersed, law, g, v, p, eps)`, with the numbers of `immersed` in an
+            array, to be taken one by one: force (3), minus its derivative by velocity, row by row
+            (9) [N s/m], and how far `p` is from the velocity's own, squared. Static resistance, which jumps where the motion turns round,
+            is a function of the element's *grip* p = v / sqrt(v^2 + eps^2), which is unknown
+            beside v (see `next_grip`).
+        grip: kernel `grip(immersed, v, p, c, eps)`: the grip after a step of Newton's method that
+            changes the velocity `v` by `c`; `grip_of_all` where one limit holds against motion in
+            all directions.
     """
 
     elements: Any
     immerse: Any
     resist: Any
     respond: Any
-    speeds: Any
+    grip: Any
     numbers: int
 
 
@@ -74,63 +75,38 @@ def in_world(pose, x, y, z):
 
 
 @compiled
-def grip(speed, limit, eps, reach, share):
-    """Dry friction with a limit, made soft: limit v / sqrt(v^2 + eps^2).
+def next_grip(v, p, c, eps):
+    """The part of a limit that is called on, p = v / sqrt(v^2 + eps^2), after a Newton step.
 
-    The derivative along the motion falls to nothing where the limit is reached, and Newton's method
-    leaps from there. So it takes the share of the limit that the element was last found to need
-    for one of the two factors phi in 1 - phi^2: that is right at the solution and stiff on the way
+    Friction with a limit, -limit v / sqrt(v^2 + eps^2), has next to no derivative along the motion
+    where the limit is reached, and Newton's method for v leaps from there. So v and p are both
+    unknown, and `sqrt(v^2 + eps^2) p = v` is linearized: equal at the solution, stiff on the way
     (the primal-dual method of Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999), for the same
     function in image processing).
 
-    Below `reach`, the softness it was last solved for, an element is taken to hold: it is looked at
-    with the force it had then, at the speed that gives this force now, and goes on from there along
-    the tangent.
-
     Args:
-        speed: not negative [m/s].
-        limit: of the friction [N].
-        eps: speed at which it has grown to 0.7 of its limit [m/s].
-        reach: at least `eps` [m/s].
-        share: of the limit that was needed; negative where that is not known.
+        v: velocity before the step [m/s], 3 numbers.
+        p: grip before the step, 3 numbers.
+        c: change of the velocity [m/s], 3 numbers.
+        eps: softness [m/s], the speed at which friction has grown to 0.7 of its limit.
 
     Returns:
-        (gain, along, across) [N s/m]: the force is `-gain v`, and minus its derivative `along` in
-        the direction of motion, `across` at right angles to it.
+        Three numbers, the size of which is not more than 1.
     """
-    if speed < reach and eps < reach:
-        held = speed * (eps / reach)
-        size = math.sqrt(held * held + eps * eps)
-        across = limit / size
-        along = across * (eps / size) * (eps / size)
-        return across * (eps / reach) + along * (1.0 - eps / reach), along, across
-    size = math.sqrt(speed * speed + eps * eps)
-    across = limit / size
-    along = across * (eps / size) * (eps / size)
-    if share >= 0.0:
-        along = across * (1.0 - share * (speed / size))
-    return across, along, across
+    size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + eps * eps)
+    scale = 1.0 / size
+    growth = (v[0] * c[0] + v[1] * c[1] + v[2] * c[2]) * scale
+    x = (v[0] + c[0] - growth * p[0]) * scale
+    y = (v[1] + c[1] - growth * p[1]) * scale
+    z = (v[2] + c[2] - growth * p[2]) * scale
+    total = x * x + y * y + z * z
+    if total > 1.0:
+        scale = 1.0 / math.sqrt(total)
+        x, y, z = scale * x, scale * y, scale * z
+    return x, y, z
 
 
 @compiled
-def new_share(speed, change, eps, share):
-    """The share of its limit that an element needs after a step of Newton's method.
-
-    Args:
-        speed: before the step [m/s].
-        change: of the speed [m/s].
-        eps: as in `grip`.
-        share: that the step was made with.
-    """
-    size = math.sqrt(speed * speed + eps * eps)
-    if share < 0.0:
-        share = speed / size
-    return min(max((speed + (1.0 - share * (speed / size)) * change) / size, 0.0), 1.0)
-
-
-@compiled
-def speed_of_all(immersed, v, c):
-    """Speed and its change for a change `c` of velocity, where one limit holds against both."""
-    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    change = v[0] * c[0] + v[1] * c[1] + v[2] * c[2]
-    return speed, 0.0, change / speed if speed > 0.0 else 0.0, 0.0
+def grip_of_all(immersed, v, p, c, eps):
+    """`next_grip` for a law with one limit against motion in all directions."""
+    return next_grip(v, p, c, eps)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip, in_world
+from mjgranular.law.kernel import LawKernel, in_world, next_grip
 from mjgranular.shape.rods import rod_records
 
 LINK_KEYS = ("eta_d", "eta_h", "eta_v", "exponent")
@@ -79,61 +79,65 @@ def link_resist(rod, law, g, v, d):
 
 
 @compiled
-def link_respond(rod, law, g, v, eps, reach, shares):
+def link_respond(rod, law, g, v, p, eps):
     """Resistance and its derivative, rest made soft (see `law.kernel`)."""
     ux, uy, uz = rod[5], rod[6], rod[7]
     nx, ny, nz = rod[8], rod[9], rod[10]
     limit_n, limit_t, drag = rod[11], rod[12], rod[13]
     vx, vy, vz = v
+    px, py, pz = p
     normal_v = vx * nx + vy * ny + vz * nz
     tx, ty, tz = vx - normal_v * nx, vy - normal_v * ny, vz - normal_v * nz
-    tangent_v = math.sqrt(tx * tx + ty * ty + tz * tz)
-
-    gain_n, stiff_n, _ = grip(abs(normal_v), limit_n, eps, reach, shares[0])
-    gain_t, along_t, across_t = grip(tangent_v, limit_t, eps, reach, shares[1])
-    turn = 0.0
-    if tangent_v > 0.0:
-        turn = (across_t - along_t) / (tangent_v * tangent_v)
-    along_n = gain_n * normal_v
+    normal_p = px * nx + py * ny + pz * nz
+    px, py, pz = px - normal_p * nx, py - normal_p * ny, pz - normal_p * nz
+    soft = eps * eps
+    scale_n = 1.0 / math.sqrt(normal_v * normal_v + soft)
+    scale_t = 1.0 / math.sqrt(tx * tx + ty * ty + tz * tz + soft)
+    gain_n, gain_t = limit_n * scale_n, limit_t * scale_t
+    stiff_n = gain_n * (1.0 - normal_p * normal_v * scale_n)
+    turn = gain_t * scale_t
+    bx, by, bz = scale_t * tx - px, scale_t * ty - py, scale_t * tz - pz
+    bn = scale_n * normal_v - normal_p
+    bend = bx * bx + by * by + bz * bz + bn * bn
 
     # d(c |u x v| v)/dv = c |u x v| + v (c d|u x v|/dv)
     along_u = vx * ux + vy * uy + vz * uz
-    px, py, pz = vx - along_u * ux, vy - along_u * uy, vz - along_u * uz
-    cross = math.sqrt(px * px + py * py + pz * pz)
-    c = drag * cross
+    dx, dy, dz = vx - along_u * ux, vy - along_u * uy, vz - along_u * uz
+    cross = math.sqrt(dx * dx + dy * dy + dz * dz)
+    same = gain_t + drag * cross
     share = drag / cross if cross > 0.0 else 0.0
-    px, py, pz = share * px, share * py, share * pz
+    dx, dy, dz = share * dx, share * dy, share * dz
 
-    level = stiff_n - across_t
-    same = c + across_t
+    px, py, pz = turn * px, turn * py, turn * pz
+    level = stiff_n - gain_t
+    along_n = (gain_n - gain_t) * normal_v
+    ax, ay, az = level * nx, level * ny, level * nz
     return (
-        -c * vx - along_n * nx - gain_t * tx,
-        -c * vy - along_n * ny - gain_t * ty,
-        -c * vz - along_n * nz - gain_t * tz,
-        same + level * nx * nx - turn * tx * tx + vx * px,
-        level * nx * ny - turn * tx * ty + vx * py,
-        level * nx * nz - turn * tx * tz + vx * pz,
-        level * ny * nx - turn * ty * tx + vy * px,
-        same + level * ny * ny - turn * ty * ty + vy * py,
-        level * ny * nz - turn * ty * tz + vy * pz,
-        level * nz * nx - turn * tz * tx + vz * px,
-        level * nz * ny - turn * tz * ty + vz * py,
-        same + level * nz * nz - turn * tz * tz + vz * pz,
-    )
+        -same * vx - along_n * nx, -same * vy - along_n * ny, -same * vz - along_n * nz,
+        same + ax * nx - px * tx + vx * dx, ax * ny - px * ty + vx * dy, ax * nz - px * tz + vx * dz,
+        ay * nx - py * tx + vy * dx, same + ay * ny - py * ty + vy * dy, ay * nz - py * tz + vy * dz,
+        az * nx - pz * tx + vz * dx, az * ny - pz * ty + vz * dy, same + az * nz - pz * tz + vz * dz,
+        bend,
+    )  # fmt: skip
 
 
 @compiled
-def link_speeds(rod, v, c):
-    """Speeds along the normal and along the surface, and their changes (see `law.kernel`)."""
+def link_grip(rod, v, p, c, eps):
+    """The grip along the normal and that along the surface, each with its limit."""
     nx, ny, nz = rod[8], rod[9], rod[10]
-    normal_v = v[0] * nx + v[1] * ny + v[2] * nz
-    normal_c = c[0] * nx + c[1] * ny + c[2] * nz
-    tx, ty, tz = v[0] - normal_v * nx, v[1] - normal_v * ny, v[2] - normal_v * nz
-    tangent_v = math.sqrt(tx * tx + ty * ty + tz * tz)
-    tangent_c = tx * c[0] + ty * c[1] + tz * c[2]
-    if tangent_v > 0.0:
-        tangent_c /= tangent_v
-    return abs(normal_v), tangent_v, math.copysign(1.0, normal_v) * normal_c, tangent_c
+    vn = v[0] * nx + v[1] * ny + v[2] * nz
+    pn = p[0] * nx + p[1] * ny + p[2] * nz
+    cn = c[0] * nx + c[1] * ny + c[2] * nz
+    scale = 1.0 / math.sqrt(vn * vn + eps * eps)
+    q = (vn + cn - pn * (vn * cn * scale)) * scale
+    q = min(max(q, -1.0), 1.0)
+    x, y, z = next_grip(
+        (v[0] - vn * nx, v[1] - vn * ny, v[2] - vn * nz),
+        (p[0] - pn * nx, p[1] - pn * ny, p[2] - pn * nz),
+        (c[0] - cn * nx, c[1] - cn * ny, c[2] - cn * nz),
+        eps,
+    )
+    return x + q * nx, y + q * ny, z + q * nz
 
 
 @cache
@@ -169,4 +173,4 @@ def link_kernel(limits: Any, probe: Any) -> LawKernel:
         drag = law.eta_d * law.density * rod.width * length
         return depth, length, cx, cy, cz, ux, uy, uz, nx, ny, nz, limit_n, limit_t, drag
 
-    return LawKernel(rod_records, link_immerse, link_resist, link_respond, link_speeds, numbers=9)
+    return LawKernel(rod_records, link_immerse, link_resist, link_respond, link_grip, numbers=9)

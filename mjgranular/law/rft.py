@@ -19,9 +19,17 @@ from mjgranular.surface import Surface
 
 
 class RftLaw(Law):
-    """Resistive force theory: a stress on every leading facet, linear in its depth."""
+    """Resistive force theory: a stress on every leading facet, linear in its depth.
+
+    Attributes:
+        stress: kernel, see `facet_kernel`.
+        slope: likewise, or None.
+        inertia: lambda of the dynamic term.
+        rise: whether the surface behind a turning body is lowered.
+    """
 
     stress: ClassVar[Any]
+    slope: ClassVar[Any] = None
     density_keys: ClassVar[tuple[str, ...]] = ("inertia",)
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("froude", 0.4, "quasi-static RFT, Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),
@@ -51,4 +59,4 @@ class RftLaw(Law):
         return facets_from_model(model, geoms, resolution)
 
     def kernel(self, surface: Surface) -> LawKernel:
-        return facet_kernel(type(self).stress, type(surface).probe)
+        return facet_kernel(type(self).stress, type(surface).probe, type(self).slope)

@@ -48,6 +48,30 @@ def polynomial(c, x1, x2, x3):
 
 
 @compiled
+def polynomial_slope(c, x1, x2, x3):
+    """One of the three functions, and its derivatives by x1 and by x3."""
+    x23 = x2 * x3
+    a0 = (
+        c[0]
+        + x2 * (c[2] + x2 * (c[5] + x2 * c[11]))
+        + x3 * (c[3] + x3 * (c[6] + x3 * c[12] + x2 * c[15]) + x2 * (c[8] + x2 * c[16]))
+    )
+    a1 = c[1] + x2 * (c[7] + x2 * c[13]) + x3 * (c[9] + x3 * c[18]) + c[19] * x23
+    a2 = c[4] + x2 * c[14] + x3 * c[17]
+    by_x3 = (
+        c[3]
+        + x3 * (2.0 * (c[6] + x2 * c[15]) + 3.0 * x3 * c[12])
+        + x2 * (c[8] + x2 * c[16] + x1 * c[19])
+        + x1 * (c[9] + 2.0 * x3 * c[18] + x1 * c[17])
+    )
+    return (
+        a0 + x1 * (a1 + x1 * (a2 + x1 * c[10])),
+        a1 + x1 * (2.0 * a2 + 3.0 * x1 * c[10]),
+        by_x3,
+    )
+
+
+@compiled
 def generic_response(nx, ny, nz, vx, vy, vz, zx, zy, zz):
     """The generic response a for a plate: `f1 m + f2 v - f3 z`.
 
@@ -92,6 +116,80 @@ def rft3d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     )
 
 
+@compiled
+def rft3d_slope(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
+    """The same, and its derivative by the direction v, row by row.
+
+    With a = f1 n + f2 v - f3 z (flips included) and x1 = -v.z, x3 = +-n.v, the gradients of f are
+    combinations of n and z; normal and tangential part, limit and cut follow by the chain rule.
+    """
+    down = nx * zx + ny * zy + nz * zz
+    flip = -1.0 if down > 0.0 else 1.0
+    along_z = vx * zx + vy * zy + vz * zz
+    nv = nx * vx + ny * vy + nz * vz
+    x1, x2, x3 = -along_z, abs(down), flip * nv
+    f1, p11, p13 = polynomial_slope(C1, x1, x2, x3)
+    f2, p21, p23 = polynomial_slope(C2, x1, x2, x3)
+    f3, p31, p33 = polynomial_slope(C3, x1, x2, x3)
+    f1, p11 = flip * f1, flip * p11
+    p23, p33 = flip * p23, flip * p33
+    ax = f1 * nx + f2 * vx - f3 * zx
+    ay = f1 * ny + f2 * vy - f3 * zy
+    az = f1 * nz + f2 * vz - f3 * zz
+    along = f1 + f2 * nv - f3 * down
+    tx, ty, tz = ax - along * nx, ay - along * ny, az - along * nz
+    # The gradient of `along`, h = hn n - hz z; Dt = Da - n h = (v - nv n) g2 - (z - down n) g3
+    # + f2 (1 - n n), with g = pn n - pz z.
+    hn = p13 + nv * p23 - down * p33 + f2
+    hz = p11 + nv * p21 - down * p31
+    hx, hy, hz = hn * nx - hz * zx, hn * ny - hz * zy, hn * nz - hz * zz
+    g2x, g2y, g2z = p23 * nx - p21 * zx, p23 * ny - p21 * zy, p23 * nz - p21 * zz
+    g3x, g3y, g3z = p33 * nx - p31 * zx, p33 * ny - p31 * zy, p33 * nz - p31 * zz
+    ex, ey, ez = vx - nv * nx, vy - nv * ny, vz - nv * nz
+    qx, qy, qz = zx - down * nx, zy - down * ny, zz - down * nz
+    t0, t1, t2 = ex * g2x - qx * g3x, ex * g2y - qx * g3y, ex * g2z - qx * g3z
+    t3, t4, t5 = ey * g2x - qy * g3x, ey * g2y - qy * g3y, ey * g2z - qy * g3z
+    t6, t7, t8 = ez * g2x - qz * g3x, ez * g2y - qz * g3y, ez * g2z - qz * g3z
+    fx, fy, fz = f2 * nx, f2 * ny, f2 * nz
+    t0, t1, t2 = t0 + f2 - fx * nx, t1 - fx * ny, t2 - fx * nz
+    t3, t4, t5 = t3 - fy * nx, t4 + f2 - fy * ny, t5 - fy * nz
+    t6, t7, t8 = t6 - fz * nx, t7 - fz * ny, t8 + f2 - fz * nz
+    normal = abs(along)
+    if along < 0.0:
+        hx, hy, hz = -hx, -hy, -hz  # the gradient of `normal`
+    tangential = math.sqrt(tx * tx + ty * ty + tz * tz)
+    share, sx, sy, sz = 1.0, 0.0, 0.0, 0.0
+    if tangential > law.friction * normal:
+        share = law.friction * normal / tangential
+        c, w = law.friction / tangential, share / (tangential * tangential)
+        sx = c * hx - w * (tx * t0 + ty * t3 + tz * t6)
+        sy = c * hy - w * (tx * t1 + ty * t4 + tz * t7)
+        sz = c * hz - w * (tx * t2 + ty * t5 + tz * t8)
+    against = normal * nv
+    along_v = tx * vx + ty * vy + tz * vz
+    if share * along_v > against:
+        share = against / along_v
+        c = 1.0 / along_v
+        sx = c * (hx * nv + normal * nx - share * (tx + vx * t0 + vy * t3 + vz * t6))
+        sy = c * (hy * nv + normal * ny - share * (ty + vx * t1 + vy * t4 + vz * t7))
+        sz = c * (hz * nv + normal * nz - share * (tz + vx * t2 + vy * t5 + vz * t8))
+    k = law.stiffness * g
+    return (
+        k * (share * tx - normal * nx),
+        k * (share * ty - normal * ny),
+        k * (share * tz - normal * nz),
+        k * (share * t0 + tx * sx - nx * hx),
+        k * (share * t1 + tx * sy - nx * hy),
+        k * (share * t2 + tx * sz - nx * hz),
+        k * (share * t3 + ty * sx - ny * hx),
+        k * (share * t4 + ty * sy - ny * hy),
+        k * (share * t5 + ty * sz - ny * hz),
+        k * (share * t6 + tz * sx - nz * hx),
+        k * (share * t7 + tz * sy - nz * hy),
+        k * (share * t8 + tz * sz - nz * hz),
+    )
+
+
 @register_law
 @dataclass(frozen=True)
 class Rft3dLaw(RftLaw):
@@ -126,6 +224,7 @@ class Rft3dLaw(RftLaw):
         "D. I. Goldman, K. Kamrin, Sci. Adv. 7 eabe0631 (2021)"
     )
     stress: ClassVar[Any] = rft3d_stress
+    slope: ClassVar[Any] = rft3d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("stiffness",)
 
     density: float

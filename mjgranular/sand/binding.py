@@ -36,8 +36,19 @@ def bind(
     elements: np.ndarray,
     scene: np.ndarray,
     scheme: Scheme,
+    *,
+    within: bool = False,
 ) -> Binding:
-    """Makes the binding of elements (fields `body`, `slot`) to a simulation."""
+    """Makes the binding of elements (fields `body`, `slot`) to a simulation.
+
+    Args:
+        model: the model.
+        data: the simulation.
+        elements: of the law.
+        scene: parameters of law and surface.
+        scheme: how forces become a step.
+        within: whether forces are asked for among MuJoCo's passive ones, inside its step.
+    """
     bodies = np.zeros(len(np.unique(elements["slot"])), BODY_DTYPE)
     for element in elements:
         row = bodies[element["slot"]]
@@ -48,7 +59,7 @@ def bind(
     bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     kept = Kept.of(model, data)
-    desk = scheme.desk(model, data, elements)
+    desk = scheme.desk(model, data, elements, within=within)
     table = simulation_table(
         model,
         data,

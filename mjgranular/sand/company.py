@@ -1,4 +1,4 @@
-"""Which Sands act on one simulation: one for a body, unless all of them say that they share it."""
+"""Which sands act on one simulation: one for a body, unless all of them say that they share it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import weakref
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.sand.binding import Binding
@@ -19,6 +20,27 @@ class _Member:
 
     bodies: frozenset[int]
     shared: bool
+
+
+def refuse_sand_of_its_own(model: mujoco.MjModel, elements: np.ndarray) -> None:
+    """Refuses bodies on which a plugin instance of the model acts already, inside `mj_step`.
+
+    Raises:
+        InputError: says which.
+    """
+    if model.nplugin == 0:
+        return
+    from mjgranular.engine.instances import bodies_of, sands_in  # it stands on this package
+
+    ours = set(elements["body"].tolist())
+    for name in sands_in(model):
+        common = ours & bodies_of(model, name)
+        if common:
+            raise InputError(
+                f"the model has sand of its own, the plugin instance {name!r}, which acts on body "
+                f"{body_name(model, min(common))} inside mj_step: step it with mj_step and without "
+                "Sand, or say shared=True if both are to act"
+            )
 
 
 class Company:

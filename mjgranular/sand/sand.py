@@ -16,7 +16,7 @@ from mjgranular.kernel import entry
 from mjgranular.law import Law, get_law, make_scene
 from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
-from mjgranular.sand.company import company_of
+from mjgranular.sand.company import company_of, refuse_sand_of_its_own
 from mjgranular.sand.guard import FINE, finish_step, guarded_program
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.scheme import Scheme, get_scheme
@@ -67,11 +67,13 @@ class Sand:
             every collision geom of every body that can move.
         resolution: how finely geoms are cut into elements, in the law's own measure; None for its
             default.
-        shared: lets another `Sand`, shared too, act on the same bodies of the same `MjData`.
+        shared: lets another `Sand`, shared too, or sand that is a part of the model act on the same
+            bodies of the same `MjData`.
 
     Raises:
         UnknownNameError: a name or group that does not exist; lists those that do.
-        InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
+        InputError: geoms that the law has no elements for, a model that the scheme cannot step, or
+            one that has sand of its own on the same bodies (`engine`).
     """
 
     def __init__(
@@ -113,6 +115,8 @@ class Sand:
             leave_out=self._surface.geoms(model),
         )
         self._elements = self._law.elements(model, chosen, resolution)
+        if not shared:
+            refuse_sand_of_its_own(model, self._elements)
         self._scheme = asked.settle(model, len(self._elements))
         self._scene = make_scene(self._law, self._medium, self._surface, model)
         kernel = self._law.kernel(self._surface)

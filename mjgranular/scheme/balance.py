@@ -52,7 +52,6 @@ def prepare_inertia(desk, room, h):
     """
     nv = desk[d.NV]
     inertia = floats(room.inertia, nv * nv)
-    extra = floats(room.extra, nv * nv)
     clear(inertia)
     m = desk[d.INERTIA]
     size, start = ints(desk[d.M_SIZE], nv), ints(desk[d.M_START], nv)
@@ -64,8 +63,20 @@ def prepare_inertia(desk, room, h):
             inertia[i * nv + j] = values[k]
             inertia[j * nv + i] = values[k]
     kind = desk[d.INTEGRATOR]
-    if kind == d.PLAIN:
-        return
+    if kind != d.PLAIN:
+        add_extra(desk, room, h)
+    weight = floats(room.weight, nv)
+    for j in range(nv):
+        weight[j] = 1.0 / inertia[j * nv + j]
+
+
+@compiled
+def add_extra(desk, room, h):
+    """Adds what the integrator adds to the inertia."""
+    nv = desk[d.NV]
+    kind = desk[d.INTEGRATOR]
+    inertia = floats(room.inertia, nv * nv)
+    extra = floats(room.extra, nv * nv)
     clear(extra)
     if kind == d.DAMPED:
         damping = floats(desk[d.DAMPING], nv)
@@ -118,26 +129,32 @@ def keep_lone(desk, extra):
 
 
 @compiled
-def norm(residual, inertia, nv):
+def norm(residual, room, nv):
     """Size of a momentum: the square root of about twice its energy."""
+    weight = floats(room.weight, nv)
     total = 0.0
     for j in range(nv):
-        total += residual[j] * residual[j] / inertia[j * nv + j]
+        total += residual[j] * residual[j] * weight[j]
     return math.sqrt(total)
 
 
 @compiled
 def solve(matrix, right, answer, n):
-    """Solves `matrix answer = right`; False if a pivot is nothing. Destroys both."""
+    """Solves `matrix answer = right`; False if a pivot is nothing. Destroys both.
+
+    Whole rows, though most of a tree's matrix is zero: they are vectorized, lists of what is not
+    zero are not, and took twice the time from 6 to 23 degrees of freedom.
+    """
     for k in range(n - 1, -1, -1):
         row = matrix[k * n : k * n + n]
         pivot = row[k]
         if not abs(pivot) > 0.0:
             return False
+        scale = 1.0 / pivot
         for i in range(k):
             factor = matrix[i * n + k]
             if factor != 0.0:
-                factor /= pivot
+                factor *= scale
                 other = matrix[i * n : i * n + n]
                 for j in range(k):
                     other[j] -= factor * row[j]
@@ -241,6 +258,8 @@ def add_bodies(desk, room, h):
         z0, z1, z2, z3, z4, z5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(6):
             u = h * c[k]
+            if u == 0.0:  # half of them and more: slides, and all that moves in a plane
+                continue
             y0 += u * s[k]
             y1 += u * s[6 + k]
             y2 += u * s[12 + k]
@@ -267,6 +286,80 @@ def add_bodies(desk, room, h):
 
 
 @compiled
+def prepare_rows(desk, room):
+    """Reads the constraints' rows, and what they make of a change of velocity over the step.
+
+    The integrator's own damping C comes after MuJoCo's constraints, M a = (M + C) (v' - v) / h, so
+    that the acceleration along a row is row (1 + M^-1 C) (v' - v) / h.
+    """
+    nv = desk[d.NV]
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    count = min(ints(desk[d.DATA] + rows.count, 1)[0], d.ROWS_KEPT)
+    for i in range(count):
+        read_row(desk, rows, i, room.rows + 8 * i * nv)
+        firm_up(desk, room, room.rows + 8 * i * nv, room.firms + 8 * i * nv)
+
+
+@compiled
+def read_row(desk, rows, i, address):
+    """Writes the row of a constraint to an address."""
+    nv = desk[d.NV]
+    row = floats(address, nv)
+    data = desk[d.DATA]
+    jacobian = longs(data + rows.jacobian, 1)[0]
+    if desk[d.SPARSE]:
+        clear(row)
+        size = ints(longs(data + rows.row_size, 1)[0], i + 1)[i]
+        start = ints(longs(data + rows.row_start, 1)[0], i + 1)[i]
+        column = ints(longs(data + rows.column, 1)[0] + 4 * start, size)
+        values = floats(jacobian + 8 * start, size)
+        for k in range(size):
+            row[column[k]] = values[k]
+    else:
+        copy(row, floats(jacobian + 8 * i * nv, nv))
+
+
+@compiled
+def firm_up(desk, room, address, firm_address):
+    """Writes row (1 + M^-1 C) to an address."""
+    nv = desk[d.NV]
+    row, firm = floats(address, nv), floats(firm_address, nv)
+    copy(firm, row)
+    if desk[d.INTEGRATOR] == d.PLAIN:
+        return
+    product = floats(room.product, nv)
+    extra = floats(room.extra, nv * nv)
+    solve_inertia(desk[d.MODEL], desk[d.DATA], product.ctypes.data, address, 1)
+    for i in range(nv):
+        u = product[i]
+        if u != 0.0:
+            for j in range(nv):
+                firm[j] += u * extra[i * nv + j]
+
+
+@compiled
+def row_at(desk, room, rows, i):
+    """Addresses of the row of a constraint, and of what it makes of a change of velocity."""
+    if i < d.ROWS_KEPT:
+        nv = desk[d.NV]
+        return room.rows + 8 * i * nv, room.firms + 8 * i * nv
+    read_row(desk, rows, i, room.acceleration)
+    firm_up(desk, room, room.acceleration, room.answer)
+    return room.acceleration, room.answer
+
+
+@compiled
+def row_value(desk, room, rows, i, rate):
+    """The acceleration along a constraint's row, of changes of velocity over the step."""
+    nv = desk[d.NV]
+    firm = floats(row_at(desk, room, rows, i)[1], nv)
+    total = 0.0
+    for k in range(nv):
+        total += firm[k] * rate[k]
+    return total
+
+
+@compiled
 def bound_forces(desk, room, velocity, h):
     """Momentum of MuJoCo's constraints at a velocity, and its derivative, added to the matrix.
 
@@ -277,7 +370,8 @@ def bound_forces(desk, room, velocity, h):
     """
     nv = desk[d.NV]
     bound = floats(room.bound, nv)
-    acceleration = floats(room.acceleration, nv)
+    start = floats(room.start, nv)
+    rate = floats(room.rate, nv)
     data = desk[d.DATA]
     rows = rows_of(desk[d.ROWS], 1)[0]
     count = ints(data + rows.count, 1)[0]
@@ -285,7 +379,8 @@ def bound_forces(desk, room, velocity, h):
         bound[j] = 0.0
     if count == 0:
         return
-    accelerate(desk, room, velocity, h)
+    for j in range(nv):
+        rate[j] = (velocity[j] - start[j]) / h
     kind = ints(longs(data + rows.kind, 1)[0], count)
     loss = floats(longs(data + rows.loss, 1)[0], count)
     mass = floats(longs(data + rows.mass, 1)[0], count)
@@ -298,7 +393,7 @@ def bound_forces(desk, room, velocity, h):
             add_cone(desk, room, rows, i, contact, mass, reference, h)
             i += contact.dim
             continue
-        x = row_value(desk, room, rows, i, acceleration) - reference[i]
+        x = row_value(desk, room, rows, i, rate) - reference[i]
         force = -mass[i] * x
         stiff = mass[i]
         if kind[i] == _EQUALITY:
@@ -310,120 +405,42 @@ def bound_forces(desk, room, velocity, h):
         elif x >= 0.0:
             force, stiff = 0.0, 0.0
         if force != 0.0 or stiff != 0.0:
-            read_row(desk, room, rows, i, 1.0, _ANEW)
-            push(desk, room, force, stiff, h)
+            row, firm = row_at(desk, room, rows, i)
+            push(desk, room, row, firm, force, stiff, h)
         i += 1
 
 
 @compiled
-def accelerate(desk, room, velocity, h):
-    """MuJoCo's acceleration for a velocity at the end of the step.
-
-    The integrator's own damping comes after its constraints: M a = A (v' - v) / h.
-    """
+def mix_row(desk, room, rows, i, factor, fresh):
+    """Adds a multiple of a constraint's row to `row` and `firm`, or begins them."""
     nv = desk[d.NV]
-    start = floats(room.start, nv)
-    acceleration = floats(room.acceleration, nv)
-    answer = floats(room.answer, nv)
-    for j in range(nv):
-        acceleration[j] = (velocity[j] - start[j]) / h
-    if desk[d.INTEGRATOR] == d.PLAIN:
-        return
-    spread(desk, room, acceleration)
-    for j in range(nv):
-        acceleration[j] += answer[j]
-
-
-@compiled
-def spread(desk, room, x):
-    """Leaves M^-1 C x in `answer`, with C what the integrator adds to the inertia M."""
-    nv = desk[d.NV]
-    answer = floats(room.answer, nv)
-    product = floats(room.product, nv)
-    extra = floats(room.extra, nv * nv)
-    for i in range(nv):
-        total = 0.0
-        for j in range(nv):
-            total += extra[i * nv + j] * x[j]
-        product[i] = total
-    solve_inertia(desk[d.MODEL], desk[d.DATA], answer.ctypes.data, product.ctypes.data, 1)
-
-
-@compiled
-def row_value(desk, room, rows, i, x):
-    """The product of a constraint's row with a vector."""
-    nv = desk[d.NV]
-    data = desk[d.DATA]
-    jacobian = longs(data + rows.jacobian, 1)[0]
-    total = 0.0
-    if desk[d.SPARSE]:
-        size = ints(longs(data + rows.row_size, 1)[0], i + 1)[i]
-        start = ints(longs(data + rows.row_start, 1)[0], i + 1)[i]
-        column = ints(longs(data + rows.column, 1)[0] + 4 * start, size)
-        values = floats(jacobian + 8 * start, size)
-        for k in range(size):
-            total += values[k] * x[column[k]]
-    else:
-        values = floats(jacobian + 8 * i * nv, nv)
-        for k in range(nv):
-            total += values[k] * x[k]
-    return total
-
-
-@compiled
-def read_row(desk, room, rows, i, factor, fresh):
-    """Adds a multiple of a constraint's row to `row`, or begins it."""
-    nv = desk[d.NV]
-    row = floats(room.row, nv)
-    data = desk[d.DATA]
+    row, firm = floats(room.row, nv), floats(room.firm, nv)
     if fresh:
         clear(row)
-    jacobian = longs(data + rows.jacobian, 1)[0]
-    if desk[d.SPARSE]:
-        size = ints(longs(data + rows.row_size, 1)[0], i + 1)[i]
-        start = ints(longs(data + rows.row_start, 1)[0], i + 1)[i]
-        column = ints(longs(data + rows.column, 1)[0] + 4 * start, size)
-        values = floats(jacobian + 8 * start, size)
-        for k in range(size):
-            row[column[k]] += factor * values[k]
-    else:
-        values = floats(jacobian + 8 * i * nv, nv)
-        for k in range(nv):
-            row[k] += factor * values[k]
+        clear(firm)
+    address, firm_address = row_at(desk, room, rows, i)
+    source, firm_source = floats(address, nv), floats(firm_address, nv)
+    for k in range(nv):
+        row[k] += factor * source[k]
+        firm[k] += factor * firm_source[k]
 
 
 @compiled
-def push(desk, room, force, stiff, h):
-    """Adds a force along `row` to the constraints' momentum, and its stiffness to the matrix."""
+def push(desk, room, address, firm_address, force, stiff, h):
+    """Adds a force along a row to the constraints' momentum, and its stiffness to the matrix."""
     nv = desk[d.NV]
     bound = floats(room.bound, nv)
-    row = floats(room.row, nv)
-    answer = floats(room.answer, nv)
-    product = floats(room.product, nv)
-    extra = floats(room.extra, nv * nv)
+    row, firm = floats(address, nv), floats(firm_address, nv)
     matrix = floats(room.matrix, nv * nv)
     for j in range(nv):
         bound[j] += h * force * row[j]
     if stiff == 0.0:
         return
-    if desk[d.INTEGRATOR] == d.PLAIN:
-        for j in range(nv):
-            answer[j] = row[j]
-    else:
-        # The row's acceleration is row (1 + M^-1 C) of the change of velocity over h.
-        solve_inertia(desk[d.MODEL], desk[d.DATA], product.ctypes.data, row.ctypes.data, 1)
-        for j in range(nv):
-            answer[j] = row[j]
-        for i in range(nv):
-            u = product[i]
-            if u != 0.0:
-                for j in range(nv):
-                    answer[j] += u * extra[i * nv + j]
     for i in range(nv):
         u = stiff * row[i]
         if u != 0.0:
             for j in range(nv):
-                matrix[i * nv + j] += u * answer[j]
+                matrix[i * nv + j] += u * firm[j]
 
 
 @compiled
@@ -435,41 +452,41 @@ def add_cone(desk, room, rows, i, contact, mass, reference, h):
     rows are springs; between, one spring D_m along the distance N - mu T from the cone.
     """
     nv = desk[d.NV]
-    acceleration = floats(room.acceleration, nv)
+    rate = floats(room.rate, nv)
     dim = contact.dim
     mu = contact.mu
-    x0 = row_value(desk, room, rows, i, acceleration) - reference[i]
+    x0 = row_value(desk, room, rows, i, rate) - reference[i]
     n = x0 * mu
     t = 0.0
     for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
+        x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
         t += (x * contact.friction[k - 1]) ** 2
     t = math.sqrt(t)
     if n >= mu * t or (t <= 0.0 and n >= 0.0):
         return
     if mu * n + t <= 0.0 or (t <= 0.0 and n < 0.0):
         for k in range(dim):
-            x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
-            read_row(desk, room, rows, i + k, 1.0, _ANEW)
-            push(desk, room, -mass[i + k] * x, mass[i + k], h)
+            x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
+            row, firm = row_at(desk, room, rows, i + k)
+            push(desk, room, row, firm, -mass[i + k] * x, mass[i + k], h)
         return
     stiff = mass[i] / (mu * mu * (1.0 + mu * mu))
     away = n - mu * t
     # Along the gradient of the distance: mu for the normal row, -mu U_k / T friction_k for others.
-    read_row(desk, room, rows, i, mu, _ANEW)
+    mix_row(desk, room, rows, i, mu, _ANEW)
     for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
+        x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
         friction = contact.friction[k - 1]
-        read_row(desk, room, rows, i + k, -mu * (x * friction / t) * friction, _MORE)
-    push(desk, room, -stiff * away, stiff, h)
+        mix_row(desk, room, rows, i + k, -mu * (x * friction / t) * friction, _MORE)
+    push(desk, room, room.row, room.firm, -stiff * away, stiff, h)
     # The gradient turns with U: curvature of T, taken with no regard to its direction.
     bend = -stiff * away * mu / t
     for k in range(1, dim):
         friction = contact.friction[k - 1]
-        read_row(desk, room, rows, i + k, friction, _ANEW)
-        push(desk, room, 0.0, bend, h)
+        mix_row(desk, room, rows, i + k, friction, _ANEW)
+        push(desk, room, room.row, room.firm, 0.0, bend, h)
     for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, acceleration) - reference[i + k]
+        x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
         friction = contact.friction[k - 1]
-        read_row(desk, room, rows, i + k, (x * friction / t) * friction, k == 1)
-    push(desk, room, 0.0, -bend, h)
+        mix_row(desk, room, rows, i + k, (x * friction / t) * friction, k == 1)
+    push(desk, room, room.row, room.firm, 0.0, -bend, h)

@@ -23,10 +23,7 @@ WET_DTYPE = np.dtype(
         ("body", np.int64),
         ("arm", np.float64, (3,)),  # from the centre of the tree to where force acts [m]
         ("velocity", np.float64, (3,)),  # last looked at [m/s]
-        ("shares", np.float64, (2,)),  # of its limits that it needs, negative: not known
-        ("base_velocity", np.float64, (3,)),  # both before a step of Newton's method,
-        ("base_shares", np.float64, (2,)),
-        ("change", np.float64, (3,)),  # and the change of velocity in the whole of that step
+        ("grip", np.float64, (3,)),  # there: what is called on of the limits (`law.kernel`)
         ("immersed", np.float64, (IMMERSED_SIZE,)),  # what the law's `immerse` gave
     ]
 )
@@ -45,8 +42,10 @@ ACCOUNT_DTYPE = np.dtype(
 )
 account_records = records(ACCOUNT_DTYPE)
 
-# The desk's table: sizes and switches, then addresses. The order is that of `make_desk`.
-NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT = range(7)
+# The desk's table: sizes and switches, then addresses. The order is that of `make_desk`. WITHIN is 1
+# where the sand is asked for its forces among MuJoCo's passive ones: those that come after them in
+# the step are not there yet.
+NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN = range(8)
 OF_MODEL = (
     "M_rownnz",
     "M_rowadr",
@@ -74,8 +73,9 @@ OF_DATA = (
     "qfrc_constraint",
     "qacc_warmstart",
     "qacc",
+    "qfrc_bias",
 )
-FIRST_OF_MODEL = 7
+FIRST_OF_MODEL = 8
 FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
 WET, NUMBERS, ACCOUNT, ROWS, LONE = range(
     FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 5
@@ -87,7 +87,7 @@ DESK_SIZE = LONE + 1
 ) = range(FIRST_OF_MODEL, FIRST_OF_DATA)  # fmt: skip
 (
     QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM,
-    CONSTRAINT, WARMSTART, QACC,
+    CONSTRAINT, WARMSTART, QACC, BIAS,
 ) = range(FIRST_OF_DATA, WET)  # fmt: skip
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
@@ -100,15 +100,17 @@ Room = namedtuple(
         "start",  # at the beginning
         "trial",
         "change",
-        "good",  # the last of the solver's velocities that solved something
         "smooth",  # momentum of all forces but sand and constraints
         "residual",
         "sand",  # momentum of the sand
         "bound",  # momentum of the constraints
+        "rate",  # of the velocity over the step
         "acceleration",
-        "row",
+        "row",  # of a constraint, or of several of them together
+        "firm",  # what the row makes of a change of velocity
         "answer",
         "product",
+        "weight",  # 1 / the diagonal of what resists
         "inertia",  # what resists a change of velocity over the step, nv x nv
         "extra",  # of it, what is not inertia
         "matrix",  # derivative of the residual
@@ -117,13 +119,19 @@ Room = namedtuple(
         "total",  # the same with those of the bodies that they carry
         "stiffness",  # derivative of the wrench, 6 x 6 each
         "wet",  # whether a body or one that it carries has an element in the sand
+        "rows",  # rows of the constraints, nv numbers each, of the first ROWS_KEPT
+        "firms",  # the same as `firm`
     ],
 )
 
 
+ROWS_KEPT = 64
+"""Constraint rows that are prepared once a step; more are worked out whenever they are read."""
+
+
 def room_size(nv: int, nbody: int) -> int:
     """How many numbers `open_room` divides."""
-    return 13 * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
+    return (15 + 2 * ROWS_KEPT) * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
 
 
 @compiled
@@ -135,14 +143,16 @@ def open_room(desk):
     nv, nbody = desk[NV], desk[NBODY]
     v, m = 8 * nv, 8 * nv * nv
     a = desk[NUMBERS]
-    b = a + 13 * v
+    b = a + 15 * v
     c = b + 3 * m
     w = 48 * nbody  # of six numbers a body
+    e = c + 9 * w + 8 * nbody
     return Room(
         a, a + v, a + 2 * v, a + 3 * v, a + 4 * v, a + 5 * v, a + 6 * v, a + 7 * v, a + 8 * v,
-        a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v,
+        a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v, a + 13 * v, a + 14 * v,
         b, b + m, b + 2 * m,
         c, c + w, c + 2 * w, c + 3 * w, c + 9 * w,
+        e, e + ROWS_KEPT * v,
     )  # fmt: skip
 
 
@@ -156,6 +166,7 @@ def make_desk(
     model: mujoco.MjModel,
     elements: int,
     *,
+    within: bool,
     model_address: int,
     data_address: int,
     of_model: Callable[[str], int],
@@ -166,6 +177,7 @@ def make_desk(
     Args:
         model: the model.
         elements: how many there are.
+        within: whether forces are asked for among MuJoCo's passive ones, inside its step.
         model_address: of `mjModel`.
         data_address: of `mjData`.
         of_model: address of an array of the model by its name.
@@ -184,6 +196,7 @@ def make_desk(
         integrator_of(model),
         int(mujoco.mj_isSparse(model)),
         len(lone),
+        int(within),
     )
     holds: tuple[Any, ...] = (wet, numbers, account, rows, lone)
     addresses = (

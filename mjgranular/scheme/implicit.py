@@ -33,10 +33,13 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import (
+    bias_forces,
+    constraint_references,
     forward_acceleration,
     forward_actuation,
     forward_constraint,
     solve_inertia,
+    tendon_bias_forces,
 )
 from mjgranular.kernel.memory import (
     BODIES,
@@ -53,7 +56,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import body_records, contact_records
-from mjgranular.law.kernel import LawKernel, new_share
+from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
     add_bodies,
@@ -63,6 +66,7 @@ from mjgranular.scheme.balance import (
     copy,
     norm,
     prepare_inertia,
+    prepare_rows,
     rows_of,
     solve,
     weigh,
@@ -78,19 +82,28 @@ from mjgranular.scheme.wrenches import (
 )
 
 # Speed up to which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at
-# its limit. Beside it, a share of the speeds that cancel in the element's own: below that a hold
-# would drown in rounding. Both chosen.
+# its limit. Beside it, a share of the speeds that cancel in the element's own: a hold finer than
+# their rounding would drown in it, and a coarser one is found in fewer steps. Both chosen, the
+# share by counting evaluations: 1e-7 needs a quarter more.
 _SOFT = 1e-12
-_SOFT_SHARE = 1e-7
-# From one softness to the next. Chosen by counting evaluations: 1e-2 and 1e-5 need more.
-_FINER = 1e-3
-# Residuals, in parts of the momentum at hand: of a coarse softness, of the last, where a start at
-# the last is worth trying, and what may be rounding. Chosen by counting too.
-_COARSE, _FINE, _NEAR, _ROUNDED = 1e-3, 1e-11, 0.7, 1e-6
-# Of Newton's method at one softness; not literals, for each of which numba would compile anew.
-_STEPS, _STEPS_NEAR, _STEPS_FINE, _NO_STEPS = (np.int64(n) for n in (6, 6, 30, 0))
-_SHORTEST = 1e-3  # of a step
+_SOFT_SHARE = 1e-5
+# Residuals, in parts of the momentum at hand: at rest, in motion (where rounding in what holds is
+# larger), between two softnesses, where what is left may be one of the law's own jumps, and where
+# not even that. Chosen.
+_AT_REST, _IN_MOTION, _COARSE, _ROUNDED, _LOST = 1e-12, 1e-8, 1e-3, 1e-6, 1e-3
+# Square of the difference of a grip and its velocity's: where the force may be taken for the law's,
+# and where the residual may be trusted to fall along a step. Chosen.
+_BEND, _STRAIGHT = 1e-8, 1e-6
+# In parts of what the step would change without sand: speeds of which all elements may be at rest.
+_SLOW = 1e-3
+_FINER = 1e-2  # from one softness to the next, where the direct way is lost
+_STUCK = 4  # steps that do not halve the residual
+_SHORTEST = 0.1  # of a step
+# Of Newton's method; not literals, for each of which numba would compile anew.
+_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (4, 40, 6))
+_FRESH, _NEXT, _SAME = (np.int64(n) for n in (0, 1, 2))  # where grips come from
 _NO_ENERGY = 1e-14  # [J]
+_NOTHING = 1e-150  # a momentum that may be divided by
 _TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
 _HALVINGS = 20  # a share to one in a million
 
@@ -121,10 +134,18 @@ class Implicit(Scheme):
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
         return implicit_program(kernel, scene, self.evaluations)
 
-    def desk(self, model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray) -> Desk:
+    def desk(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        elements: np.ndarray,
+        *,
+        within: bool = False,
+    ) -> Desk:
         return d.make_desk(
             model,
             len(elements),
+            within=within,
             model_address=model._address,
             data_address=data._address,
             of_model=lambda name: getattr(model, name).ctypes.data,
@@ -154,7 +175,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         most: evaluations in one step.
     """
     element_records, immerse = kernel.elements, kernel.immerse
-    respond, speeds = kernel.respond, kernel.speeds
+    respond, next_grip = kernel.respond, kernel.grip
     scene_records = records(scene_dtype)
     size = 5 + kernel.numbers
 
@@ -191,22 +212,37 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             entry = wet[count]
             entry.index, entry.slot, entry.body = i, slot, body.body
             entry.arm[0], entry.arm[1], entry.arm[2] = x - tx, y - ty, z - tz
+            entry.velocity[0], entry.velocity[1], entry.velocity[2] = vx, vy, vz
             for k in range(size):
                 entry.immersed[k] = immersed[k]
             count += 1
         return count
 
     @compiled
-    def evaluate(table, desk, room, velocity, count, h, eps, reach):
-        """Residual and its derivative at a velocity; the residual's norm.
+    def evaluate(table, desk, room, velocity, count, h, eps, grips, loose):
+        """Residual and its derivative at a velocity.
 
         Forces on the elements are left in their contacts.
+
+        Args:
+            table: of addresses.
+            desk: the solver's.
+            room: the solver's.
+            velocity: at the end of the step, nv numbers.
+            count: of elements in the sand.
+            h: time step [s].
+            eps: softness [m/s].
+            grips: `_NEXT` those after a step of Newton's method to this velocity, `_SAME` those
+                that are there, `_FRESH` those of the velocity itself with the softness `loose`.
+            loose: see there [m/s].
+
+        Returns:
+            (norm of the residual, greatest bend).
         """
         nv, nbody = desk[d.NV], desk[d.NBODY]
         residual = floats(room.residual, nv)
         sand = floats(room.sand, nv)
         bound = floats(room.bound, nv)
-        inertia = floats(room.inertia, nv * nv)
         motion = floats(room.motion, 6 * nbody)
         wrench = floats(room.own, 6 * nbody)
         stiffness = floats(room.stiffness, 36 * nbody)
@@ -218,6 +254,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         body_motions(desk, room, velocity)
         clear(wrench)
         clear(stiffness)
+        bend = 0.0
         for i in range(count):
             entry = wet[i]
             b = 6 * entry.body
@@ -227,10 +264,20 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             )  # fmt: skip
             x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
             v = velocity_at(w, x, y, z)
+            p = (entry.grip[0], entry.grip[1], entry.grip[2])
+            if grips == _NEXT:
+                u = (entry.velocity[0], entry.velocity[1], entry.velocity[2])
+                c = (v[0] - u[0], v[1] - u[1], v[2] - u[2])
+                p = next_grip(entry.immersed, u, p, c, eps)
+            elif grips == _FRESH:
+                size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + loose * loose)
+                p = (v[0] / size, v[1] / size, v[2] / size)
             entry.velocity[0], entry.velocity[1], entry.velocity[2] = v[0], v[1], v[2]
-            fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8 = respond(
-                entry.immersed, law, g, v, eps, reach, (entry.shares[0], entry.shares[1])
+            entry.grip[0], entry.grip[1], entry.grip[2] = p[0], p[1], p[2]
+            fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8, turn = respond(
+                entry.immersed, law, g, v, p, eps
             )
+            bend = max(bend, turn)
             contact = contacts[entry.index]
             contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
             wrench[b] += y * fz - z * fy
@@ -255,87 +302,60 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         bound_forces(desk, room, velocity, h)
         for j in range(nv):
             residual[j] -= sand[j] + bound[j]
-        return norm(residual, inertia, nv)
+        return norm(residual, room, nv), bend
 
     @compiled
-    def forget_shares(table, desk, count):
-        """What the elements' limits are needed for is not known."""
-        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
-        for i in range(count):
-            wet[i].shares[0], wet[i].shares[1] = -1.0, -1.0
+    def newton(table, desk, room, count, h, eps, grips, loose, goal, steps):
+        """Newton's method from `room.velocity`, which ends where it got to.
 
-    @compiled
-    def set_out(table, desk, room, count):
-        """Notes where a step of Newton's method by -`room.change` begins."""
-        nv, nbody = desk[d.NV], desk[d.NBODY]
-        change = floats(room.change, nv)
-        m = floats(room.motion, 6 * nbody)
-        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
-        body_motions(desk, room, change)
-        for i in range(count):
-            entry = wet[i]
-            b = 6 * entry.body
-            w = (m[b], m[b + 1], m[b + 2], m[b + 3], m[b + 4], m[b + 5])
-            cx, cy, cz = velocity_at(w, entry.arm[0], entry.arm[1], entry.arm[2])
-            entry.change[0], entry.change[1], entry.change[2] = -cx, -cy, -cz
-            for k in range(3):
-                entry.base_velocity[k] = entry.velocity[k]
-            entry.base_shares[0], entry.base_shares[1] = entry.shares[0], entry.shares[1]
+        Steps are taken whole: grips that turn are how it finds out what holds and what slides, and
+        the residual grows on the way. Only where grips have stopped turning, and the residual grows
+        still, is there a kink between here and there, and half of the step is taken back.
 
-    @compiled
-    def foresee_shares(table, desk, count, part, eps):
-        """What the elements' limits are needed for after a part of that step."""
-        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
-        for i in range(count):
-            entry = wet[i]
-            v = (entry.base_velocity[0], entry.base_velocity[1], entry.base_velocity[2])
-            c = (part * entry.change[0], part * entry.change[1], part * entry.change[2])
-            s0, s1, c0, c1 = speeds(entry.immersed, v, c)
-            entry.shares[0] = new_share(s0, c0, eps, entry.base_shares[0])
-            entry.shares[1] = new_share(s1, c1, eps, entry.base_shares[1])
-
-    @compiled
-    def newton(table, desk, room, count, h, eps, goal, floor, steps):
-        """Newton's method at one softness, from `room.velocity`, which ends where it got to.
-
-        Stops at the goal, after so many steps, or where no step makes the residual smaller; below
-        `floor` no part of one is tried.
+        Args:
+            table: of addresses.
+            desk: the solver's.
+            room: the solver's.
+            count: of elements in the sand.
+            h: time step [s].
+            eps: softness [m/s].
+            grips: to begin with, see `evaluate`.
+            loose: see `evaluate`.
+            goal: residual to be reached.
+            steps: at most.
 
         Returns:
-            (evaluations, residual).
+            (evaluations, residual; infinite where it says nothing yet).
         """
         nv = desk[d.NV]
         velocity = floats(room.velocity, nv)
-        trial = floats(room.trial, nv)
         change = floats(room.change, nv)
         residual = floats(room.residual, nv)
         matrix = floats(room.matrix, nv * nv)
-        error = evaluate(table, desk, room, velocity, count, h, eps, eps)
+        error, bend = evaluate(table, desk, room, velocity, count, h, eps, grips, loose)
         done = 1
-        for _ in range(steps):
-            if error <= goal or not solve(matrix, residual, change, nv):
+        stuck = 0
+        while done <= steps and stuck < _STUCK and (error > goal or bend > _BEND):
+            if not solve(matrix, residual, change, nv):
                 break
-            set_out(table, desk, room, count)
-            part = 1.0
-            found = math.inf
-            while not found < error and part > _SHORTEST:
-                if part < 1.0 and error < floor:  # rounding has no slope
-                    break
+            for j in range(nv):
+                velocity[j] -= change[j]
+            found, bend = evaluate(table, desk, room, velocity, count, h, eps, _NEXT, 0.0)
+            done += 1
+            back = 0.5
+            while not found < error and bend < _STRAIGHT and back > _SHORTEST and done <= steps:
                 for j in range(nv):
-                    trial[j] = velocity[j] - part * change[j]
-                foresee_shares(table, desk, count, part, eps)
-                found = evaluate(table, desk, room, trial, count, h, eps, eps)
+                    velocity[j] += back * change[j]
+                back *= 0.5
+                found, bend = evaluate(table, desk, room, velocity, count, h, eps, _NEXT, 0.0)
                 done += 1
-                part *= 0.5
-            if not found < error:
-                break
-            copy(velocity, trial)
+            stuck += bend < _STRAIGHT and not found < 0.5 * error
             error = found
-        return done, error
+        return done, error if bend <= _BEND else math.inf
 
     @compiled
     def find_velocity(table, desk, room, count, h, coarse, fine, scale):
-        """Goes from a coarse softness to the fine one.
+        """Solves for the velocity at the end of the step.
 
         Returns:
             (evaluations, residual in parts of `scale`, the softness that was reached).
@@ -343,69 +363,46 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         nv = desk[d.NV]
         velocity = floats(room.velocity, nv)
         start = floats(room.start, nv)
-        change = floats(room.change, nv)
-        good = floats(room.good, nv)
-        residual = floats(room.residual, nv)
-        matrix = floats(room.matrix, nv * nv)
-        # At rest what was is what will be, and a few steps are enough.
-        forget_shares(table, desk, count)
-        floor = _ROUNDED * scale
-        done, error = newton(table, desk, room, count, h, fine, _FINE * scale, floor, _NO_STEPS)
-        if error < _NEAR * scale:
-            more, error = newton(
-                table, desk, room, count, h, fine, _FINE * scale, floor, _STEPS_NEAR
-            )
-            done += more - 1
-        if error <= _FINE * scale:
-            return done, error / scale if scale > 0.0 else 0.0, fine
+        before = floats(desk[d.WARMSTART], nv)
+        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+        goal = (_AT_REST + _IN_MOTION * (fine - _SOFT) / fine) * scale
+        done = 0
+        fastest = 0.0
+        for i in range(count):
+            v = wet[i].velocity
+            fastest = max(fastest, v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+        if math.sqrt(fastest) < _SLOW * coarse:
+            # At rest what was is what will be.
+            done, error = newton(table, desk, room, count, h, fine, _FRESH, fine, goal, _STEPS_NEAR)
+            if error <= goal:
+                return done, error / scale, fine
 
+        # In motion the last acceleration, which is part of MuJoCo's state, is a good guess. What is
+        # slower than the step may change is not taken to slide.
+        known = True
+        for j in range(nv):
+            known = known and math.isfinite(before[j])
+        for j in range(nv):
+            velocity[j] = start[j] + h * before[j] if known else start[j]
+        loose = max(coarse, fine)
+        more, error = newton(table, desk, room, count, h, fine, _FRESH, loose, goal, _STEPS)
+        done += more
+        if error <= _LOST * scale:
+            return done, error / scale, fine
+
+        # Lost: from a coarse softness to the fine one. What holds keeps its grip.
         copy(velocity, start)
-        forget_shares(table, desk, count)
-        eps = max(coarse, fine)
-        stride = _FINER
-        firm = -1.0  # the last softness that was solved for, `good` its velocity
-        while done < most:
-            goal = (_COARSE if eps > fine else _FINE) * scale
-            steps = _STEPS if eps > fine else _STEPS_FINE
-            more, error = newton(table, desk, room, count, h, eps, goal, floor, steps)
+        eps = loose
+        grips = _FRESH
+        while eps > fine and done < most:
+            more, _ = newton(
+                table, desk, room, count, h, eps, grips, eps, _COARSE * scale, _STEPS_COARSE
+            )
             done += more
-            if error <= goal or (eps <= fine and error <= floor):
-                if eps <= fine:
-                    break
-                firm = eps
-                copy(good, velocity)
-                stride = max(stride * stride, _FINER)
-            elif firm > 0.0:  # too far at once: back, and on with a shorter stride
-                stride = math.sqrt(eps / firm)
-                eps = firm
-                copy(velocity, good)
-                forget_shares(table, desk, count)
-            else:
-                eps *= 10.0
-                copy(velocity, start)
-                forget_shares(table, desk, count)
-                continue
-            finer = stride * eps
-            if finer < 1.5 * fine:
-                finer = fine
-            # What holds keeps its force where it becomes stiffer.
-            evaluate(table, desk, room, velocity, count, h, finer, eps)
-            done += 1
-            if not solve(matrix, residual, change, nv):
-                break
-            for j in range(nv):
-                velocity[j] -= change[j]
-            eps = finer
-        if eps > fine and firm > 0.0:  # out of breath: as soft as was solved for, but that exactly
-            eps = firm
-            copy(velocity, good)
-            forget_shares(table, desk, count)
-            more, error = newton(table, desk, room, count, h, eps, _FINE * scale, floor, _STEPS)
-            done += more
-        elif error > 0.0:  # the last trial may have been a step too far
-            error = evaluate(table, desk, room, velocity, count, h, eps, eps)
-            done += 1
-        return done, error / scale, eps
+            grips = _SAME
+            eps = max(_FINER * eps, fine)
+        more, error = newton(table, desk, room, count, h, eps, grips, eps, goal, _STEPS)
+        return done + more, error / scale, eps
 
     @compiled
     def program(address, lead):
@@ -420,11 +417,11 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             clear(bodies[slot].wrench)
         count = immerse_all(table, desk)
         if count > 0:
-            forward_actuation(desk[d.MODEL], desk[d.DATA])
-            forward_acceleration(desk[d.MODEL], desk[d.DATA])
+            forward_smooth(desk)
             room = d.open_room(desk)
             wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
             coarse, fine, scale = begin(desk, room, wet, count, lead)
+            scale = max(scale, _NOTHING)
             done, error, soft = find_velocity(table, desk, room, count, lead, coarse, fine, scale)
             share = 1.0
             if power_bound(desk, room, error, scale) > _NO_ENERGY:
@@ -460,6 +457,18 @@ def add_row(s, i, a, b, c, x, y, z):
 
 
 @compiled
+def forward_smooth(desk):
+    """Has the engine find the accelerations of all smooth forces but the sand's."""
+    model, data = desk[d.MODEL], desk[d.DATA]
+    if desk[d.WITHIN] != 0:
+        constraint_references(model, data)
+        bias_forces(model, data, 0, desk[d.BIAS])
+        tendon_bias_forces(model, data, desk[d.BIAS])
+    forward_actuation(model, data)
+    forward_acceleration(model, data)
+
+
+@compiled
 def begin(desk, room, wet, count, h):
     """Reads the state, and says how softly to begin and to end.
 
@@ -471,7 +480,7 @@ def begin(desk, room, wet, count, h):
     start = floats(room.start, nv)
     trial = floats(room.trial, nv)
     room_smooth = floats(room.smooth, nv)
-    inertia = floats(room.inertia, nv * nv)
+    weight = floats(room.weight, nv)
     m = floats(room.motion, 6 * nbody)
     room_wet = floats(room.wet, nbody)
     qvel = floats(desk[d.QVEL], nv)
@@ -482,6 +491,7 @@ def begin(desk, room, wet, count, h):
     dof_parent = ints(desk[d.DOF_PARENT], nv)
     first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
     prepare_inertia(desk, room, h)
+    prepare_rows(desk, room)
     clear(room_wet)
     for i in range(count):
         body = wet[i].body
@@ -494,8 +504,8 @@ def begin(desk, room, wet, count, h):
         velocity[j] = qvel[j]
         room_smooth[j] = h * smooth[j]
         trial[j] = h * acceleration[j]
-        size += abs(room_smooth[j]) / math.sqrt(inertia[j * nv + j])
-        size += abs(qvel[j]) * math.sqrt(inertia[j * nv + j])
+        light = math.sqrt(weight[j])
+        size += abs(room_smooth[j]) * light + abs(qvel[j]) / light
 
     # How much the elements' velocities would change in the step without sand: what is slower than
     # that may stop.
@@ -537,7 +547,6 @@ def power_bound(desk, room, error, scale):
     nv = desk[d.NV]
     velocity = floats(room.velocity, nv)
     sand = floats(room.sand, nv)
-    inertia = floats(room.inertia, nv * nv)
     rows = rows_of(desk[d.ROWS], 1)[0]
     if not error < _TRUSTED:
         return math.inf
@@ -546,7 +555,7 @@ def power_bound(desk, room, error, scale):
     work = 0.0
     for j in range(nv):
         work += sand[j] * velocity[j]
-    return work + 1e3 * error * scale * norm(sand, inertia, nv)
+    return work + 1e3 * error * scale * norm(sand, room, nv)
 
 
 @compiled

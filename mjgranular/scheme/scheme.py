@@ -67,8 +67,22 @@ class Scheme(ABC):
         """The scheme for a model with so many elements: itself, unless it is a choice of others."""
         return self
 
-    def desk(self, model: mujoco.MjModel, data: mujoco.MjData, elements: np.ndarray) -> Desk:
-        """What the program works with in one simulation; nothing unless a scheme says so."""
+    def desk(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        elements: np.ndarray,
+        *,
+        within: bool = False,
+    ) -> Desk:
+        """What the program works with in one simulation; nothing unless a scheme says so.
+
+        Args:
+            model: the model.
+            data: the simulation.
+            elements: of the law.
+            within: whether the program runs among MuJoCo's passive forces, inside its step.
+        """
         return Desk(np.zeros(0, np.int64))
 
     @abstractmethod

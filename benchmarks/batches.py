@@ -1,0 +1,67 @@
+"""Many simulations of one model on several threads: `mujoco.batch.Batch`."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from measure import Case, Group
+
+import mjgranular
+from mjgranular.models import Link
+
+_TIMESTEP = 1e-5
+_STEPS = 50
+_SIMULATIONS = (1, 16, 256, 4096)
+
+
+def _batched(name: str, model: mujoco.MjModel, count: int, threads: int) -> Case:
+    batch: Any = importlib.import_module("mujoco.batch").Batch(model, count, threads)
+    return Case(
+        name,
+        lambda: batch.reset(keyframe=0),
+        lambda: batch.step(nstep=_STEPS),
+        count * _STEPS,
+        {"simulations": count, "threads": threads},
+    )
+
+
+def _cases(count: int) -> Sequence[Case]:
+    spec = Link().spec()
+    spec.option.timestep = _TIMESTEP
+    models = {"without sand": spec.compile()}
+    for scheme in ("explicit", "implicit"):
+        spec = Link().spec()
+        spec.option.timestep = _TIMESTEP
+        mjgranular.add_sand(spec, law="link_distributed", scheme=scheme)
+        models[scheme] = spec.compile()
+    cores = os.cpu_count() or 1
+    threads = sorted(int(n) for n in np.unique([1, 2, cores]) if n <= max(cores, 2))
+    return [
+        _batched(f"{name}, {n} thread{'s' if n > 1 else ''}", model, count, n)
+        for n in threads
+        for name, model in models.items()
+    ]
+
+
+def _groups() -> tuple[Group, ...]:
+    try:
+        importlib.import_module("mujoco.batch")
+    except ImportError:
+        return ()
+    return tuple(
+        Group(
+            f"Batch of {count}",
+            "The link with 20 elements at 10 m/s, `Batch.step(nstep=50)`; costs of one step of one "
+            "simulation.",
+            lambda count=count: _cases(count),
+        )
+        for count in _SIMULATIONS
+    )
+
+
+GROUPS = _groups()

@@ -1,0 +1,59 @@
+"""Which sands a model has, and what they act on: read from the model, for those who ask."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjgranular.engine.config import KEYS, read_config
+from mjgranular.engine.library import config_texts, instance_name, plugin_slot
+from mjgranular.errors import UnknownNameError
+from mjgranular.shape import select_geoms
+from mjgranular.surface import Plane
+
+NAME = "mjgranular.sand"
+"""Of the plugin."""
+
+
+def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Names of the instances of sand that a model has, which act inside `mj_step`."""
+    if model.nplugin == 0:
+        return ()
+    try:
+        slot = plugin_slot(NAME)  # -1 where it could not be registered
+    except ImportError:  # nor could it without MuJoCo's library
+        return ()
+    ours = np.flatnonzero((model.plugin == slot) & (slot >= 0))
+    return tuple(instance_name(model._address, int(instance)) for instance in ours)
+
+
+def instance_of(model: mujoco.MjModel, name: str) -> int:
+    """The number of the instance of sand of that name.
+
+    Raises:
+        UnknownNameError: the model has none; lists those it has.
+    """
+    names = sands_in(model)
+    if name not in names:
+        raise UnknownNameError("sand of the model", name, names)
+    slots = np.flatnonzero(model.plugin == plugin_slot(NAME))
+    return int(slots[names.index(name)])
+
+
+def bodies_of(model: mujoco.MjModel, name: str) -> set[int]:
+    """Ids of the bodies that an instance acts on.
+
+    Raises:
+        UnknownNameError: the model has no such instance; lists those it has.
+        InputError: what is written for it cannot be read, or does not fit the model.
+    """
+    given = read_config(config_texts(model._address, instance_of(model, name), KEYS)).arguments
+    surface = given.get("surface") or Plane()
+    chosen = select_geoms(
+        model,
+        bodies=given.get("bodies"),
+        geoms=given.get("geoms"),
+        groups=given.get("groups"),
+        leave_out=surface.geoms(model),
+    )
+    return {int(model.geom_bodyid[geom]) for geom in chosen}

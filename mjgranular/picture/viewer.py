@@ -1,0 +1,136 @@
+"""MuJoCo's interactive viewer: whether it can open, and a loop that steps as the clock goes."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import mujoco
+
+from mjgranular.errors import RenderError
+
+FRAME = 1 / 60
+"""From one picture to the next [s]."""
+
+_WORK = 0.8 * FRAME  # of it at most for steps [s]; chosen, not measured
+_LATE = 0.1  # so far behind the clock, a simulation is not asked to catch up [s]; chosen
+_SPACE = 32  # GLFW's number of the key
+_FILM = "`mjgranular drop MODEL.xml --out DIR --video` films a run without one"
+
+
+class Switch:
+    """Whether the simulation is held; turned by a key."""
+
+    def __init__(self) -> None:
+        self.held = False
+
+    def press(self, key: int) -> None:
+        """What a key does."""
+        if key == _SPACE:
+            self.held = not self.held
+
+
+def check_display() -> None:
+    """Makes sure that a window can be opened: without one MuJoCo's viewer waits for ever.
+
+    Raises:
+        RenderError: it cannot.
+    """
+    shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not shown:
+        raise RenderError(f"there is no display to open a window on (DISPLAY is not set); {_FILM}")
+    if sys.platform == "darwin":
+        return  # windows belong to mjpython's thread, and MuJoCo says so itself
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        opens = _opens_a_window()
+    if not opens:
+        reasons = [str(warning.message) for warning in told]
+        reason = f" ({reasons[-1]})" if reasons else ""
+        raise RenderError(f"no window can be opened on this display{reason}; {_FILM}")
+
+
+def _opens_a_window() -> bool:
+    try:
+        glfw: Any = importlib.import_module("glfw")
+    except ImportError as error:
+        warnings.warn(str(error), stacklevel=2)
+        return False
+    if not glfw.init():
+        return False
+    glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+    window = glfw.create_window(64, 64, "mjgranular", None, None)
+    if window:
+        glfw.destroy_window(window)
+    glfw.terminate()
+    return bool(window)
+
+
+@contextmanager
+def opened(model: mujoco.MjModel, data: mujoco.MjData, switch: Switch) -> Iterator[Any]:
+    """MuJoCo's viewer, closed at the end.
+
+    Raises:
+        RenderError: it does not open.
+    """
+    others = set(threading.enumerate())
+    try:
+        viewer: Any = importlib.import_module("mujoco.viewer")
+        handle = viewer.launch_passive(model, data, key_callback=switch.press)
+    except (ImportError, RuntimeError) as error:
+        raise RenderError(f"MuJoCo's viewer does not open: {error}") from None
+    try:
+        with handle:
+            yield handle
+    finally:  # its thread still clears up, and must be through before the process ends
+        for thread in set(threading.enumerate()) - others:
+            thread.join(timeout=5.0)
+
+
+def follow(
+    viewer: Any,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    switch: Switch,
+    *,
+    speed: float = 1.0,
+    duration: float | None = None,
+) -> None:
+    """Steps a simulation as the clock goes, and shows it, until the viewer is closed.
+
+    Where steps cost more than they simulate, it runs slower than the clock, and stays responsive.
+
+    Args:
+        viewer: as `mujoco.viewer.launch_passive` returns it.
+        model: the model.
+        data: its data.
+        switch: whether it is held.
+        speed: simulated time over time.
+        duration: time after which to end [s]; None for never.
+    """
+    opening = start = time.perf_counter()
+    begin = last = data.time
+    while viewer.is_running():
+        now = time.perf_counter()
+        if duration is not None and now - opening > duration:
+            return
+        with viewer.lock():
+            late = begin + speed * (now - start) - data.time > speed * _LATE
+            if switch.held or late or data.time < last:  # the last: it has begun anew
+                start, begin = now, data.time
+            if switch.held:
+                mujoco.mj_forward(model, data)  # what is pulled at while it stands is shown
+            else:
+                goal = begin + speed * (now - start)
+                while data.time <= goal and time.perf_counter() - now < _WORK:
+                    mujoco.mj_step(model, data)
+            last = data.time
+        viewer.sync()
+        time.sleep(max(0.0, now + FRAME - time.perf_counter()))

@@ -1,0 +1,104 @@
+"""The benchmarks: they run, compare like with like, and write what they found."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import Explicit, LinkLaw, Sand
+from mjgranular.medium import get_medium
+from mjgranular.models import Link
+
+FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
+
+
+@pytest.fixture
+def modules(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Imports a module of the benchmarks."""
+    monkeypatch.syspath_prepend(FOLDER)
+    return lambda name: __import__(name)
+
+
+def run(folder: Path, *arguments: object) -> str:
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / "run.py"), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_a_family_is_measured_saved_compared_and_reported(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text((FOLDER.parent / "docs" / "benchmarks.md").read_text())
+    before = page.read_text()
+    options = ("--only", "doors", "--quick")
+    run(tmp_path, *options, "--save", "figures.json", "--report", page)
+    saved = json.loads((tmp_path / "figures.json").read_text())
+    assert saved["machine"]["mujoco"] == mujoco.__version__
+    for cases in saved["figures"].values():
+        first, *others = cases.values()
+        assert first["ratio"] == 1.0
+        assert all(case["cost"] > 0 and case["ratio"] > 0 for case in others)
+    head, _, rest = before.partition("Not measured yet for this version.")
+    assert page.read_text().startswith(head.rstrip("\n"))
+    assert page.read_text().endswith(rest.lstrip("\n"))
+    assert "| the same law in NumPy | " in page.read_text()
+    assert "before" in run(tmp_path, *options, "--compare", "figures.json")
+
+
+def test_numpy_sand_is_the_same_law(modules: Any) -> None:
+    model = Link().model(1e-5)
+    medium = get_medium("play_sand")
+    law = LinkLaw.from_medium(medium)
+    steppers = [
+        Sand(model, law=law, scheme=Explicit(half_step=False)),
+        modules("numpy_law").NumpySand(model, law, medium.density.value),
+    ]
+    ends = []
+    for stepper in steppers:
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        for _ in range(500):
+            stepper.step(data)
+        ends.append(np.concatenate([data.qpos, data.qvel]))
+    np.testing.assert_allclose(ends[1], ends[0], rtol=1e-9)
+
+
+def test_turns_and_quartiles(modules: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    measure = modules("measure")
+    now = [0.0]
+    monkeypatch.setattr(measure.time, "perf_counter", lambda: now[0])
+    log: list[str] = []
+
+    def case(name: str, seconds: float) -> Any:
+        def work() -> None:
+            log.append(name)
+            now[0] += seconds * (1 + len(log) // 3)  # the machine slows down
+
+        return measure.Case(name, lambda: None, work, 10)
+
+    group = measure.Group("", "", lambda: [case("a", 1.0), case("b", 2.0), case("c", 3.0)])
+    figures = measure.measure(group, measure.Effort(turns=5, seconds=0.0))
+    assert log[6:12] == ["a", "b", "c", "b", "c", "a"]
+    assert figures["a"].ratio == 1.0
+    assert figures["b"].ratio == pytest.approx(2.0, rel=0.3)
+    assert figures["a"].cost_low <= figures["a"].cost <= figures["a"].cost_high
+
+
+def test_a_page_without_a_place_is_told(modules: Any, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# Nothing\n")
+    with pytest.raises(ValueError, match="no place for figures"):
+        modules("report").write_page(page, "text")
+    assert page.read_text() == "# Nothing\n"
