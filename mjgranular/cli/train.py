@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,13 +11,15 @@ from typing import Annotated
 import tyro
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, MissingExtraError
+from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.settings import Settings, change, find_settings
 from mjgranular.learn.train import Training, train
 
 _REFRESH = 0.2  # [s]
+_FIGURE = "curve.png"
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class TrainCommand:
                 if self.resume is None:
                     run.discard()
                 raise
+        if training.progress.curve:
+            _draw(run, training)
         return self._tell(run, training)
 
     def _begun(self) -> Run:
@@ -151,3 +156,13 @@ class TrainCommand:
                 markup=False,
             )
         return 0
+
+
+def _draw(run: Run, training: Training) -> None:
+    """Draws the learning curve, where matplotlib is installed: the numbers are there anyway."""
+    from mjgranular.picture.learning import draw_curves
+
+    with suppress(MissingExtraError):
+        folder = ResultFolder(run.path, (_FIGURE,))
+        curves = {run.name: [training.progress.curve]}
+        folder.write(_FIGURE, lambda path: draw_curves(path, curves, title=run.name))
