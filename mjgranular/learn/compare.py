@@ -129,7 +129,9 @@ def compare(
         for other, ground in grounds.items():
             if report is not None:
                 report(f"evaluating {name} on {other}", len(cells) / len(grounds) ** 2)
-            cells.append(Cell(name, other, _return_on(runs[name], ground, seeds)))
+            arguments = runs[other][0].settings.environment
+            on = Ground(ground.environment, arguments)
+            cells.append(Cell(name, other, _return_on(runs[name], on, seeds)))
     return cells
 
 
