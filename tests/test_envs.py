@@ -337,6 +337,14 @@ def test_pictures_show_sand_and_need_gl(monkeypatch):
         env.render()
 
 
+def test_a_window_needs_a_screen(monkeypatch):
+    glfw = pytest.importorskip("glfw")
+    monkeypatch.setattr(glfw, "init", lambda: False)
+    env = SandEnv("ChainSwim", render_mode="human")
+    with pytest.raises(RenderError, match="needs a screen"):
+        env.reset(seed=0)
+
+
 def test_without_gymnasium_there_is_an_install_line():
     code = (
         "import sys; sys.modules['gymnasium'] = None\n"
