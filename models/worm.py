@@ -111,6 +111,8 @@ class Worm:
         spec.delete(spec.key("start"))
         spec.option.timestep = timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        for light in spec.lights:  # a level worm lies on what is drawn of the sand
+            light.castshadow = self.posture == "upright"
         spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         skin = spec.add_material(name="skin")
         skin.rgba, skin.specular, skin.shininess = [0.72, 0.36, 0.22, 1], 0.3, 0.4
