@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import mujoco
@@ -103,6 +104,11 @@ class Eyes:
         return camera
 
     def _show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        if self._viewer is None and not _has_screen():  # GLFW would end the process
+            raise RenderError(
+                "render_mode='human' needs a screen and there is none here: "
+                "use render_mode='rgb_array'"
+            )
         if self._viewer is None:
             from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
 
@@ -128,6 +134,14 @@ def _set(camera: mujoco.MjvCamera, settings: dict[str, Any]) -> None:
             camera.lookat[:] = value
         elif name != "trackbodyid":
             setattr(camera, name, value)
+
+
+def _has_screen() -> bool:
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bool(glfw.init()) and glfw.get_primary_monitor() is not None
 
 
 def _make(draw: Any) -> Any:

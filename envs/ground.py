@@ -147,6 +147,9 @@ def _surface_of(floors: Sequence[mujoco.MjsGeom]) -> Plane:
     """The level plane at the height of the floor."""
     if not floors:
         raise InputError("the model has no floor (a plane geom of the world): give a surface=...")
+    for floor in floors:
+        if abs(abs(floor.quat[0]) - 1) > 1e-9:
+            raise InputError(f"the floor {floor.name!r} is not level: give a surface=Plane(...)")
     return Plane(height=max(float(floor.pos[2]) for floor in floors))
 
 

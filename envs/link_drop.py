@@ -65,7 +65,7 @@ class LinkDrop(Task):
     tile: ClassVar[float] = 0.2
     dunes: ClassVar[Dunes] = Dunes(wavelength=4.0, extent=10.0)
     camera: ClassVar[dict[str, Any]] = {
-        "lookat": (0.0, 0.0, 0.03), "distance": 0.5, "azimuth": 90.0, "elevation": -12.0,
+        "trackbodyid": 1, "distance": 0.5, "azimuth": 90.0, "elevation": -12.0,
     }  # fmt: skip
 
     medium: str | Path | Medium = "play_sand"

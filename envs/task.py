@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
-from mjgranular import HeightField, InputError, Law, Medium, Scheme, Surface
+from mjgranular import HeightField, InputError, Law, Medium, Plane, Scheme, Surface
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import Ground, put_on_sand
@@ -318,7 +318,7 @@ class Task(ABC):
             sample: what was drawn; None for the sand that is always the same.
         """
         if sample is None or self.choices[sample.number].surface != "dunes":
-            return self.start(random, lambda x, y: 0.0)
+            return self.start(random, _height_of(self.surface))
         start = self.start(random, lambda x, y: self.dunes.height(x + sample.place, y))
         start.qpos[0] += sample.place  # x comes first in all of our models
         return start
@@ -346,6 +346,15 @@ class Task(ABC):
     def options(self) -> dict[str, Any]:
         """The task's fields by name, of which another is made."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
+
+
+def _height_of(surface: Surface | None) -> Callable[[float, float], float]:
+    """The height of a surface over the floor; of a model's own geom, nothing is known: zero."""
+    if not isinstance(surface, Plane):
+        return lambda x, y: 0.0
+    rise = math.tan(surface.slope)
+    along, across = rise * math.cos(surface.uphill), rise * math.sin(surface.uphill)
+    return lambda x, y: surface.height + along * x + across * y
 
 
 def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:

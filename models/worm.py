@@ -54,6 +54,8 @@ class Worm:
     armature: float = 1e-5
 
     def __post_init__(self) -> None:
+        if not isinstance(self.count, int) or isinstance(self.count, bool) or self.count < 1:
+            raise InputError(f"a worm has one link or more, not {self.count!r}")
         if self.posture not in get_args(Posture):
             raise InputError(
                 f"the worm's posture must be one of {', '.join(get_args(Posture))}, "
@@ -67,7 +69,6 @@ class Worm:
             raise InputError(
                 "the worm's depth and armature must be finite, the latter not negative"
             )
-        _ = self.chain  # checks the number of links
 
     @property
     def step(self) -> float:
@@ -110,6 +111,8 @@ class Worm:
         spec.delete(spec.key("start"))
         spec.option.timestep = timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        for light in spec.lights:  # a level worm lies on what is drawn of the sand
+            light.castshadow = self.posture == "upright"
         spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         skin = spec.add_material(name="skin")
         skin.rgba, skin.specular, skin.shininess = [0.72, 0.36, 0.22, 1], 0.3, 0.4

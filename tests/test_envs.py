@@ -261,6 +261,15 @@ def test_the_lower_end_meets_the_sand_at_the_speed_that_is_asked_for():
     assert env.data.site_xpos[site][2] == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.parametrize("name", ["ChainCrawl", "Hexapod", "Hopper", "Ant", "LinkDrop"])
+def test_starts_are_on_the_surface_that_is_given(name):
+    level = SandEnv(name).reset(seed=0)[1]["sand/depth"]
+    raised = SandEnv(name, surface=Plane(height=0.7)).reset(seed=0)[1]["sand/depth"]
+    assert raised == pytest.approx(level, abs=1e-9)
+    sloped = SandEnv(name, surface=Plane(height=-0.3, slope=0.1, uphill=2.0))
+    assert level - 0.25 < sloped.reset(seed=0)[1]["sand/depth"] < max(level, 0) + 0.05
+
+
 def test_the_law_is_said_to_hold_or_not():
     env = SandEnv("ChainSwim")
     _, info = env.reset(seed=0)
@@ -335,6 +344,14 @@ def test_pictures_show_sand_and_need_gl(monkeypatch):
     env.reset(seed=0)
     with pytest.raises(RenderError, match=r"no EGL.*libegl1"):
         env.render()
+
+
+def test_a_window_needs_a_screen(monkeypatch):
+    glfw = pytest.importorskip("glfw")
+    monkeypatch.setattr(glfw, "init", lambda: False)
+    env = SandEnv("ChainSwim", render_mode="human")
+    with pytest.raises(RenderError, match="needs a screen"):
+        env.reset(seed=0)
 
 
 def test_without_gymnasium_there_is_an_install_line():

@@ -1,5 +1,6 @@
 """Sand that is drawn at each reset: where from, what it does, what is told."""
 
+import importlib.util
 import math
 from dataclasses import replace
 
@@ -12,6 +13,10 @@ from mjgranular import InputError, Rft3dLaw, UnknownNameError, media
 from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand
 from mjgranular.envs.dunes import DUNES, Dunes
 from mjgranular.envs.ids import id_of
+
+batches = pytest.mark.skipif(
+    importlib.util.find_spec("mujoco.batch") is None, reason="batches need MuJoCo 4.0"
+)
 
 EVERYTHING = SandRanges(
     strength=(0.5, 2.0),
@@ -56,6 +61,7 @@ def test_a_seed_decides_it():
         assert one["sand/medium"] == other["sand/medium"]
 
 
+@batches
 @pytest.mark.parametrize("name", ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
 def test_a_batch_draws_what_single_environments_draw(name):
     options = {"randomise": EVERYTHING, "observe_sand": True, "max_episode_steps": 5}
@@ -123,6 +129,7 @@ def test_dunes_are_where_they_say():
     assert env.reset(seed=0)[1]["sand/valid"] is True
 
 
+@batches
 @pytest.mark.parametrize("name", ["ChainCrawl", "Hexapod", "Hopper", "Walker2d", "Ant"])
 def test_starts_are_on_the_dunes(name):
     batch = SandVectorEnv(name, 8, randomise=SandRanges(surfaces=("dunes",)))
@@ -144,6 +151,13 @@ def test_a_curriculum_is_asked_each_time():
     slopes = [env.reset(seed=i)[1]["sand/slope"] for i in range(4)]
     assert asked == [0, 1, 2, 3]
     assert slopes == pytest.approx([0.0, 0.01, 0.02, 0.03])
+
+
+@batches
+def test_a_batch_asks_a_curriculum_for_each_simulation():
+    def harder(episode):
+        return SandRanges(slope=(0.01 * episode, 0.01 * episode))
+
     batch = SandVectorEnv(
         "ChainSwim", 2, randomise=SandRanges(), curriculum=harder, max_episode_steps=1
     )
