@@ -79,7 +79,8 @@ def table_of(cells: list[Cell], robot: str, policies: int) -> Table:
     """A row for each ground trained on, a column for each evaluated on."""
     grounds = list(dict.fromkeys(cell.on for cell in cells))
     table = Table(
-        title=f"{robot}: mean return of {policies} policies ± half the 95 % interval",
+        title=f"{robot}: mean return ± half the 95 % interval, {policies} "
+        f"{'policy' if policies == 1 else 'policies'} for each ground",
         title_justify="left",
     )
     table.add_column("trained on")

@@ -66,6 +66,6 @@ def draw_comparison(path: Path, cells: Sequence[Cell], *, title: str = "") -> No
         )
     axis.set_xticks(np.arange(len(grounds)), [f"on {ground}" for ground in grounds])
     axis.set_ylabel("mean return")
-    axis.legend()
+    figure.legend(loc="outside lower center", ncols=len(grounds))
     figure.suptitle(title)
     save_figure(figure, context, path)
