@@ -35,8 +35,8 @@ ACCOUNT_DTYPE = np.dtype(
         ("evaluations", np.int64),  # of forces and derivatives, in all of them
         ("most", np.int64),  # in one step
         ("softened", np.int64),  # steps that made do with a softer rest
-        ("unfinished", np.int64),  # steps that did not reach the tolerance with it either
-        ("residual", np.float64),  # of the last, in parts of the momentum that it moves
+        ("unfinished", np.int64),  # steps that left too much unbalanced
+        ("residual", np.float64),  # of the last, in parts of the momentum that it moves; or inf
         ("worst", np.float64),  # of all
     ]
 )

@@ -12,9 +12,11 @@ v' by Newton's method: nv equations, whatever the number of elements, since what
 body add to the derivative is one 6 x 6 matrix, as if it were inertia.
 
 Rest is made soft over a speed eps far below anything visible: a static force grows to its limit
-over speeds of that size. The solver goes from a coarse eps to the fine one, and what holds keeps
-its force from one to the next. Nothing is carried from step to step: the force is a function of
-MuJoCo's own state, so that what is copied, saved or reset goes on alike, to the last bit.
+over speeds of that size. What part of the limit is called on, the element's grip, is unknown beside
+the velocity, and Newton's method finds both (`law.kernel.next_grip`). It starts from the velocity
+that MuJoCo's last acceleration leads to. Nothing of our own is carried from step to step: the force
+is a function of MuJoCo's state, so that what is copied, saved or reset goes on alike, to the last
+bit.
 """
 
 # What belongs to a body is read when its first element comes, which a type checker cannot follow.
@@ -78,15 +80,15 @@ from mjgranular.scheme.wrenches import (
     withdraw_wrenches,
 )
 
-# Speed up to which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at
-# its limit. Beside it, a share of the speeds that cancel in the element's own: a hold finer than
-# their rounding would drown in it, and a coarser one is found in fewer steps. Both chosen, the
-# share by counting evaluations: 1e-7 needs a quarter more.
+# Speed at which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at 0.7
+# of its limit. Beside it, a share of the speeds that cancel in an element's own, the largest of all
+# elements: a hold finer than their rounding would drown in it, and a coarser one is found in fewer
+# steps. Both chosen, the share by counting evaluations: 1e-7 needs a quarter more.
 _SOFT = 1e-12
 _SOFT_SHARE = 1e-5
-# Residuals, in parts of the momentum at hand: at rest, in motion (where rounding in what holds is
-# larger), between two softnesses, where what is left may be one of the law's own jumps, and where
-# not even that. Chosen.
+# Residuals, in parts of the momentum at hand. To be reached: at rest, in motion (where rounding in
+# what holds is larger), between two softnesses. Above them a step is counted as unfinished, and the
+# direct way as lost: what is left between may be one of the law's own jumps. Chosen.
 _AT_REST, _IN_MOTION, _COARSE, _ROUNDED, _LOST = 1e-12, 1e-8, 1e-3, 1e-6, 1e-3
 # Square of the difference of a grip and its velocity's: where the force may be taken for the law's,
 # and where the residual may be trusted to fall along a step. Chosen.
@@ -110,8 +112,8 @@ class Implicit(Scheme):
     """Forces at the end of the step: holds still, for steps of any size.
 
     Attributes:
-        evaluations: of all forces in one step, after which it makes do with a softer rest for this
-            step, and counts it (`Sand.account`).
+        evaluations: of all forces in one step, after which no finer softness is begun: it makes do
+            with a softer rest for this step, and counts it (`Report.solver`).
     """
 
     name: ClassVar[str] = "implicit"
@@ -161,7 +163,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
     Args:
         kernel: of the law.
         scene_dtype: record of law and surface.
-        most: evaluations in one step.
+        most: evaluations after which no finer softness is begun.
     """
     element_records, immerse = kernel.elements, kernel.immerse
     respond, next_grip = kernel.respond, kernel.grip
