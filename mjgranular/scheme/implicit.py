@@ -58,6 +58,9 @@ from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
+    FRESH,
+    NEXT,
+    SAME,
     add_bodies,
     body_motions,
     bound_forces,
@@ -100,7 +103,6 @@ _STUCK = 4  # steps that do not halve the residual
 _SHORTEST = 0.1  # of a step
 # Of Newton's method; not literals, for each of which numba would compile anew.
 _STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (4, 40, 6))
-_FRESH, _NEXT, _SAME = (np.int64(n) for n in (0, 1, 2))  # where grips come from
 _NO_ENERGY = 1e-14  # [J]
 _NOTHING = 1e-150  # a momentum that may be divided by
 _TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
@@ -223,8 +225,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             count: of elements in the sand.
             h: time step [s].
             eps: softness [m/s].
-            grips: `_NEXT` those after a step of Newton's method to this velocity, `_SAME` those
-                that are there, `_FRESH` those of the velocity itself with the softness `loose`.
+            grips: `NEXT` those after a step of Newton's method to this velocity, `SAME` those
+                that are there, `FRESH` those of the velocity itself with the softness `loose`.
             loose: see there [m/s].
 
         Returns:
@@ -256,11 +258,11 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
             v = velocity_at(w, x, y, z)
             p = (entry.grip[0], entry.grip[1], entry.grip[2])
-            if grips == _NEXT:
+            if grips == NEXT:
                 u = (entry.velocity[0], entry.velocity[1], entry.velocity[2])
                 c = (v[0] - u[0], v[1] - u[1], v[2] - u[2])
                 p = next_grip(entry.immersed, u, p, c, eps)
-            elif grips == _FRESH:
+            elif grips == FRESH:
                 size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + loose * loose)
                 p = (v[0] / size, v[1] / size, v[2] / size)
             entry.velocity[0], entry.velocity[1], entry.velocity[2] = v[0], v[1], v[2]
@@ -290,7 +292,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             add_row(s, 30, k6, k7, k8, x, y, z)
         weigh(desk, room, velocity, h)
         add_bodies(desk, room, h)
-        bound_forces(desk, room, velocity, h)
+        bend = max(bend, bound_forces(desk, room, velocity, h, grips))
         for j in range(nv):
             residual[j] -= sand[j] + bound[j]
         return norm(residual, room, nv), bend
@@ -331,14 +333,14 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 break
             for j in range(nv):
                 velocity[j] -= change[j]
-            found, bend = evaluate(table, desk, room, velocity, count, h, eps, _NEXT, 0.0)
+            found, bend = evaluate(table, desk, room, velocity, count, h, eps, NEXT, 0.0)
             done += 1
             back = 0.5
             while not found < error and bend < _STRAIGHT and back > _SHORTEST and done <= steps:
                 for j in range(nv):
                     velocity[j] += back * change[j]
                 back *= 0.5
-                found, bend = evaluate(table, desk, room, velocity, count, h, eps, _NEXT, 0.0)
+                found, bend = evaluate(table, desk, room, velocity, count, h, eps, NEXT, 0.0)
                 done += 1
             stuck += bend < _STRAIGHT and not found < 0.5 * error
             error = found
@@ -364,7 +366,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             fastest = max(fastest, v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if math.sqrt(fastest) < _SLOW * coarse:
             # At rest what was is what will be.
-            done, error = newton(table, desk, room, count, h, fine, _FRESH, fine, goal, _STEPS_NEAR)
+            done, error = newton(table, desk, room, count, h, fine, FRESH, fine, goal, _STEPS_NEAR)
             if error <= goal:
                 return done, error / scale, fine
 
@@ -376,7 +378,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for j in range(nv):
             velocity[j] = start[j] + h * before[j] if known else start[j]
         loose = max(coarse, fine)
-        more, error = newton(table, desk, room, count, h, fine, _FRESH, loose, goal, _STEPS)
+        more, error = newton(table, desk, room, count, h, fine, FRESH, loose, goal, _STEPS)
         done += more
         if error <= _LOST * scale:
             return done, error / scale, fine
@@ -384,13 +386,13 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         # Lost: from a coarse softness to the fine one. What holds keeps its grip.
         copy(velocity, start)
         eps = loose
-        grips = _FRESH
+        grips = FRESH
         while eps > fine and done < most:
             more, _ = newton(
                 table, desk, room, count, h, eps, grips, eps, _COARSE * scale, _STEPS_COARSE
             )
             done += more
-            grips = _SAME
+            grips = SAME
             eps = max(_FINER * eps, fine)
         more, error = newton(table, desk, room, count, h, eps, grips, eps, goal, _STEPS)
         return done + more, error / scale, eps
