@@ -1,1 +1,26 @@
-"""Gymnasium environments on sand. None is registered yet; the folder installs as a subpackage."""
+"""Gymnasium environments on sand: Gymnasium's own robots, and ours.
+
+Importing this registers the ids; `gymnasium.make("mjgranular.envs:mjgranular/ChainSwim-v0")` does
+both at once.
+
+`ground` puts sand under a model; `robots` does so to Gymnasium's environments. A `Task` says what
+an environment is, for any number of simulations at once; `SandEnv` runs one of them and
+`SandVectorEnv` many in threads. `ranges` are of sand that is drawn at each reset.
+"""
+
+# First of all: the install line, where Gymnasium is missing.
+from mjgranular.envs import _gymnasium as _gymnasium
+
+# isort: split
+
+from mjgranular.envs.ids import register
+from mjgranular.envs.ranges import SandRanges as SandRanges
+from mjgranular.envs.robots import on_sand as on_sand
+from mjgranular.envs.single import SandEnv as SandEnv
+from mjgranular.envs.task import Start as Start
+from mjgranular.envs.task import State as State
+from mjgranular.envs.task import Task as Task
+from mjgranular.envs.tasks import tasks as tasks
+from mjgranular.envs.vector import SandVectorEnv as SandVectorEnv
+
+register()

@@ -1,6 +1,8 @@
 """Models that come with the package, and builders for other sizes of them."""
 
 from mjgranular.models.chain import Chain as Chain
+from mjgranular.models.hexapod import Hexapod as Hexapod
 from mjgranular.models.link import Link as Link
 from mjgranular.models.link import model_path as model_path
 from mjgranular.models.projectile import Projectile as Projectile
+from mjgranular.models.worm import Worm as Worm

@@ -189,7 +189,7 @@ def test_unknown_options_and_commands_exit_with_2():
 def test_help_of_every_command():
     done = run("--help")
     assert done.returncode == 0
-    for command in ("impact", "sweep", "reproduce", "render", "media", "laws"):
+    for command in ("impact", "sweep", "reproduce", "render", "media", "laws", "envs"):
         assert command in done.stdout
         with pytest.raises(SystemExit) as stopped:
             main([command, "--help"])
@@ -266,3 +266,13 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     assert 0 < len(rows) < 2000
     assert f"{len(rows)} of 2000 drops are finished" in errors
     assert json.loads((folder / "config.json").read_text())["config"]["interrupted"] is True
+
+
+def test_environments_are_listed_with_their_specifications(capfd):
+    assert main(["envs", "--json"]) == 0
+    rows = json.loads(capfd.readouterr().out)
+    assert {"mjgranular/ChainSwim-v0", "mjgranular/Ant-v0"} <= {row["id"] for row in rows}
+    assert main(["envs", "mjgranular/Hexapod-v0"]) == 0
+    assert "Observation Space" in capfd.readouterr().out
+    assert main(["envs", "Nobody"]) == 2
+    assert "there are: mjgranular/Ant-v0" in capfd.readouterr().err.replace("\n", " ")

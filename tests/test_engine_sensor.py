@@ -45,6 +45,7 @@ SENSORS = """
     <plugin name="depth" plugin="mjgranular.sensor" objtype="body" objname="b">
       <config key="measure" value="depth"/><config key="sand" value="sand"/>
     </plugin>
+    <plugin name="speed" plugin="mjgranular.sensor"><config key="measure" value="speed"/></plugin>
     <plugin name="whole" plugin="mjgranular.sensor"><config key="measure" value="force"/></plugin>
   </sensor>
 </mujoco>
@@ -71,9 +72,26 @@ def test_sensors_say_what_the_report_says() -> None:
     power = sum(body.power for body in report.bodies)
     assert power < 0
     assert readings["power"] == pytest.approx(power, rel=1e-9)
+    wet = report.table.depth > 0
+    fastest = np.linalg.norm(report.table.velocity[wet], axis=1).max()
+    assert data.sensor("speed").data == pytest.approx(fastest, rel=1e-9)
     total = sum(body.force for body in report.bodies)
     assert data.sensor("whole").data == pytest.approx(total, rel=1e-9)
     assert data.qfrc_passive[:3] == pytest.approx(data.sensor("whole").data, rel=1e-12)
+
+
+def test_sensors_write_where_they_are_read() -> None:
+    # An empty array of MuJoCo's lies where the next begins, one that is not empty does not.
+    sized = SENSORS.replace("<option", '<size nuserdata="2" nuser_sensor="1"/><option')
+    model = mujoco.MjModel.from_xml_string(sized.format(draw=""))
+    data = mujoco.MjData(model)
+    data.userdata[:] = 3.0, 4.0
+    mujoco.mj_step(model, data, 10)
+    assert list(data.userdata) == [3.0, 4.0]
+    plain, other = moving()
+    other.qvel[:] = 0.0
+    mujoco.mj_step(plain, other, 10)
+    np.testing.assert_array_equal(data.sensordata, other.sensordata)
 
 
 def test_sensors_in_copies_and_batches() -> None:

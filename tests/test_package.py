@@ -15,6 +15,8 @@ FILES = (
     "mjgranular/models/link.xml",
     "mjgranular/models/assets/sand.png",
     "mjgranular/envs/__init__.py",
+    "mjgranular/envs/task.py",
+    "mjgranular/models/worm.py",
     "mjgranular/cli/main.py",
     "mjgranular/kernel/memory.py",
 )

@@ -14,6 +14,7 @@ from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
+from mjgranular.cli.envs import EnvsCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand
@@ -38,6 +39,7 @@ Command = (
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
+    | Annotated[EnvsCommand, tyro.conf.subcommand("envs")]
 )
 
 

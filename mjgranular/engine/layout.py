@@ -100,7 +100,8 @@ class Struct:
         if address not in self.buffer or not before.any():
             raise LayoutError(what)
         begin = int(self.words[before].max())
-        place = self.pointers + _WORD * int(np.argmax(self.words == begin))
+        # Empty arrays have the address of the next that is not: of those there it is the last.
+        place = self.pointers + _WORD * int(np.flatnonzero(self.words == begin)[-1])
         return place, address - begin
 
     def field(self, array: np.ndarray, what: str) -> int:

@@ -32,10 +32,10 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.records import body_records, contact_records
 
-MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1}
+MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1, "speed": 1}
 """What a sensor can measure, with the number of its values."""
 
-FORCE, MOMENT, DEPTH, POWER = range(len(MEASURES))
+FORCE, MOMENT, DEPTH, POWER, SPEED = range(len(MEASURES))
 
 SENSE_DTYPE = np.dtype(
     [
@@ -157,15 +157,21 @@ def measure_sand(block, measure, slot, values):
         return
     contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
     slots = longs(header.slots, len(contacts))
-    depth, power = -math.inf, 0.0
+    depth, power, square = -math.inf, 0.0, 0.0
     for i in range(len(contacts)):
         if slot < 0 or slot == slots[i]:
             contact = contacts[i]
             depth = max(depth, contact.depth)
             if contact.depth > 0.0:  # above the sand only the depth is written
+                speed = 0.0
                 for k in range(3):
                     power += contact.force[k] * contact.velocity[k]
-    values[0] = depth if measure == DEPTH else power
+                    speed += contact.velocity[k] * contact.velocity[k]
+                square = max(square, speed)
+    if measure == SPEED:
+        values[0] = math.sqrt(square)
+    else:
+        values[0] = depth if measure == DEPTH else power
 
 
 @cache

@@ -1,0 +1,227 @@
+"""Worms that swim in sand and crawl on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from mjgranular import InputError, Medium
+from mjgranular.envs.dunes import Dunes
+from mjgranular.envs.task import Start, State, Task
+from mjgranular.models import Worm
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Chain(Task):
+    """What the worms share: servos at the joints, paid for the way ahead in body lengths."""
+
+    reads: ClassVar[tuple[str, ...]] = ("subtree_com",)
+
+    links: int = 7
+    forward_reward_weight: float = 1.0
+    ctrl_cost_weight: float = 0.005
+    reset_noise_scale: float = 0.1
+    frame_skip: int = 4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.links, int) or self.links < 2:
+            raise InputError(f"links must be a whole number from 2 up, not {self.links!r}")
+        if not self.reset_noise_scale >= 0:
+            raise InputError(
+                f"reset_noise_scale must not be negative, not {self.reset_noise_scale}"
+            )
+
+    @cached_property
+    def worm(self) -> Worm:
+        """The body."""
+        raise NotImplementedError
+
+    def act(self, action: np.ndarray, state: State) -> np.ndarray:
+        return self.worm.bend * np.clip(action, -1.0, 1.0)
+
+    def mark(self, state: State) -> np.ndarray:
+        return np.array(state.subtree_com[:, 1])
+
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        ahead = (state.subtree_com[:, 1, 0] - before[:, 0]) / self.dt / self.worm.length
+        effort = np.square(np.clip(action, -1.0, 1.0)).sum(axis=1)
+        return {
+            "reward_forward": self.forward_reward_weight * ahead,
+            "reward_ctrl": -self.ctrl_cost_weight * effort,
+        }
+
+    def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
+        return {"x_velocity": (state.subtree_com[:, 1, 0] - before[:, 0]) / self.dt}
+
+    def _bent(self, random: np.random.Generator) -> Start:
+        """The straight worm, its angles off by the noise, its joints turning as much."""
+        noise = self.reset_noise_scale
+        qpos = self.worm.straight()
+        qpos[2:] += random.uniform(-noise, noise, self.links)
+        qvel = np.zeros(self.links + 2)
+        qvel[3:] = random.uniform(-noise, noise, self.links - 1)
+        return Start(qpos, qvel)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainSwim(_Chain):
+    """Swim buried in sand.
+
+    ## Description
+    A smooth worm of `links` links, 0.12 m long and 16 mm wide, about a sandfish's size, lies three
+    widths deep in sand and bends in the level plane. It moves ahead if it passes waves from its
+    head to its tail (Maladen, Ding, Umbanhowar, Kamor and Goldman, J. R. Soc. Interface 8, 1332
+    (2011): one sine wave along the body, amplitude about a fifth of its length, is best). Sand
+    holds what stops: it neither coasts nor sinks.
+
+    ## Action Space
+    `Box(-1, 1, (links - 1,), float32)`: angles that servos at the joints go to, in units of 1 rad,
+    from the head to the tail, anticlockwise seen from above. A servo gives 5 N m for each rad
+    that it is off.
+
+    ## Observation Space
+    `Box(-inf, inf, (2 links + 2,), float64)`: the head link's heading against the x axis and the
+    joints' angles [rad]; velocities of the head link's centre along x and y [m/s], of its heading
+    and of the joints [rad/s].
+
+    ## Rewards
+    - `reward_forward`: way of the mass centre along x, in body lengths per second, times
+      `forward_reward_weight`.
+    - `reward_ctrl`: minus `ctrl_cost_weight` times the sum of squared actions.
+
+    As in Gymnasium, mass centres are those of the last substep's start.
+
+    ## Starting State
+    Straight, heading to +x; the heading and each angle are off by up to `reset_noise_scale` rad,
+    evenly, and joints turn at up to that in rad/s.
+
+    ## Episode End
+    Never terminated. Truncated after 500 steps of 0.04 s.
+
+    ## Arguments
+    `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `reset_noise_scale=0.1`,
+    `frame_skip=4` substeps of 0.01 s, and those of `Task`: the medium, here Quikrete medium sand
+    under three-dimensional resistive force theory, randomised sand and so on. The default
+    resolution is 3; at a fine one a wave gets 12 % less far (docs/environments.md).
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "a buried chain swims by waves from head to tail"
+    episode: ClassVar[int] = 500
+    cut: ClassVar[float] = 0.056  # the worm lies on the cut
+    tile: ClassVar[float] = 0.1
+    dunes: ClassVar[Dunes] = Dunes(wavelength=1.0, extent=5.0)
+    camera: ClassVar[dict[str, Any]] = {
+        "trackbodyid": 4, "distance": 0.35, "azimuth": 90.0, "elevation": -55.0,
+    }  # fmt: skip
+
+    resolution: int | None = 3
+
+    @cached_property
+    def worm(self) -> Worm:
+        return Worm(self.links)
+
+    def robot(self) -> mujoco.MjSpec:
+        return self.worm.spec(0.01)
+
+    def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
+        return self._bent(random)
+
+    def observe(self, state: State) -> np.ndarray:
+        return np.concatenate([state.qpos[:, 2:], state.qvel], axis=1)
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        centre = state.subtree_com[:, 1]
+        return {"x_position": centre[:, 0].copy(), "y_position": centre[:, 1].copy()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChainCrawl(_Chain):
+    """Crawl on sand and in its surface.
+
+    ## Description
+    A smooth worm of `links` links, 0.6 m long and 40 mm wide, of 0.83 kg, lies on loose poppy seed
+    and bends in the vertical plane, as an inchworm does. It sinks in by some millimetres, and by
+    centimetres where it stands on a few links. It can roll up, rear and fall on its back.
+
+    ## Action Space
+    `Box(-1, 1, (links - 1,), float32)`: angles that servos at the joints go to, in units of 1 rad,
+    from the head to the tail; positive ones lift the middle of the body. A servo gives 60 N m for
+    each rad that it is off.
+
+    ## Observation Space
+    `Box(-inf, inf, (2 links + 3,), float64)`: height of the head link's centre [m]; its angle from
+    level, positive with the head up, and the joints' angles [rad]; its velocities along x and z
+    [m/s]; their angular velocities [rad/s].
+
+    ## Rewards
+    - `reward_forward`: way of the mass centre along x, in body lengths per second, times
+      `forward_reward_weight`.
+    - `reward_ctrl`: minus `ctrl_cost_weight` times the sum of squared actions.
+
+    ## Starting State
+    Straight on the surface, head to +x; the pitch and each angle are off by up to
+    `reset_noise_scale` rad, evenly, and joints turn at up to that in rad/s.
+
+    ## Episode End
+    Never terminated. Truncated after 500 steps of 0.04 s.
+
+    ## Arguments
+    `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `reset_noise_scale=0.05`,
+    `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here loosely packed poppy
+    seed, randomised sand and so on. At a finer resolution than the default of 4 a wave gets 10 %
+    less far.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "a chain crawls on sand and in its surface"
+    episode: ClassVar[int] = 500
+    dunes: ClassVar[Dunes] = Dunes(wavelength=2.0, extent=20.0)
+    camera: ClassVar[dict[str, Any]] = {
+        "trackbodyid": 4, "distance": 1.4, "azimuth": 90.0, "elevation": -12.0,
+    }  # fmt: skip
+
+    medium: str | Path | Medium = "poppy_seed_loose"
+    reset_noise_scale: float = 0.05
+    frame_skip: int = 8
+
+    @cached_property
+    def worm(self) -> Worm:
+        return Worm(
+            self.links,
+            length=0.6,
+            width=0.04,
+            posture="upright",
+            stiffness=60.0,
+            lag=0.03,
+            armature=1e-3,
+        )
+
+    def robot(self) -> mujoco.MjSpec:
+        return self.worm.spec(0.005)
+
+    def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
+        start = self._bent(random)
+        half = self.worm.step / 2
+        start.qpos[1] += max(height(half - i * self.worm.step, 0.0) for i in range(self.links + 1))
+        return start
+
+    def observe(self, state: State) -> np.ndarray:
+        seen = np.concatenate([state.qpos[:, 1:], state.qvel], axis=1)
+        seen[:, 1] += np.pi / 2
+        return seen
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        centre = state.subtree_com[:, 1]
+        return {"x_position": centre[:, 0].copy(), "z_position": centre[:, 2].copy()}

@@ -1,0 +1,73 @@
+"""Dunes: a height field of waves across the robot's way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+DUNES = "dunes"
+"""Name of the geom and of its height field."""
+
+_WAVES = ((1.0, 0.0, 0.0), (0.45, 0.8, 1.1), (0.3, -1.3, 2.3))
+"""Share of the height, waves across for each wave ahead, phase; chosen: ridges that wander."""
+
+
+@dataclass(frozen=True)
+class Dunes:
+    """Three sine waves, the longest of them across the x axis; always the same.
+
+    They are as high as their steepest slope allows; at ten degrees the laws end (`docs/laws`).
+
+    Attributes:
+        wavelength: of the longest [m].
+        extent: the dunes reach from minus to plus that along x and y [m].
+        steepest: slope [rad]; chosen.
+    """
+
+    wavelength: float = 4.0
+    extent: float = 40.0
+    steepest: float = math.radians(9)
+
+    @property
+    def _amplitude(self) -> float:
+        """Of a wave whose share is 1 [m]; the waves' slopes add up to the steepest at most."""
+        k = 2 * math.pi / self.wavelength
+        slopes = sum(share * k * math.hypot(1.0, across) for share, across, _ in _WAVES)
+        return math.tan(self.steepest) / slopes
+
+    def height(self, x: float, y: float) -> float:
+        """Over the level ground at a place [m]."""
+        k = 2 * math.pi / self.wavelength
+        waves = (share * math.sin(k * (x + across * y) + phase) for share, across, phase in _WAVES)
+        return self._amplitude * sum(waves)
+
+    def heights(self) -> np.ndarray:
+        """On the grid of the height field [m], shape (rows over y, columns over x)."""
+        count = 2 * round(10 * self.extent / self.wavelength) + 1
+        line = np.linspace(-self.extent, self.extent, count)
+        return np.array([[self.height(x, y) for x in line] for y in line])
+
+
+def add_dunes(spec: mujoco.MjSpec, dunes: Dunes) -> None:
+    """Adds dunes about the height of the model's floor."""
+    heights = dunes.heights()
+    low, high = float(heights.min()), float(heights.max())
+    field = spec.add_hfield(name=DUNES)
+    field.nrow, field.ncol = heights.shape
+    field.size = [dunes.extent, dunes.extent, high - low, 0.1]
+    field.userdata = ((heights - low) / (high - low)).ravel().tolist()
+    floor = max(
+        (float(g.pos[2]) for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE),
+        default=0.0,
+    )
+    spec.worldbody.add_geom(
+        name=DUNES,
+        type=mujoco.mjtGeom.mjGEOM_HFIELD,
+        hfieldname=DUNES,
+        pos=[0, 0, floor + low],
+        contype=0,
+        conaffinity=0,
+    )

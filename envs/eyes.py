@@ -1,0 +1,155 @@
+"""Pictures of a simulation, and a window."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.envs.dunes import DUNES
+from mjgranular.envs.task import Task
+from mjgranular.errors import InputError, RenderError, UnknownNameError
+
+RENDER_MODES = ["human", "rgb_array"]
+
+
+class Eyes:
+    """A camera that follows the robot, or one of the model's.
+
+    Nothing is taken from the machine before the first look.
+
+    Args:
+        task: what is looked at.
+        mode: None, "human" or "rgb_array".
+        width: of pictures [px].
+        height: of pictures [px].
+        camera_name: a camera of the model; None for the task's own.
+
+    Raises:
+        InputError: another mode, or a picture without size.
+        UnknownNameError: the model has no such camera; lists those it has.
+    """
+
+    def __init__(
+        self, task: Task, mode: str | None, width: int, height: int, camera_name: str | None
+    ) -> None:
+        if mode not in (None, *RENDER_MODES):
+            raise InputError(
+                f"render_mode must be None or one of {', '.join(RENDER_MODES)}, not {mode!r}"
+            )
+        if width < 1 or height < 1:
+            raise InputError(f"a picture needs at least one pixel, not {width} x {height}")
+        model = task.model
+        known = [model.camera(number).name for number in range(model.ncam)]
+        if camera_name is not None and camera_name not in known:
+            raise UnknownNameError("camera", camera_name, known)
+        self.mode, self.width, self.height, self.camera_name = mode, width, height, camera_name
+        self._task, self._renderer, self._viewer = task, None, None
+        self._surfaces = [choice.surface for choice in task.choices]
+
+    def look(self, model: mujoco.MjModel, data: mujoco.MjData, sand: int) -> np.ndarray | None:
+        """A picture, shape (height, width, 3), or a look in the window.
+
+        Args:
+            model: the model, of the task or a copy.
+            data: a simulation of it.
+            sand: number of the sand that is switched on.
+
+        Raises:
+            RenderError: nothing can be drawn on this machine; says what to install.
+        """
+        if self.mode is None:
+            return None
+        self._show_ground(model, sand)
+        if self.mode == "human":
+            return self._show(model, data)
+        if self._renderer is None:
+            screen = self._task.model.vis.global_
+            screen.offwidth = max(screen.offwidth, self.width)
+            screen.offheight = max(screen.offheight, self.height)
+            self._renderer = _make(
+                lambda: mujoco.Renderer(self._task.model, self.height, self.width)
+            )
+        self._task.model.geom_rgba[:] = model.geom_rgba
+        self._renderer.update_scene(data, self._camera(data))
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Gives back what was taken from the machine."""
+        for thing in (self._renderer, self._viewer):
+            if thing is not None:
+                thing.close()
+        self._renderer = self._viewer = None
+
+    def _show_ground(self, model: mujoco.MjModel, sand: int) -> None:
+        """Shows the ground that is there and hides the other."""
+        if len(set(self._surfaces)) < 2:
+            return
+        dunes = self._surfaces[sand] == "dunes"
+        for geom in range(model.ngeom):
+            if model.geom_bodyid[geom] == 0:
+                kind = model.geom_type[geom]
+                if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+                    model.geom_rgba[geom, 3] = float(not dunes)
+                elif model.geom(geom).name == DUNES:
+                    model.geom_rgba[geom, 3] = float(dunes)
+
+    def _camera(self, data: mujoco.MjData) -> Any:
+        if self.camera_name is not None:
+            return self.camera_name
+        camera = mujoco.MjvCamera()
+        _set(camera, self._task.camera)
+        return camera
+
+    def _show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        if self._viewer is None and not _has_screen():  # GLFW would end the process
+            raise RenderError(
+                "render_mode='human' needs a screen and there is none here: "
+                "use render_mode='rgb_array'"
+            )
+        if self._viewer is None:
+            from gymnasium.envs.mujoco.mujoco_rendering import MujocoRenderer
+
+            self._viewer = MujocoRenderer(
+                model,
+                data,
+                self._task.camera,
+                self.width,
+                self.height,
+                camera_name=self.camera_name,
+            )
+        viewer = self._viewer
+        _make(lambda: viewer.render("human"))
+
+
+def _set(camera: mujoco.MjvCamera, settings: dict[str, Any]) -> None:
+    """Sets a camera as Gymnasium does: `lookat` and numbers by their names."""
+    body = settings.get("trackbodyid")
+    if body is not None:
+        camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, body
+    for name, value in settings.items():
+        if name == "lookat":
+            camera.lookat[:] = value
+        elif name != "trackbodyid":
+            setattr(camera, name, value)
+
+
+def _has_screen() -> bool:
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return bool(glfw.init()) and glfw.get_primary_monitor() is not None
+
+
+def _make(draw: Any) -> Any:
+    try:
+        return draw()
+    except Exception as error:  # every platform's GL fails in a way of its own
+        raise RenderError(
+            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
+            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "
+            "mjgranular before mujoco, and use render_mode='rgb_array'"
+        ) from None

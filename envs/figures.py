@@ -1,0 +1,175 @@
+"""The sand's figures, read from sensors: the same for one simulation and for many."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from mjgranular.envs.ground import (
+    BODY_FORCE,
+    BODY_MOMENT,
+    DEPTH,
+    FORCE,
+    POWER,
+    SPEED,
+    Ground,
+    instances_of,
+)
+from mjgranular.law import get_law
+from mjgranular.law.validity import Measure
+from mjgranular.medium.medium import get_medium
+from mjgranular.shape import select_geoms
+from mjgranular.surface import Plane
+
+
+class Figures:
+    """Reads the sensors that `put_on_sand` has added.
+
+    Args:
+        model: the model.
+        grounds: the sands in it, in the order in which they were added.
+    """
+
+    def __init__(self, model: mujoco.MjModel, grounds: Sequence[Ground]) -> None:
+        self.sands = names = instances_of(model)
+        # The sensors of a sand stand side by side: force, depth, power, speed.
+        self._blocks = [_address(model, f"{FORCE}/{name}") for name in names]
+        for name, begin in zip(names, self._blocks, strict=True):
+            for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):
+                assert _address(model, f"{measure}/{name}") == begin + offset
+        gravity = float(np.linalg.norm(model.opt.gravity))
+        limits = [_Limits(model, ground) for ground in grounds]
+        width = np.array([limit.width for limit in limits])
+        self._per_speed = 1 / np.sqrt(gravity * width)  # Froude number of 1 m/s
+        self._froude = np.array([limit.most("froude") for limit in limits])
+        self._depth = np.array([limit.most("depth_over_width") for limit in limits]) * width
+        self._slope = np.array([limit.most("slope") - limit.tilt for limit in limits])
+
+    def read(
+        self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0
+    ) -> dict[str, np.ndarray]:
+        """The sand's figures of n simulations.
+
+        They are those of the last substep. The Froude number is |v| / sqrt(g w) with the greatest
+        speed in the sand and the smallest width of a geom that meets it: never too small. Whether
+        the law holds is judged by that, by depth over that width and by the slope; the grains'
+        inertia is not looked at.
+
+        Args:
+            readings: `sensordata`, shape (n, nsensordata).
+            active: number of the sand that is switched on, shape (n,); others read nothing.
+            slope: of the ground beside that of its surface [rad], shape (n,).
+
+        Returns:
+            `sand/force`: of the sand on the robot [N], world axes, shape (n, 3); `sand/depth`: of
+            its deepest point [m], negative above the sand; `sand/power`: of the sand on it [W];
+            `sand/froude`; `sand/valid`: whether the law holds.
+        """
+        first, *others = self._blocks
+        block = readings[:, first : first + 6].copy()  # nobody is to hold the simulation's memory
+        for other in others:
+            block += readings[:, other : other + 6]
+        sand = active if others else 0
+        depth, speed = block[:, 3], block[:, 5]
+        froude = speed * self._per_speed[sand]
+        valid = (
+            (froude <= self._froude[sand])
+            & (depth <= self._depth[sand])
+            & (np.abs(slope) <= self._slope[sand])
+        )
+        return {
+            "sand/force": block[:, :3],
+            "sand/depth": depth,
+            "sand/power": block[:, 4],
+            "sand/froude": froude,
+            "sand/valid": valid,
+        }
+
+
+class Wrenches:
+    """The sand's forces on bodies as MuJoCo's `cfrc_ext` has those of contacts.
+
+    Args:
+        model: made by `put_on_sand` with `wrenches`.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        sensors = {model.sensor(i).name: int(model.sensor_adr[i]) for i in range(model.nsensor)}
+        sands = instances_of(model)
+        bodies = [
+            body
+            for body in range(model.nbody)
+            if f"{BODY_FORCE}{model.body(body).name}/{sands[0]}" in sensors
+        ]
+        # Of each sand the sensors stand side by side, body by body: force, moment.
+        self._blocks = [
+            sensors[f"{BODY_FORCE}{model.body(bodies[0]).name}/{sand}"] for sand in sands
+        ]
+        self._count = len(bodies)
+        for sand, begin in zip(sands, self._blocks, strict=True):
+            for row, body in enumerate(bodies):
+                name = model.body(body).name
+                assert sensors[f"{BODY_FORCE}{name}/{sand}"] == begin + 6 * row
+                assert sensors[f"{BODY_MOMENT}{name}/{sand}"] == begin + 6 * row + 3
+        roots = model.body_rootid[bodies]
+        # Slices where they will do: they are quicker, and this is done at every step.
+        self._bodies = _slice(bodies)
+        self._roots = slice(roots[0], roots[0] + 1) if (roots == roots[0]).all() else roots
+
+    def of(
+        self, readings: np.ndarray, centres: np.ndarray, origins: np.ndarray, nbody: int
+    ) -> np.ndarray:
+        """Moments and forces as in `cfrc_ext`: about the mass centre of the body's tree.
+
+        Args:
+            readings: `sensordata`, shape (n, nsensordata).
+            centres: `xipos`, shape (n, nbody, 3).
+            origins: `subtree_com`, shape (n, nbody, 3).
+            nbody: number of bodies.
+
+        Returns:
+            Moment and force on each body, world axes, shape (n, nbody, 6).
+        """
+        count, first = 6 * self._count, self._blocks[0]
+        block = readings[:, first : first + count]
+        for other in self._blocks[1:]:
+            block = block + readings[:, other : other + count]
+        block = block.reshape(len(readings), self._count, 6)
+        arm = centres[:, self._bodies] - origins[:, self._roots]
+        ax, ay, az = arm[..., 0], arm[..., 1], arm[..., 2]
+        fx, fy, fz = block[..., 0], block[..., 1], block[..., 2]
+        wrench = np.zeros((len(readings), nbody, 6))
+        wrench[:, self._bodies, 0] = ay * fz - az * fy + block[..., 3]
+        wrench[:, self._bodies, 1] = az * fx - ax * fz + block[..., 4]
+        wrench[:, self._bodies, 2] = ax * fy - ay * fx + block[..., 5]
+        wrench[:, self._bodies, 3:] = block[..., :3]
+        return wrench
+
+
+class _Limits:
+    """Up to where the law of a ground holds in a model."""
+
+    def __init__(self, model: mujoco.MjModel, ground: Ground) -> None:
+        law = get_law(ground.law, get_medium(ground.medium))
+        surface = ground.surface or Plane()
+        geoms = select_geoms(model, geoms=ground.geoms, leave_out=surface.geoms(model))
+        self._limits = law.validity
+        self.width = float(law.elements(model, geoms, ground.resolution)["width"].min())
+        self.tilt = surface.tilt(model)
+
+    def most(self, measure: Measure) -> float:
+        return min((v.most for v in self._limits if v.measure == measure), default=math.inf)
+
+
+def _address(model: mujoco.MjModel, name: str) -> int:
+    return int(model.sensor(name).adr[0])
+
+
+def _slice(numbers: Sequence[int]) -> slice | np.ndarray:
+    """The numbers as a slice, if they follow one another."""
+    if list(numbers) == list(range(numbers[0], numbers[0] + len(numbers))):
+        return slice(numbers[0], numbers[0] + len(numbers))
+    return np.array(numbers)

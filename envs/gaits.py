@@ -1,0 +1,186 @@
+"""Scripted gaits: actions by time, with named parameters, as baselines and for searches."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from mjgranular.envs.task import Task
+from mjgranular.errors import InputError, UnknownNameError
+
+
+@dataclass(frozen=True)
+class Gait(ABC):
+    """Actions by time; a final gait is a frozen dataclass of its parameters.
+
+    Attributes:
+        bounds: of each parameter, (low, high), for searches.
+    """
+
+    bounds: ClassVar[dict[str, tuple[float, float]]]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not math.isfinite(getattr(self, field.name)):
+                raise InputError(f"the gait's {field.name} must be finite")
+
+    @abstractmethod
+    def action(self, time: float, size: int) -> np.ndarray:
+        """The action at a time [s], shape (size,), within one either way."""
+
+
+@dataclass(frozen=True)
+class TravellingWave(Gait):
+    """A sine wave of joint angles, from head to tail.
+
+    Attributes:
+        amplitude: of the actions.
+        frequency: [Hz].
+        waves: along the body; negative ones run from the tail to the head.
+        offset: added to all actions: a lasting bend.
+    """
+
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "amplitude": (0.2, 1.0),
+        "frequency": (0.5, 3.0),
+        "waves": (0.5, 2.0),
+    }
+
+    amplitude: float = 0.9
+    frequency: float = 1.0
+    waves: float = 1.0
+    offset: float = 0.0
+
+    def action(self, time: float, size: int) -> np.ndarray:
+        along = np.arange(1, size + 1) / (size + 1)
+        phase = 2 * math.pi * (self.frequency * time - self.waves * along)
+        return np.clip(self.offset + self.amplitude * np.sin(phase), -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class CrawlingWave(TravellingWave):
+    """A sine wave in the vertical plane, which runs from tail to head as an inchworm's does."""
+
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "amplitude": (0.2, 1.0),
+        "frequency": (0.5, 3.0),
+        "waves": (-2.0, 2.0),
+        "offset": (-0.4, 0.4),
+    }
+
+    amplitude: float = 0.6
+    frequency: float = 1.5
+    waves: float = -1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tripod(Gait):
+    """Three legs step while the other three stand: front and rear of a side with the middle one.
+
+    Attributes:
+        stride: amplitude of the hips' actions.
+        lift: height of the knees' actions while a leg steps.
+        press: of the knees' actions while a leg stands, downwards.
+        frequency: of the steps of a leg [Hz].
+        duty: share of the cycle for which a leg stands.
+    """
+
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {
+        "stride": (0.2, 1.0),
+        "lift": (0.1, 1.0),
+        "press": (0.0, 0.6),
+        "frequency": (0.5, 3.0),
+        "duty": (0.4, 0.7),
+    }
+
+    stride: float = 0.8
+    lift: float = 0.7
+    press: float = 0.2
+    frequency: float = 1.5
+    duty: float = 0.5
+
+    def action(self, time: float, size: int) -> np.ndarray:
+        action = np.zeros(size)
+        for leg in range(size // 2):
+            left = leg < size // 4
+            first = (leg % 3 == 1) != left  # front and rear left, middle right
+            phase = (self.frequency * time + (0.0 if first else 0.5)) % 1.0
+            if phase < self.duty:  # stands and pushes back
+                swing = self.stride * (1 - 2 * phase / self.duty)
+                lift = -self.press
+            else:  # steps ahead
+                step = (phase - self.duty) / (1 - self.duty)
+                swing = self.stride * (2 * step - 1)
+                lift = self.lift * math.sin(math.pi * step)
+            action[2 * leg], action[2 * leg + 1] = swing, lift
+        return np.clip(action, -1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Release(Gait):
+    """A drop without spin, at an angle.
+
+    Attributes:
+        angle: the first action.
+        spin: the second.
+    """
+
+    bounds: ClassVar[dict[str, tuple[float, float]]] = {"angle": (-1.0, 1.0), "spin": (-1.0, 1.0)}
+
+    angle: float = 0.0
+    spin: float = 0.0
+
+    def action(self, time: float, size: int) -> np.ndarray:
+        return np.array([self.angle, self.spin])
+
+
+gaits: dict[str, type[Gait]] = {
+    "ChainSwim": TravellingWave,
+    "ChainCrawl": CrawlingWave,
+    "Hexapod": Tripod,
+    "LinkDrop": Release,
+}
+"""The gait of each task that has one, by the task's name."""
+
+
+class Script:
+    """A gait for a task: gives actions by time.
+
+    Args:
+        gait: the gait.
+        size: of an action.
+    """
+
+    def __init__(self, gait: Gait, size: int) -> None:
+        self.gait, self._size = gait, size
+
+    def __call__(self, time: float) -> np.ndarray:
+        """The action at a time [s]."""
+        return self.gait.action(time, self._size).astype(np.float32)
+
+
+def gait(task: Task, **parameters: Any) -> Script:
+    """The scripted gait of a task.
+
+    Args:
+        task: the task, as `env.unwrapped.task`.
+        **parameters: of its gait, where they differ from the defaults.
+
+    Raises:
+        UnknownNameError: the task has no gait; lists those that have.
+        InputError: no such parameter; lists those there are.
+    """
+    name = type(task).__name__
+    if name not in gaits:
+        raise UnknownNameError("gait for", name, gaits)
+    cls = gaits[name]
+    known = [field.name for field in fields(cls)]
+    for given in parameters:
+        if given not in known:
+            raise InputError(f"the gait of {name} has no {given!r}; it has: {', '.join(known)}")
+    return Script(cls(**parameters), int(np.prod(task.action_space.shape)))

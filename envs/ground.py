@@ -1,0 +1,232 @@
+"""Sand in the place of a model's floor, with the sensors that environments read."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+
+from mjgranular import HeightField, InputError, Law, Medium, Plane, Scheme, Surface, add_sand
+from mjgranular.engine.plugin import SENSOR
+from mjgranular.models import model_path
+from mjgranular.shape import select_geoms
+
+FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
+"""Sensors of all bodies together; behind a "/" the name of an instance of sand."""
+
+BODY_FORCE, BODY_MOMENT = "sand/force of ", "sand/moment of "
+"""Sensors of one body, with its name and the instance behind."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The sand under a robot: arguments of `mjgranular.add_sand`.
+
+    Attributes:
+        medium: what the sand is, by name or YAML file.
+        law: how it resists; None for the medium's own law.
+        surface: where it is; None for the level plane where the floor was.
+        scheme: how forces become a step.
+        resolution: how finely geoms are cut; None for the law's own.
+        geoms: names of the geoms that meet it; None for all that can collide and move.
+    """
+
+    medium: str | Path | Medium = "quikrete_medium"
+    law: str | Law | None = None
+    surface: Surface | None = None
+    scheme: str | Scheme = "auto"
+    resolution: int | None = None
+    geoms: Sequence[str] | None = None
+
+
+def put_on_sand(
+    spec: mujoco.MjSpec,
+    grounds: Sequence[Ground],
+    *,
+    wrenches: bool = False,
+    tunable: bool = False,
+    cut: float = 0.0,
+    tile: float = 0.5,
+) -> mujoco.MjModel:
+    """Takes the floor's contacts away and adds sand and sensors.
+
+    What changes beside: RK4 becomes the implicit-fast integrator, because sand that holds at rest
+    does not act within a step of RK4; a fluid that fills the world goes; the floor is drawn as
+    sand, or not at all where the sand is no plane. Where no geom of the robot makes contacts, as in
+    a swimmer, all of them meet the sand.
+
+    Args:
+        spec: the model to be; it is changed.
+        grounds: one sand or several, of which each has an instance `sand`, `sand_2`, ...
+        wrenches: whether the force and the moment on each body are to be measured as well.
+        tunable: whether instances are to be tuned while they run.
+        cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
+        tile: edge of the picture of sand on the ground [m].
+
+    Returns:
+        The model.
+
+    Raises:
+        InputError: the model has no floor and the ground no surface.
+    """
+    floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
+    _keep_extent(spec)
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.density = spec.option.viscosity = 0.0
+    _let_meet(spec)
+    surfaces = [ground.surface or _surface_of(floors) for ground in grounds]
+    for floor in floors:
+        floor.contype = floor.conaffinity = 0
+    _paint(spec, floors, surfaces, cut, tile)
+    for number, body in enumerate(spec.bodies):
+        if not body.name:  # sensors find bodies by name
+            body.name = f"body_{number}"
+    names = []
+    for ground, surface in zip(grounds, surfaces, strict=True):
+        instance = add_sand(
+            spec,
+            medium=ground.medium,
+            law=ground.law,
+            surface=surface,
+            scheme=ground.scheme,
+            resolution=ground.resolution,
+            geoms=ground.geoms,
+            tunable=tunable,
+        )
+        names.append(instance.name)
+    _add_sensors(spec, names, grounds[0].geoms, wrenches=wrenches)
+    with quiet():
+        return spec.compile()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Without MuJoCo's warning that an attribute of Gymnasium's half cheetah is deprecated."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
+        yield
+
+
+def instances_of(model: mujoco.MjModel) -> list[str]:
+    """Names of the instances of sand that `put_on_sand` has added, in order."""
+    names = [model.sensor(number).name for number in range(model.nsensor)]
+    begin = DEPTH + "/"
+    return [name.removeprefix(begin) for name in names if name.startswith(begin)]
+
+
+def _keep_extent(spec: mujoco.MjSpec) -> None:
+    """Has views begin and end where they do without dunes."""
+    bare = spec.copy()
+    for geom in bare.worldbody.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
+            bare.delete(geom)
+    with quiet():
+        stat = bare.compile().stat
+    spec.stat.extent, spec.stat.center = stat.extent, stat.center
+
+
+def _let_meet(spec: mujoco.MjSpec) -> None:
+    """Has geoms collide with what collides, but not with each other, if none of them does so."""
+    geoms = [geom for body in spec.bodies[1:] for geom in body.geoms]
+    if not any(geom.contype or geom.conaffinity for geom in geoms):
+        for geom in geoms:
+            geom.conaffinity = 1
+
+
+def _is_floor(geom: mujoco.MjsGeom) -> bool:
+    return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+
+
+def _surface_of(floors: Sequence[mujoco.MjsGeom]) -> Plane:
+    """The level plane at the height of the floor."""
+    if not floors:
+        raise InputError("the model has no floor (a plane geom of the world): give a surface=...")
+    for floor in floors:
+        if abs(abs(floor.quat[0]) - 1) > 1e-9:
+            raise InputError(f"the floor {floor.name!r} is not level: give a surface=Plane(...)")
+    return Plane(height=max(float(floor.pos[2]) for floor in floors))
+
+
+def _paint(
+    spec: mujoco.MjSpec,
+    floors: Sequence[mujoco.MjsGeom],
+    surfaces: Sequence[Surface],
+    cut: float,
+    tile: float,
+) -> None:
+    """Lets floors look like sand and lie where it is."""
+    material = _sand_material(spec, tile)
+    for surface in surfaces:
+        if isinstance(surface, HeightField):
+            geom = spec.geom(surface.geom)
+            if geom is not None:
+                geom.material = material
+                geom.rgba = [1, 1, 1, 1]
+    planes = [surface for surface in surfaces if isinstance(surface, Plane)]
+    for floor in floors:
+        if not planes:
+            floor.group = 5  # not shown
+            continue
+        plane = planes[0]
+        floor.material = material
+        floor.rgba = [1, 1, 1, 1]
+        floor.pos = [0, 0, plane.height - cut]
+        half = plane.slope / 2
+        axis = (math.sin(plane.uphill), -math.cos(plane.uphill))
+        floor.quat = [math.cos(half), axis[0] * math.sin(half), axis[1] * math.sin(half), 0]
+
+
+def _sand_material(spec: mujoco.MjSpec, tile: float) -> str:
+    """A material of sand, whose picture has edges of that length [m]; its name."""
+    name = "mjgranular_sand"
+    picture = model_path("link").parent / "assets" / "sand.png"
+    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=str(picture.resolve()))
+    material = spec.add_material(name=name)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    material.texrepeat = [1 / tile, 1 / tile]
+    material.texuniform = True
+    material.specular = material.shininess = material.reflectance = 0.0
+    return name
+
+
+def _add_sensors(
+    spec: mujoco.MjSpec, sands: Sequence[str], geoms: Sequence[str] | None, *, wrenches: bool
+) -> None:
+    spec.activate_plugin(SENSOR)
+    bodies: list[str] = []
+    if wrenches:
+        with quiet():
+            model = spec.copy().compile()
+        met = select_geoms(model, geoms=geoms)
+        bodies = [model.body(b).name for b in sorted({int(model.geom_bodyid[g]) for g in met})]
+    for sand in sands:
+        for measure, name in (
+            ("force", FORCE),
+            ("depth", DEPTH),
+            ("power", POWER),
+            ("speed", SPEED),
+        ):
+            _add_sensor(spec, f"{name}/{sand}", measure, sand)
+        for body in bodies:
+            _add_sensor(spec, f"{BODY_FORCE}{body}/{sand}", "force", sand, body)
+            _add_sensor(spec, f"{BODY_MOMENT}{body}/{sand}", "moment", sand, body)
+
+
+def _add_sensor(
+    spec: mujoco.MjSpec, name: str, measure: str, sand: str, body: str | None = None
+) -> None:
+    instance = f"{measure} of {sand}"
+    if all(plugin.name != instance for plugin in spec.plugins):
+        plugin = spec.add_plugin(name=instance, plugin_name=SENSOR, active=True)
+        plugin.config = {"measure": measure, "sand": sand}
+    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_PLUGIN)
+    if body is not None:
+        sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_BODY, body
+    sensor.plugin.active = True
+    sensor.plugin.plugin_name, sensor.plugin.name = SENSOR, instance

@@ -1,0 +1,326 @@
+"""Gymnasium's planar robots as tasks: Hopper, Walker2d, HalfCheetah, Swimmer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium.envs.mujoco
+import mujoco
+import numpy as np
+from gymnasium.spaces import Box
+
+from mjgranular import Medium
+from mjgranular.envs.ground import quiet
+from mjgranular.envs.task import Start, State, Task
+
+ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot(Task):
+    """A robot of Gymnasium's: its model, its observation, its reward, its options.
+
+    A test holds each to `on_sand` of the same, to the last bit.
+    """
+
+    xml: ClassVar[str]
+    hidden: ClassVar[int] = 1
+    """Positions that are left out of the observation."""
+    gaussian: ClassVar[bool] = False
+    """Whether velocities start with normal noise."""
+
+    forward_reward_weight: float = 1.0
+    reset_noise_scale: float = 5e-3
+    exclude_current_positions_from_observation: bool = True
+
+    def robot(self) -> mujoco.MjSpec:
+        with quiet():
+            return mujoco.MjSpec.from_file(str(ASSETS / self.xml))
+
+    @cached_property
+    def action_space(self) -> Box:
+        low, high = self.model.actuator_ctrlrange.copy().astype(np.float32).T
+        return Box(low, high, dtype=np.float32)
+
+    def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
+        model, noise = self.model, self.reset_noise_scale
+        qpos = model.qpos0 + random.uniform(low=-noise, high=noise, size=model.nq)
+        if self.gaussian:
+            qvel = noise * random.standard_normal(model.nv)
+        else:
+            qvel = random.uniform(low=-noise, high=noise, size=model.nv)
+        self.raise_by(qpos, height)
+        return Start(qpos, qvel)
+
+    def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
+        """Lifts a start onto dunes; nothing on the plane."""
+        reach = (-0.5, 0.0, 0.5)  # [m]; chosen: the robots are about a metre long
+        qpos[1] += max(height(float(qpos[0]) + x, 0.0) for x in reach)
+
+    def seen(self, qpos: np.ndarray) -> np.ndarray:
+        """The positions that are observed."""
+        return qpos[:, self.hidden if self.exclude_current_positions_from_observation else 0 :]
+
+    def mark(self, state: State) -> np.ndarray:
+        return state.qpos[:, :2].copy()
+
+    def speed(self, before: np.ndarray, state: State) -> np.ndarray:
+        """Along x [m/s]."""
+        return (state.qpos[:, 0] - before[:, 0]) / self.dt
+
+    def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
+        return {"x_velocity": self.speed(before, state)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Legged(Robot):
+    """Hopper and Walker2d."""
+
+    ctrl_cost_weight: float = 1e-3
+    healthy_reward: float = 1.0
+    terminate_when_unhealthy: bool = True
+    healthy_z_range: tuple[float, float] = (0.7, math.inf)
+    healthy_angle_range: tuple[float, float] = (-0.2, 0.2)
+    frame_skip: int = 4
+
+    def observe(self, state: State) -> np.ndarray:
+        velocity = np.minimum(np.maximum(state.qvel, -10), 10)
+        return np.concatenate((self.seen(state.qpos), velocity), axis=1)
+
+    def healthy(self, state: State) -> np.ndarray:
+        """Whether the robot stands, shape (n,)."""
+        z, angle = state.qpos[:, 1], state.qpos[:, 2]
+        low, high = self.healthy_z_range
+        left, right = self.healthy_angle_range
+        return (low < z) & (z < high) & (left < angle) & (angle < right)
+
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        return {
+            "reward_forward": self.forward_reward_weight * self.speed(before, state),
+            "reward_survive": self.stands(state) * self.healthy_reward,
+            "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
+        }
+
+    def stands(self, state: State) -> np.ndarray:
+        """`healthy`, worked out once."""
+        return self.once(state, "healthy", self.healthy)
+
+    def terminated(self, state: State) -> np.ndarray:
+        if not self.terminate_when_unhealthy:
+            return np.zeros(len(state.qpos), bool)
+        return ~self.stands(state)
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        return {
+            "x_position": state.qpos[:, 0].copy(),
+            "z_distance_from_origin": state.qpos[:, 1] - self.model.qpos0[1],
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hopper(_Legged):
+    """Hop on sand.
+
+    ## Description
+    Gymnasium's `Hopper-v5`, a planar robot of one leg, on Quikrete medium sand. What is not said
+    here is as there; `mjgranular.envs.on_sand` says what sand changes.
+
+    ## Action Space
+    `Box(-1, 1, (3,), float32)`: torques at thigh, leg and foot.
+
+    ## Observation Space
+    `Box(-inf, inf, (11,), float64)`: positions but x, and velocities.
+
+    ## Rewards
+    `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Hopper-v5`.
+
+    ## Starting State
+    As in `Hopper-v5`, its foot a centimetre over the sand.
+
+    ## Episode End
+    Terminated when unhealthy, as in `Hopper-v5`: the foot sinks in by a few centimetres, while the
+    healthy range ends 0.5 m below the start. Truncated after 1000 steps.
+
+    ## Arguments
+    Those of `Hopper-v5` but `xml_file` and those of cameras, and those of `Task`.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "Gymnasium's Hopper on sand"
+    xml: ClassVar[str] = "hopper.xml"
+    camera: ClassVar[dict[str, Any]] = {
+        "trackbodyid": 2, "distance": 3.0, "lookat": (0.0, 0.0, 1.15), "elevation": -20.0,
+    }  # fmt: skip
+
+    healthy_state_range: tuple[float, float] = (-100.0, 100.0)
+
+    def healthy(self, state: State) -> np.ndarray:
+        low, high = self.healthy_state_range
+        rest = np.concatenate([state.qpos[:, 2:], state.qvel], axis=1)
+        return super().healthy(state) & (low < rest.min(axis=1)) & (rest.max(axis=1) < high)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walker2d(_Legged):
+    """Walk on sand on two legs in a plane.
+
+    ## Description
+    Gymnasium's `Walker2d-v5` on Quikrete medium sand. What is not said here is as there;
+    `mjgranular.envs.on_sand` says what sand changes.
+
+    ## Action Space
+    `Box(-1, 1, (6,), float32)`: torques at thigh, leg and foot of both legs.
+
+    ## Observation Space
+    `Box(-inf, inf, (17,), float64)`: positions but x, and velocities.
+
+    ## Rewards
+    `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Walker2d-v5`.
+
+    ## Starting State
+    As in `Walker2d-v5`, its feet a centimetre over the sand.
+
+    ## Episode End
+    Terminated when unhealthy, as in `Walker2d-v5`. Truncated after 1000 steps.
+
+    ## Arguments
+    Those of `Walker2d-v5` but `xml_file` and those of cameras, and those of `Task`.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "Gymnasium's Walker2d on sand"
+    xml: ClassVar[str] = "walker2d_v5.xml"
+    camera: ClassVar[dict[str, Any]] = {
+        "trackbodyid": 2, "distance": 4.0, "lookat": (0.0, 0.0, 1.15), "elevation": -20.0,
+    }  # fmt: skip
+
+    healthy_z_range: tuple[float, float] = (0.8, 2.0)
+    healthy_angle_range: tuple[float, float] = (-1.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HalfCheetah(Robot):
+    """Run on sand in a plane.
+
+    ## Description
+    Gymnasium's `HalfCheetah-v5` on Quikrete medium sand. What is not said here is as there;
+    `mjgranular.envs.on_sand` says what sand changes.
+
+    ## Action Space
+    `Box(-1, 1, (6,), float32)`: torques at thigh, shin and foot of both legs.
+
+    ## Observation Space
+    `Box(-inf, inf, (17,), float64)`: positions but x, and velocities.
+
+    ## Rewards
+    `reward_forward` + `reward_ctrl`, as in `HalfCheetah-v5`.
+
+    ## Starting State
+    As in `HalfCheetah-v5`.
+
+    ## Episode End
+    Never terminated. Truncated after 1000 steps.
+
+    ## Arguments
+    Those of `HalfCheetah-v5` but `xml_file` and those of cameras, and those of `Task`.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "Gymnasium's HalfCheetah on sand"
+    xml: ClassVar[str] = "half_cheetah.xml"
+    gaussian: ClassVar[bool] = True
+    camera: ClassVar[dict[str, Any]] = {"trackbodyid": 1, "distance": 4.0, "elevation": -15.0}
+
+    ctrl_cost_weight: float = 0.1
+    reset_noise_scale: float = 0.1
+
+    def observe(self, state: State) -> np.ndarray:
+        return np.concatenate((self.seen(state.qpos), state.qvel), axis=1)
+
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        return {
+            "reward_forward": self.forward_reward_weight * self.speed(before, state),
+            "reward_ctrl": -(self.ctrl_cost_weight * np.square(action).sum(axis=1)),
+        }
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        return {"x_position": state.qpos[:, 0].copy()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swimmer(HalfCheetah):
+    """Swim buried in sand with three links.
+
+    ## Description
+    The robot of Gymnasium's `Swimmer-v5`, three rods of 1 m and 0.2 m across, buried 0.3 m deep in
+    loosely packed poppy seed, which takes the place of its fluid. It is free in the level plane at
+    that depth. Motors are ten times as strong as Gymnasium's (1500 N m for an action of one):
+    weaker ones cannot move it. Sand does not let it coast.
+
+    ## Action Space
+    `Box(-1, 1, (2,), float32)`: torques at the two joints.
+
+    ## Observation Space
+    `Box(-inf, inf, (8,), float64)`: angles and velocities, as in `Swimmer-v5`.
+
+    ## Rewards
+    `reward_forward` + `reward_ctrl`, as in `Swimmer-v5`.
+
+    ## Starting State
+    As in `Swimmer-v5`.
+
+    ## Episode End
+    Never terminated. Truncated after 1000 steps.
+
+    ## Arguments
+    Those of `Swimmer-v5` but `xml_file` and those of cameras, and those of `Task`.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "Gymnasium's Swimmer, buried in sand"
+    xml: ClassVar[str] = "swimmer.xml"
+    hidden: ClassVar[int] = 2
+    gaussian: ClassVar[bool] = False
+    cut: ClassVar[float] = 0.4  # it lies on the cut
+    camera: ClassVar[dict[str, Any]] = {"trackbodyid": 2, "distance": 7.0, "elevation": -50.0}
+
+    medium: str | Path | Medium = "poppy_seed_loose"
+    ctrl_cost_weight: float = 1e-4
+    frame_skip: int = 4
+
+    def robot(self) -> mujoco.MjSpec:
+        spec = super().robot()
+        spec.geom("floor").pos = [0, 0, 0.3]
+        for actuator in spec.actuators:
+            actuator.gear[0] = 10 * actuator.gear[0]
+        return spec
+
+    def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
+        pass
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        x, y = state.qpos[:, 0], state.qpos[:, 1]
+        return {
+            "x_position": x.copy(),
+            "y_position": y.copy(),
+            "distance_from_origin": np.sqrt(x * x + y * y),
+        }
+
+    def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
+        return {
+            "x_velocity": self.speed(before, state),
+            "y_velocity": (state.qpos[:, 1] - before[:, 1]) / self.dt,
+        }

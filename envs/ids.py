@@ -1,0 +1,68 @@
+"""The ids that `gymnasium.make` knows."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+
+from mjgranular.envs.chains import ChainCrawl, ChainSwim
+from mjgranular.envs.gym_planar import HalfCheetah, Hopper, Swimmer, Walker2d
+from mjgranular.envs.gym_spatial import Ant, Humanoid
+from mjgranular.envs.hexapod import Hexapod
+from mjgranular.envs.link_drop import LinkDrop
+from mjgranular.envs.task import Task
+from mjgranular.envs.tasks import tasks
+
+NAMESPACE = "mjgranular"
+VERSION = 0
+
+_OURS: tuple[type[Task], ...] = (
+    ChainSwim,
+    ChainCrawl,
+    Hexapod,
+    LinkDrop,
+    Hopper,
+    Walker2d,
+    HalfCheetah,
+    Ant,
+    Humanoid,
+    Swimmer,
+)
+
+
+def id_of(name: str) -> str:
+    """The id of the task of that name."""
+    return f"{NAMESPACE}/{name}-v{VERSION}"
+
+
+def name_of(identity: str) -> str:
+    """The task's name in an id; a name is taken as it is."""
+    return identity.removeprefix(f"{NAMESPACE}/").removesuffix(f"-v{VERSION}")
+
+
+def register_task(task: type[Task]) -> str:
+    """Makes a task known by the name of its class: to `gymnasium.make` and to the command line.
+
+    Args:
+        task: a final task.
+
+    Returns:
+        Its id.
+    """
+    name = task.__name__
+    tasks.add(name, task)
+    identity = id_of(name)
+    if identity not in gym.registry:
+        gym.register(
+            id=identity,
+            entry_point="mjgranular.envs.single:SandEnv",
+            vector_entry_point="mjgranular.envs.vector:SandVectorEnv",
+            max_episode_steps=task.episode,
+            kwargs={"task": name},
+        )
+    return identity
+
+
+def register() -> None:
+    """Makes the package's tasks known; more than once does no harm."""
+    for task in _OURS:
+        register_task(task)

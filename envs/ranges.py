@@ -1,0 +1,278 @@
+"""Sand that is drawn anew at every reset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.engine import tune
+from mjgranular.envs.ground import Ground
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.law import laws
+from mjgranular.medium import media
+from mjgranular.medium.medium import get_medium
+
+SURFACES = ("plane", "dunes")
+"""Surfaces that can be drawn: level but for the slope, or fixed dunes at a place drawn anew."""
+
+STEEPEST = math.radians(34)
+"""Greatest slope: beyond its angle of repose sand slides by itself; 34 degrees is that of Quikrete
+medium sand (Agarwal, Goldman, Kamrin, PNAS 120 (2023), tangent of internal friction)."""
+
+_DRAWN = ("strength", "density", "slope")
+_STRONGEST = 100.0  # factor; chosen: far beyond any sand
+
+
+@dataclass(frozen=True)
+class SandRanges:
+    """From where the sand of an episode is drawn: numbers evenly, names with equal chances.
+
+    Attributes:
+        strength: factor on static resistance, (low, high).
+        density: factor on resistance by velocity, (low, high).
+        slope: of the ground, uphill towards +x [rad], (low, high). Gravity is tilted and not the
+            sand: heights and depths are along the surface's normal.
+        media: names of media; empty for the environment's own.
+        laws: names of laws; empty for the environment's own, or that of each medium.
+        surfaces: out of `SURFACES`; empty for the environment's own.
+
+    Raises:
+        InputError: low above high, or what no sand can be; names the field.
+        UnknownNameError: a medium, law or surface that does not exist; lists those that do.
+    """
+
+    strength: tuple[float, float] = (1.0, 1.0)
+    density: tuple[float, float] = (1.0, 1.0)
+    slope: tuple[float, float] = (0.0, 0.0)
+    media: tuple[str, ...] = ()
+    laws: tuple[str, ...] = ()
+    surfaces: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in _DRAWN:
+            self._check_range(name)
+        if not self.strength[0] > 0:
+            raise InputError(f"SandRanges: strength must be positive, not {self.strength[0]}")
+        if self.density[0] < 0:
+            raise InputError(f"SandRanges: density must not be negative, not {self.density[0]}")
+        for name in ("strength", "density"):
+            if getattr(self, name)[1] > _STRONGEST:
+                raise InputError(
+                    f"SandRanges: {name} is a factor and at most {_STRONGEST:g}, "
+                    f"not {getattr(self, name)[1]}"
+                )
+        if max(abs(self.slope[0]), abs(self.slope[1])) > STEEPEST:
+            raise InputError(
+                f"SandRanges: slope must be within {STEEPEST:.3f} rad (34 degrees, the angle of "
+                f"repose) either way, not {self.slope}"
+            )
+        for name, kind, known in (
+            ("media", "medium", media),
+            ("laws", "law", laws),
+            ("surfaces", "surface", SURFACES),
+        ):
+            names = getattr(self, name)
+            if isinstance(names, str) or not isinstance(names, Sequence):
+                raise InputError(f"SandRanges: {name} must be a tuple of names, not {names!r}")
+            for given in names:
+                if given not in known:
+                    raise UnknownNameError(kind, given, known)
+
+    def _check_range(self, name: str) -> None:
+        given: Any = getattr(self, name)
+        try:
+            low, high = (float(value) for value in given)
+        except (TypeError, ValueError):
+            raise InputError(f"SandRanges: {name} must be (low, high), not {given!r}") from None
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise InputError(f"SandRanges: {name} must be finite, not {given}")
+        if low > high:
+            raise InputError(f"SandRanges: {name} has its low end above its high end: {given}")
+
+    def check_within(self, other: SandRanges) -> None:
+        """Makes sure that a curriculum draws no sand that the model has not got.
+
+        Args:
+            other: what the model was made for.
+
+        Raises:
+            InputError: a name that is not among the other's; names the field.
+        """
+        for field in fields(self):
+            if field.name in ("media", "laws", "surfaces"):
+                wanted, there = getattr(self, field.name), getattr(other, field.name)
+                for name in wanted:
+                    if name not in there:
+                        raise InputError(
+                            f"the curriculum's {field.name} have {name!r}, which randomise does "
+                            f"not: it has {', '.join(there) or 'none'}"
+                        )
+
+
+def check_drawing(ranges: Any, curriculum: Any) -> None:
+    """Makes sure of what an environment is given to draw its sand by.
+
+    Raises:
+        InputError: something else than ranges, or a curriculum without any.
+    """
+    if ranges is not None and not isinstance(ranges, SandRanges):
+        raise InputError(f"randomise must be a SandRanges, not {ranges!r}")
+    if curriculum is not None and ranges is None:
+        raise InputError(
+            "a curriculum needs randomise=SandRanges(...), which names all media, laws and "
+            "surfaces that it may draw"
+        )
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One of the sands in a model: names of medium, law and surface as they were asked for."""
+
+    medium: str
+    law: str
+    surface: str
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The sand of one episode.
+
+    Attributes:
+        number: of the sand in the model that is switched on.
+        strength: factor on static resistance.
+        density: factor on resistance by velocity.
+        slope: of the ground [rad].
+        place: x at which the robot starts [m]; 0 where there are no dunes.
+    """
+
+    number: int = 0
+    strength: float = 1.0
+    density: float = 1.0
+    slope: float = 0.0
+    place: float = 0.0
+
+
+def draw(
+    ranges: SandRanges,
+    choices: Sequence[Choice],
+    random: np.random.Generator,
+    *,
+    span: float = 0.0,
+) -> Sample:
+    """Draws a sand.
+
+    Args:
+        ranges: from where.
+        choices: the sands that the model has.
+        random: where numbers come from; the same number of them at each call.
+        span: robots start on dunes at x up to that, either way [m].
+    """
+    fitting = [
+        number
+        for number, choice in enumerate(choices)
+        if (not ranges.media or choice.medium in ranges.media)
+        and (not ranges.laws or choice.law in ranges.laws)
+        and (not ranges.surfaces or choice.surface in ranges.surfaces)
+    ]
+    number = fitting[int(random.integers(len(fitting)))]
+    numbers = {key: float(random.uniform(*getattr(ranges, key))) for key in _DRAWN}
+    place = float(random.uniform(-span, span))
+    return Sample(number, **numbers, place=place if choices[number].surface == "dunes" else 0.0)
+
+
+def lay(
+    sample: Sample,
+    model: mujoco.MjModel,
+    sands: Sequence[str],
+    plugin_state: np.ndarray,
+    gravity: np.ndarray,
+    strength: float,
+) -> None:
+    """Gives a simulation the sand that was drawn.
+
+    Args:
+        sample: what was drawn.
+        model: the model.
+        sands: names of the instances of sand in it.
+        plugin_state: of the simulation; written to.
+        gravity: of the simulation [m/s^2], shape (3,); written to.
+        strength: of gravity [m/s^2].
+    """
+    for number, name in enumerate(sands):
+        tune(
+            model,
+            plugin_state,
+            name,
+            active=float(number == sample.number),
+            strength=sample.strength,
+            density=sample.density,
+        )
+    gravity[:] = -strength * math.sin(sample.slope), 0.0, -strength * math.cos(sample.slope)
+
+
+def next_ranges(
+    ranges: SandRanges, curriculum: Callable[[int], SandRanges] | None, episode: int
+) -> SandRanges:
+    """The ranges for an episode: the curriculum's, or the same as ever.
+
+    Raises:
+        InputError: a curriculum that gives something else, or ranges beyond these.
+    """
+    if curriculum is None:
+        return ranges
+    given = curriculum(episode)
+    if not isinstance(given, SandRanges):
+        raise InputError(f"the curriculum must give a SandRanges, not {given!r}")
+    given.check_within(ranges)
+    return given
+
+
+def told(
+    choices: Sequence[Choice],
+    active: np.ndarray,
+    strength: np.ndarray,
+    density: np.ndarray,
+    slope: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """What `info` says of the sand that was drawn, of n simulations."""
+    info = {
+        "sand/strength": strength.copy(),
+        "sand/density": density.copy(),
+        "sand/slope": slope.copy(),
+    }
+    for key in ("medium", "law", "surface"):
+        names = [getattr(choice, key) for choice in choices]
+        info[f"sand/{key}"] = np.array(names, object)[active]
+    return info
+
+
+def grounds_of(
+    ranges: SandRanges | None, base: Ground, dunes: Any
+) -> tuple[list[Ground], list[Choice]]:
+    """The sands that a model needs for these ranges, and what each of them is.
+
+    Args:
+        ranges: from where sand is drawn; None for the one sand.
+        base: what is not drawn.
+        dunes: the surface that "dunes" stands for.
+    """
+    grounds, choices = [], []
+    for medium in (ranges and ranges.media) or (base.medium,):
+        for law in (ranges and ranges.laws) or (base.law,):
+            for name in (ranges and ranges.surfaces) or ("plane",):
+                surface = dunes if name == "dunes" else base.surface
+                grounds.append(
+                    Ground(medium, law, surface, base.scheme, base.resolution, base.geoms)
+                )
+                own = get_medium(medium).default_law if law is None else law
+                choices.append(Choice(_name(medium), _name(own), name))
+    return grounds, choices
+
+
+def _name(thing: Any) -> str:
+    return thing if isinstance(thing, str) else str(getattr(thing, "name", thing))

@@ -1,0 +1,228 @@
+"""Gymnasium's own robots on sand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.envs.registration import EnvSpec, load_env_creator
+
+from mjgranular.envs.figures import Figures, Wrenches
+from mjgranular.envs.ground import Ground, put_on_sand, quiet
+from mjgranular.envs.ranges import (
+    Sample,
+    SandRanges,
+    check_drawing,
+    draw,
+    grounds_of,
+    lay,
+    next_ranges,
+    told,
+)
+from mjgranular.envs.single import first_of
+from mjgranular.errors import InputError, UnknownNameError
+
+COARSE = 4
+"""Resolution at which robots meet the sand; chosen: docs/environments.md has cost and accuracy."""
+
+
+def on_sand(
+    environment: str,
+    *,
+    medium: Any = "quikrete_medium",
+    law: Any = None,
+    surface: Any = None,
+    scheme: Any = "auto",
+    resolution: int | None = COARSE,
+    geoms: Any = None,
+    randomise: SandRanges | None = None,
+    curriculum: Callable[[int], SandRanges] | None = None,
+    **options: Any,
+) -> gym.Env:
+    """Makes a MuJoCo environment of Gymnasium's with sand in the place of its floor.
+
+    Observation, reward, start and end are the environment's own. What is different:
+
+    - the floor makes no contact; the sand acts at every substep, as an engine plugin;
+    - a model that asks for RK4 is integrated implicitly (`implicitfast`), for which sand can hold
+      a body at rest;
+    - `cfrc_ext`, which some environments observe or charge for, has the sand's forces in it beside
+      those of contacts;
+    - `info` has the sand's figures, `sand/force`, `sand/depth`, `sand/power`, `sand/froude` and
+      `sand/valid` (`mjgranular.envs.figures`).
+
+    Healthy ranges are as they were: robots sink in by millimetres to centimetres.
+
+    Args:
+        environment: id of an environment whose class derives from `MujocoEnv`.
+        medium: as for `mjgranular.Sand`.
+        law: as for `mjgranular.Sand`.
+        surface: as for `mjgranular.Sand`; None for the level plane where the floor was.
+        scheme: as for `mjgranular.Sand`.
+        resolution: as for `mjgranular.Sand`; the default is coarse and quick.
+        geoms: as for `mjgranular.Sand`.
+        randomise: from where the sand of each episode is drawn; None for always the same. Dunes are
+            for our own environments: Gymnasium's robots start at their own height.
+        curriculum: gives the ranges for the next episode, called with the number of episodes begun.
+        **options: of the environment or of `gymnasium.make`.
+
+    Returns:
+        The environment with the wrappers that `gymnasium.make` gives it.
+
+    Raises:
+        UnknownNameError: no such environment; lists Gymnasium's MuJoCo robots.
+        InputError: an environment that is not a `MujocoEnv`, or one without a floor where no
+            surface is given; what `add_sand` refuses.
+    """
+    spec = _find(environment)
+    sand = {
+        "medium": medium,
+        "law": law,
+        "surface": surface,
+        "scheme": scheme,
+        "resolution": resolution,
+        "geoms": geoms,
+        "randomise": randomise,
+        "curriculum": curriculum,
+    }
+    ours = EnvSpec(
+        id=spec.id.replace("-v", "OnSand-v") if spec.version is not None else f"{spec.id}OnSand",
+        entry_point="mjgranular.envs.robots:make_robot",
+        reward_threshold=None,  # that of rigid ground says nothing
+        max_episode_steps=spec.max_episode_steps,
+        kwargs={**spec.kwargs, "environment": spec.id, "sand": sand},
+    )
+    return gym.make(ours, **options)
+
+
+def make_robot(environment: str, sand: dict[str, Any], **options: Any) -> gym.Env:
+    """Makes the environment itself, without wrappers; what `on_sand` says."""
+    return sandy(_find(environment).id)(sand, **options)
+
+
+@cache
+def sandy(environment: str) -> type[OnSand]:
+    """The class of an environment of Gymnasium's, with sand in the place of its floor."""
+    base: Any = load_env_creator(str(_find(environment).entry_point))
+    if not (isinstance(base, type) and issubclass(base, MujocoEnv)):
+        raise InputError(
+            f"{environment} is no MuJoCo environment of Gymnasium's: on_sand takes those, such as "
+            f"{', '.join(_robots())}"
+        )
+    return type(f"{base.__name__}OnSand", (OnSand, base), {"environment": environment})
+
+
+class OnSand(MujocoEnv):
+    """What is added to an environment of Gymnasium's.
+
+    Args:
+        sand: the arguments of `on_sand` that say what the sand is.
+        **options: of the environment.
+    """
+
+    environment: str
+
+    def __init__(self, sand: dict[str, Any], **options: Any) -> None:
+        self._made_of = sand, options
+        base = dict(sand)
+        self._ranges: SandRanges | None = base.pop("randomise", None)
+        self._curriculum = base.pop("curriculum", None)
+        check_drawing(self._ranges, self._curriculum)
+        if self._ranges is not None and "dunes" in self._ranges.surfaces:
+            raise InputError(
+                "on_sand draws no dunes, because Gymnasium's robots start at their own height: "
+                "take an environment of mjgranular's, or a surface of the model's own"
+            )
+        self._grounds, self._choices = grounds_of(self._ranges, Ground(**base), None)
+        self._drawn, self._episodes = Sample(), 0
+        super().__init__(**options)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        sand, options = self._made_of
+        return _again, (self.environment, sand, options)
+
+    def _initialize_simulation(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        with quiet():
+            spec = mujoco.MjSpec.from_file(self.fullpath)
+            tunable = self._ranges is not None
+            model = put_on_sand(spec, self._grounds, wrenches=True, tunable=tunable)
+        screen = model.vis.global_
+        screen.offwidth = max(screen.offwidth, self.width)
+        screen.offheight = max(screen.offheight, self.height)
+        self._figures = Figures(model, self._grounds)
+        self._strength = float(np.linalg.norm(model.opt.gravity))
+        self._wrenches = Wrenches(model)
+        return model, mujoco.MjData(model)
+
+    def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:
+        super()._step_mujoco_simulation(ctrl, n_frames)
+        self._add_wrenches()
+
+    def set_state(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        super().set_state(qpos, qvel)
+        mujoco.mj_rnePostConstraint(self.model, self.data)
+        self._add_wrenches()
+
+    def reset_model(self) -> Any:
+        if self._ranges is not None:
+            ranges = next_ranges(self._ranges, self._curriculum, self._episodes)
+            self._drawn = draw(ranges, self._choices, self.np_random)
+            lay(
+                self._drawn,
+                self.model,
+                self._figures.sands,
+                self.data.plugin_state,
+                self.model.opt.gravity,
+                self._strength,
+            )
+        self._episodes += 1
+        return super().reset_model()
+
+    def _add_wrenches(self) -> None:
+        data = self.data
+        data.cfrc_ext += self._wrenches.of(
+            data.sensordata[None], data.xipos[None], data.subtree_com[None], self.model.nbody
+        )[0]
+
+    def step(self, action: Any) -> Any:
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, reward, terminated, truncated, info | self.sand_figures()
+
+    def _get_reset_info(self) -> dict[str, Any]:
+        return super()._get_reset_info() | self.sand_figures()
+
+    def sand_figures(self) -> dict[str, Any]:
+        """The sand's figures now; see `Figures.read`."""
+        drawn = self._drawn
+        active, slope = np.array([drawn.number]), np.array([drawn.slope])
+        read = self._figures.read(self.data.sensordata[None], active, slope)
+        if self._ranges is not None:
+            strength, density = np.array([drawn.strength]), np.array([drawn.density])
+            read |= told(self._choices, active, strength, density, slope)
+        return first_of(read)
+
+
+def _again(environment: str, sand: dict[str, Any], options: dict[str, Any]) -> gym.Env:
+    return sandy(environment)(sand, **options)
+
+
+def _find(environment: str) -> EnvSpec:
+    try:
+        return gym.spec(environment)
+    except gym.error.Error:
+        raise UnknownNameError("environment", environment, _robots()) from None
+
+
+def _robots() -> list[str]:
+    """Ids of Gymnasium's MuJoCo environments, of the latest version."""
+    begin = "gymnasium.envs.mujoco."
+    return [
+        name
+        for name, spec in gym.registry.items()
+        if str(spec.entry_point).startswith(begin) and name.endswith("-v5")
+    ]

@@ -1,0 +1,169 @@
+"""A batch of simulations for Stable-Baselines3."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from mjgranular.envs.vector import SandVectorEnv
+from mjgranular.errors import InputError
+from mjgranular.extras import need
+
+need("stable_baselines3", extra="train", purpose="mjgranular.envs.sb3")
+
+from stable_baselines3.common.vec_env import VecEnv  # noqa: E402 - behind its install line
+
+
+class SandVecEnv(VecEnv):
+    """A `SandVectorEnv` as Stable-Baselines3 wants it: an episode that is over begins at once.
+
+    The observation it ended with is in `info["terminal_observation"]`, and
+    `info["TimeLimit.truncated"]` says that it was its length alone that ended it.
+
+    Args:
+        batch: made with `autoreset_mode="SameStep"`.
+        full_info: give every simulation all of its `info` at each step; otherwise, which is
+            quicker, only those whose episodes are over.
+
+    Raises:
+        InputError: a batch that begins episodes at another time.
+    """
+
+    def __init__(self, batch: SandVectorEnv, *, full_info: bool = False) -> None:
+        if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise InputError(
+                "Stable-Baselines3 needs a batch made with autoreset_mode='SameStep', "
+                f"not {batch.autoreset_mode.value!r}"
+            )
+        self.batch, self._full_info = batch, full_info
+        self._actions: np.ndarray | None = None
+        self._next_seeds: Sequence[int | None] = [None] * batch.num_envs
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+
+    def reset(self) -> np.ndarray:
+        """Begins all episodes, with the seeds of the last `seed`."""
+        seeds, self._next_seeds = self._next_seeds, [None] * self.num_envs
+        observations, info = self.batch.reset(seed=list(seeds))
+        self.reset_infos = _split(info, np.ones(self.num_envs, bool))
+        return observations
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Sets the seeds of the next reset: this and those that follow."""
+        if seed is None:
+            seed = int(np.random.SeedSequence().generate_state(1)[0])
+        self._next_seeds = [seed + number for number in range(self.num_envs)]
+        return self._next_seeds
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Notes the actions."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Advances by a step."""
+        if self._actions is None:
+            raise InputError("step_async comes before step_wait")
+        observations, rewards, terminated, truncated, info = self.batch.step(self._actions)
+        self._actions = None
+        done = terminated | truncated
+        final = info.pop("final_obs", None)
+        ended = info.pop("final_info", {})
+        for name in ("_final_obs", "_final_info"):
+            info.pop(name, None)
+        if self._full_info:
+            infos = _split(info, ~done)
+        else:
+            infos = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        if done.any():
+            last, begun = _split(ended, done), _split(info, done)
+            for number in np.flatnonzero(done):
+                infos[number] = last[number] | {
+                    "terminal_observation": final[number],
+                    "TimeLimit.truncated": bool(truncated[number] and not terminated[number]),
+                }
+                self.reset_infos[number] = begun[number]
+        return observations, rewards.astype(np.float32), done, infos
+
+    def close(self) -> None:
+        """Gives back what was taken for rendering."""
+        self.batch.close()
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """A picture of each simulation."""
+        frames = self.batch.render()
+        return [None] * self.num_envs if frames is None else list(frames)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the batch, for each of the simulations asked for."""
+        return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Sets an attribute of the batch, which is that of all simulations."""
+        setattr(self.batch, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
+    ) -> list[Any]:
+        """Calls a method of the batch, once, for all of the simulations asked for."""
+        result = getattr(self.batch, method_name)(*args, **kwargs)
+        return [result for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Batches are not wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+
+def make_vec_env(
+    environment: str,
+    num_envs: int,
+    *,
+    seed: int | None = None,
+    full_info: bool = False,
+    **options: Any,
+) -> SandVecEnv:
+    """A batch for Stable-Baselines3.
+
+    Args:
+        environment: id, such as `mjgranular/ChainSwim-v0`.
+        num_envs: number of simulations.
+        seed: of the first reset; None for a random one.
+        full_info: as for `SandVecEnv`.
+        **options: of the environment.
+
+    Raises:
+        InputError: an id that has no batch of ours.
+    """
+    spec = gym.spec(environment)
+    if spec.vector_entry_point != "mjgranular.envs.vector:SandVectorEnv":
+        raise InputError(
+            f"{environment} has no batch of mjgranular's; "
+            "stable_baselines3.common.env_util.make_vec_env takes any environment"
+        )
+    batch = gym.make_vec(
+        spec,
+        num_envs=num_envs,
+        vectorization_mode="vector_entry_point",
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        **options,
+    )
+    assert isinstance(batch, SandVectorEnv)
+    vec = SandVecEnv(batch, full_info=full_info)
+    if seed is not None:
+        vec.seed(seed)
+    return vec
+
+
+def _split(info: dict[str, Any], mask: np.ndarray) -> list[dict[str, Any]]:
+    """The `info` of each simulation of the mask, empty ones of the others."""
+    infos: list[dict[str, Any]] = [{} for _ in mask]
+    entries: Iterable[tuple[str, Any]] = [
+        (name, value) for name, value in info.items() if f"_{name}" in info
+    ]
+    for name, value in entries:
+        has = info[f"_{name}"]
+        for number in np.flatnonzero(mask & has):
+            infos[number][name] = value[number]
+    return infos

@@ -1,0 +1,135 @@
+"""One simulation of a task, as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+
+from mjgranular.envs.eyes import RENDER_MODES, Eyes
+from mjgranular.envs.task import Task, check_actions
+from mjgranular.envs.tasks import get_task
+
+
+class SandEnv(gym.Env[np.ndarray, np.ndarray]):
+    """A task with one simulation.
+
+    Args:
+        task: a task or its name.
+        render_mode: None, "human" or "rgb_array".
+        width: of pictures [px].
+        height: of pictures [px].
+        camera_name: a camera of the model; None for one that follows the robot.
+        **options: of the task, where it is given by name.
+
+    Raises:
+        UnknownNameError: no task, medium, law or camera of that name; lists those there are.
+        InputError: an option that the task does not have, or a value outside its range.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012 - Gymnasium's way
+
+    def __init__(
+        self,
+        task: str | Task,
+        *,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+        camera_name: str | None = None,
+        **options: Any,
+    ) -> None:
+        self.task = get_task(task, options)
+        # A model of its own: gravity is a simulation's where the sand is drawn.
+        self.model = self.task.model
+        self.data = mujoco.MjData(self.model)
+        self.metadata = {**self.metadata, "render_fps": round(1 / self.task.dt)}
+        self.render_mode = render_mode
+        self.eyes = Eyes(self.task, render_mode, width, height, camera_name)
+        self.action_space = self.task.action_space
+        self.observation_space = self.task.observation_space
+        self._state = self.task.state_of(self.data)
+        self._episodes = 0
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        eyes = self.eyes
+        return _again, (
+            type(self.task),
+            self.task.options(),
+            (self.render_mode, eyes.width, eyes.height, eyes.camera_name),
+        )
+
+    @property
+    def dt(self) -> float:
+        """Duration of a step [s]."""
+        return self.task.dt
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begins an episode; `options` are not used."""
+        super().reset(seed=seed)
+        task, model, data = self.task, self.model, self.data
+        random = self.np_random
+        sample = task.sample(random, self._episodes)
+        self._episodes += 1
+        start = task.begin(random, sample)
+        mujoco.mj_resetData(model, data)
+        if sample is not None:
+            task.lay(sample, self._state, 0, data.plugin_state, model.opt.gravity)
+        data.qpos[:], data.qvel[:] = start.qpos, start.qvel
+        if start.userdata is not None:
+            data.userdata[:] = start.userdata
+        mujoco.mj_forward(model, data)
+        self._state.found.clear()
+        if self.render_mode == "human":
+            self.render()
+        return task.observation(self._state)[0], first_of(task.reset_info(self._state))
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Advances by `frame_skip` substeps.
+
+        Raises:
+            InputError: an action of another shape, or one that is not finite.
+        """
+        task, state = self.task, self._state
+        action = check_actions(action, self.action_space.shape)[None]
+        before = task.mark(state)
+        self.data.ctrl[:] = task.act(action, state)[0]
+        mujoco.mj_step(self.model, self.data, nstep=task.frame_skip)
+        state.found.clear()
+        terms = task.rewards(before, action, state)
+        info = task.reset_info(state) | task.progress(before, state) | terms
+        if self.render_mode == "human":
+            self.render()
+        return (
+            task.observation(state)[0],
+            float(task.total(terms)[0]),
+            bool(task.terminated(state)[0]),
+            False,  # the time limit is a wrapper's
+            first_of(info),
+        )
+
+    def render(self) -> np.ndarray | None:
+        """A picture, shape (height, width, 3), or a look in the window."""
+        return self.eyes.look(self.model, self.data, int(self._state.active[0]))
+
+    def close(self) -> None:
+        """Gives back what was taken for rendering."""
+        self.eyes.close()
+
+
+def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The entries of the only simulation: Python's numbers, arrays in memory of their own."""
+    return {
+        name: value.item() if value.ndim == 1 else value[0].copy() for name, value in info.items()
+    }
+
+
+def _again(task: type[Task], options: dict[str, Any], rendering: tuple[Any, ...]) -> SandEnv:
+    mode, width, height, camera_name = rendering
+    return SandEnv(
+        task(**options), render_mode=mode, width=width, height=height, camera_name=camera_name
+    )

@@ -1,0 +1,372 @@
+"""What an environment is, over a leading axis of simulations.
+
+A task knows no Gymnasium environment and no batch: it reads arrays whose first axis counts
+simulations, and works on them element by element. `SandEnv` hands it one simulation and
+`SandVectorEnv` many; both so get the same numbers, to the last bit.
+
+For that to hold a task adds up along the last axis only, of arrays that lie in memory row by row,
+and uses no function that NumPy computes in another way for short arrays than for long ones.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from gymnasium.spaces import Box
+
+from mjgranular import HeightField, InputError, Law, Medium, Plane, Scheme, Surface
+from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
+from mjgranular.envs.figures import Figures
+from mjgranular.envs.ground import Ground, put_on_sand
+from mjgranular.envs.ranges import (
+    Choice,
+    Sample,
+    SandRanges,
+    check_drawing,
+    draw,
+    grounds_of,
+    lay,
+    next_ranges,
+    told,
+)
+
+State = SimpleNamespace
+"""Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and of
+the sand of each `active`, `strength`, `density`, `slope`, shape (n,). `found` is for `once`."""
+
+ACTION_LIMIT = 1.0
+"""Actions are within one either way; what they stand for is the task's."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """How an episode begins.
+
+    Attributes:
+        qpos: positions, shape (nq,).
+        qvel: velocities, shape (nv,).
+        userdata: what else belongs to the episode, shape (nuserdata,).
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    userdata: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(ABC):
+    """A robot, the sand it is on, and what it is to do there.
+
+    A final task is a frozen dataclass; its fields are the options of the environment. Its docstring
+    is the environment's specification, in Gymnasium's sections.
+
+    Attributes:
+        medium: what the sand is, as for `mjgranular.Sand`.
+        law: how it resists; None for the medium's own law.
+        surface: where it is; None for the level plane.
+        scheme: how forces become a step.
+        resolution: how finely geoms are cut; None for the law's own.
+        randomise: from where the sand of each episode is drawn; None for always the same.
+        curriculum: gives the ranges for the next episode, called with the number of episodes that
+            this simulation has begun; within what `randomise` names.
+        observe_sand: append what was drawn to the observation: strength, density, slope, and where
+            there are several sands a one for the one that is there.
+        frame_skip: substeps in a step.
+
+    Raises:
+        InputError: a value outside its range, or a curriculum without `randomise`.
+    """
+
+    title: ClassVar[str]
+    """One line that says what it is."""
+    episode: ClassVar[int] = 1000
+    """Steps after which `gymnasium.make` has an episode end."""
+    reads: ClassVar[tuple[str, ...]] = ()
+    """Fields of `MjData` that are read beside qpos, qvel, userdata and sensordata."""
+    wrenches: ClassVar[bool] = False
+    """Whether the sand's force on each body is measured."""
+    dunes: ClassVar[Dunes] = Dunes()
+    """The dunes that are drawn."""
+    cut: ClassVar[float] = 0.0
+    """Depth at which the sand is drawn cut open [m]."""
+    tile: ClassVar[float] = 0.5
+    """Edge of the picture of sand on the ground [m]."""
+    camera: ClassVar[dict[str, Any]] = {}
+    """Of the free camera: trackbodyid, distance, azimuth, elevation, lookat."""
+
+    medium: str | Path | Medium = "quikrete_medium"
+    law: str | Law | None = None
+    surface: Surface | None = None
+    scheme: str | Scheme = "auto"
+    resolution: int | None = 4
+    randomise: SandRanges | None = None
+    curriculum: Callable[[int], SandRanges] | None = field(default=None)
+    observe_sand: bool = False
+    frame_skip: int = 5
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
+            raise InputError(f"frame_skip must be a whole number from 1 up, not {self.frame_skip}")
+        check_drawing(self.randomise, self.curriculum)
+        if self.observe_sand and self.randomise is None:
+            raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
+
+    # What a task says.
+
+    @abstractmethod
+    def robot(self) -> mujoco.MjSpec:
+        """The robot over a floor, a plane geom of the world."""
+
+    @abstractmethod
+    def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
+        """How an episode begins.
+
+        Args:
+            random: of that simulation.
+            height: of the sand at x, y over the floor [m].
+        """
+
+    @abstractmethod
+    def observe(self, state: State) -> np.ndarray:
+        """Observations, shape (n, k), in memory of their own."""
+
+    @abstractmethod
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        """Terms of the reward by their names in `info`, each of shape (n,).
+
+        Args:
+            before: what `mark` gave before the step.
+            action: as it was given, shape (n, nu).
+            state: after the step.
+        """
+
+    def mark(self, state: State) -> Any:
+        """What `rewards` needs from before a step, in memory of its own."""
+        return None
+
+    def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
+        """The reward, from its terms, shape (n,)."""
+        return np.asarray(sum(terms.values()))
+
+    def act(self, action: np.ndarray, state: State) -> np.ndarray:
+        """Controls for actions, shape (n, nu).
+
+        It may write to the state, which is that before the step.
+        """
+        return action
+
+    def terminated(self, state: State) -> np.ndarray:
+        """Whether an episode is over, shape (n,)."""
+        return np.zeros(len(state.qpos), bool)
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        """What `info` has after a reset and a step, by name, each of shape (n, ...)."""
+        return {}
+
+    def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
+        """What `info` has after a step alone, by name, each of shape (n, ...)."""
+        return {}
+
+    @cached_property
+    def action_space(self) -> Box:
+        """Of one simulation."""
+        return Box(-ACTION_LIMIT, ACTION_LIMIT, (self.model.nu,), np.float32)
+
+    # What is made of it, once.
+
+    @cached_property
+    def _sands(self) -> tuple[list[Ground], list[Choice]]:
+        base = Ground(self.medium, self.law, self.surface, self.scheme, self.resolution)
+        return grounds_of(self.randomise, base, HeightField(DUNES))
+
+    @property
+    def choices(self) -> Sequence[Choice]:
+        """The sands in the model."""
+        return self._sands[1]
+
+    @cached_property
+    def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
+        """The model and what is read from it before anybody tilts its gravity."""
+        spec = self.robot()
+        grounds, choices = self._sands
+        if any(choice.surface == "dunes" for choice in choices):
+            add_dunes(spec, self.dunes)
+        model = put_on_sand(
+            spec,
+            grounds,
+            wrenches=self.wrenches,
+            tunable=self.randomise is not None,
+            cut=self.cut,
+            tile=self.tile,
+        )
+        return model, Figures(model, grounds), np.array(model.opt.gravity)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The robot on sand."""
+        return self._built[0]
+
+    @property
+    def figures(self) -> Figures:
+        """What reads the sand's figures."""
+        return self._built[1]
+
+    @property
+    def gravity(self) -> np.ndarray:
+        """On level ground [m/s^2], shape (3,)."""
+        return self._built[2]
+
+    @cached_property
+    def dt(self) -> float:
+        """Duration of a step [s]."""
+        return float(self.model.opt.timestep * self.frame_skip)
+
+    @cached_property
+    def observation_space(self) -> Box:
+        """Of one simulation."""
+        data = mujoco.MjData(self.model)
+        size = self.observation(self.state_of(data)).shape[1]
+        return Box(-np.inf, np.inf, (size,), np.float64)
+
+    @staticmethod
+    def once(state: State, name: str, find: Callable[[State], Any]) -> Any:
+        """What is found from a state, worked out once.
+
+        The environment forgets it as soon as a simulation moves.
+
+        Args:
+            state: the state.
+            name: of what is found.
+            find: works it out.
+        """
+        if name not in state.found:
+            state.found[name] = find(state)
+        return state.found[name]
+
+    # What an environment does with it.
+
+    @property
+    def bound(self) -> tuple[str, ...]:
+        """Names of the fields of `MjData` that are in a state."""
+        always = ("qpos", "qvel", "sensordata")
+        return (*always, *(("userdata",) if self.model.nuserdata else ()), *self.reads)
+
+    def new_state(self, arrays: dict[str, np.ndarray]) -> State:
+        """A state of these arrays, on the sand that the model starts with."""
+        n = len(arrays["qpos"])
+        return State(
+            **arrays,
+            active=np.zeros(n, int),
+            strength=np.ones(n),
+            density=np.ones(n),
+            slope=np.zeros(n),
+            found={},
+        )
+
+    def state_of(self, data: mujoco.MjData) -> State:
+        """The state of one simulation: views of its data with a leading axis of one."""
+        return self.new_state({name: getattr(data, name)[None] for name in self.bound})
+
+    def sample(self, random: np.random.Generator, episode: int) -> Sample | None:
+        """Draws the sand of an episode; None where it is always the same.
+
+        Args:
+            random: of that simulation.
+            episode: how many it has begun.
+
+        Raises:
+            InputError: a curriculum gives ranges beyond those that the model was made for.
+        """
+        if self.randomise is None:
+            return None
+        ranges = next_ranges(self.randomise, self.curriculum, episode)
+        return draw(ranges, self.choices, random, span=self.dunes.wavelength)
+
+    def lay(
+        self, sample: Sample, state: State, row: int, plugin_state: np.ndarray, gravity: np.ndarray
+    ) -> None:
+        """Gives a simulation the sand that was drawn.
+
+        Args:
+            sample: what was drawn.
+            state: of all simulations.
+            row: number of the simulation.
+            plugin_state: of that simulation; written to.
+            gravity: of that simulation; written to.
+        """
+        strength = float(np.linalg.norm(self.gravity))
+        lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
+        state.active[row] = sample.number
+        state.strength[row] = sample.strength
+        state.density[row] = sample.density
+        state.slope[row] = sample.slope
+
+    def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
+        """How an episode begins on the sand that was drawn.
+
+        Args:
+            random: of that simulation.
+            sample: what was drawn; None for the sand that is always the same.
+        """
+        if sample is None or self.choices[sample.number].surface != "dunes":
+            return self.start(random, _height_of(self.surface))
+        start = self.start(random, lambda x, y: self.dunes.height(x + sample.place, y))
+        start.qpos[0] += sample.place  # x comes first in all of our models
+        return start
+
+    def observation(self, state: State) -> np.ndarray:
+        """Observations, shape (n, k), with what was drawn where that is wanted."""
+        seen = self.observe(state)
+        if not self.observe_sand:
+            return seen
+        drawn = [state.strength, state.density, state.slope]
+        if len(self.choices) > 1:
+            drawn += [state.active == number for number in range(len(self.choices))]
+        return np.concatenate([seen, np.stack(drawn, axis=1)], axis=1)
+
+    def reset_info(self, state: State) -> dict[str, np.ndarray]:
+        """`info` after a reset, by name, each of shape (n, ...)."""
+        info = self.place(state)
+        if self.randomise is None:
+            info.update(self.figures.read(state.sensordata))
+        else:
+            info.update(self.figures.read(state.sensordata, state.active, state.slope))
+            info |= told(self.choices, state.active, state.strength, state.density, state.slope)
+        return info
+
+    def options(self) -> dict[str, Any]:
+        """The task's fields by name, of which another is made."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+
+def _height_of(surface: Surface | None) -> Callable[[float, float], float]:
+    """The height of a surface over the floor; of a model's own geom, nothing is known: zero."""
+    if not isinstance(surface, Plane):
+        return lambda x, y: 0.0
+    rise = math.tan(surface.slope)
+    along, across = rise * math.cos(surface.uphill), rise * math.sin(surface.uphill)
+    return lambda x, y: surface.height + along * x + across * y
+
+
+def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
+    """Actions as an array.
+
+    Raises:
+        ValueError: of another shape, as Gymnasium has it, or not finite.
+    """
+    array = np.asarray(actions)
+    if array.shape != shape:
+        raise InputError(f"Action dimension mismatch. Expected {shape}, found {array.shape}")
+    # The sum is quicker, and finite if all are, unless they are enormous.
+    if not math.isfinite(array.sum()) and not np.isfinite(array).all():
+        raise InputError(f"an action must be finite, not {array}")
+    return array

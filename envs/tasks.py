@@ -1,0 +1,31 @@
+"""The tasks there are, by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mjgranular.envs.task import Task
+from mjgranular.errors import InputError
+from mjgranular.registry import Registry
+
+tasks: Registry[type[Task]] = Registry("environment")
+"""Tasks by the names in their ids: `ChainSwim` for `mjgranular/ChainSwim-v0`."""
+
+
+def get_task(task: str | Task, options: dict[str, Any]) -> Task:
+    """A task from its name and its options.
+
+    Raises:
+        UnknownNameError: no such task; lists those there are.
+        InputError: an option that it does not have; lists those it has.
+    """
+    if isinstance(task, Task):
+        if options:
+            raise InputError(f"a task has its options already: {', '.join(options)}")
+        return task
+    cls = tasks[task]
+    known = list(cls.__dataclass_fields__)
+    for name in options:
+        if name not in known:
+            raise InputError(f"{task} has no option {name!r}; it has: {', '.join(known)}")
+    return cls(**options)

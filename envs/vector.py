@@ -1,0 +1,285 @@
+"""Many simulations of a task in threads, as a Gymnasium vector environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from mjgranular.envs.eyes import RENDER_MODES, Eyes
+from mjgranular.envs.task import Task, check_actions
+from mjgranular.envs.tasks import get_task
+from mjgranular.errors import InputError
+
+
+class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """A task with many simulations, stepped by `mujoco.batch.Batch` on all cores.
+
+    Observations, rewards, ends and `info` are those of as many `SandEnv` in Gymnasium's
+    `SyncVectorEnv`, to the last bit, whatever the number of threads. Each simulation has a random
+    generator of its own, seeded as there.
+
+    Args:
+        task: a task or its name.
+        num_envs: number of simulations.
+        max_episode_steps: after which an episode is truncated; None for never.
+        autoreset_mode: when an episode that is over begins anew.
+        threads: number of threads; 0 for one a core.
+        render_mode: None or "rgb_array".
+        width: of pictures [px].
+        height: of pictures [px].
+        camera_name: a camera of the model; None for one that follows the robot.
+        **options: of the task, where it is given by name.
+
+    Raises:
+        UnknownNameError: no task, medium, law or camera of that name; lists those there are.
+        InputError: an option that the task does not have, or a value outside its range.
+    """
+
+    def __init__(
+        self,
+        task: str | Task,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int = 0,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+        camera_name: str | None = None,
+        **options: Any,
+    ) -> None:
+        super().__init__()
+        if num_envs < 1:
+            raise InputError(f"num_envs must be at least 1, not {num_envs}")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise InputError(f"max_episode_steps must be at least 1, not {max_episode_steps}")
+        if render_mode == "human":
+            raise InputError("a batch has no window: render_mode must be None or 'rgb_array'")
+        self.task = get_task(task, options)
+        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {
+            "render_modes": [mode for mode in RENDER_MODES if mode != "human"],
+            "render_fps": round(1 / self.task.dt),
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.render_mode = render_mode
+        self.eyes = Eyes(self.task, render_mode, width, height, camera_name)
+        self.single_observation_space = self.task.observation_space
+        self.single_action_space = self.task.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._settings = {
+            "max_episode_steps": max_episode_steps,
+            "autoreset_mode": self.autoreset_mode,
+            "threads": threads,
+            "render_mode": render_mode,
+            "width": width,
+            "height": height,
+            "camera_name": camera_name,
+        }
+        self.batch = _batch_class()(self.task.model, num_envs, threads)
+        self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
+        self._ctrl = self.batch.bind("ctrl")
+        self._plugin_state = self.batch.bind("plugin_state")
+        self._gravity = np.zeros((num_envs, 3))
+        if self.task.randomise is not None:
+            self._gravity = self.batch.expand("opt.gravity")
+        self._randoms: list[np.random.Generator | None] = [None] * num_envs
+        self._seeds: list[int | None] = [None] * num_envs
+        self._episodes = np.zeros(num_envs, int)
+        self._elapsed = np.zeros(num_envs, int)
+        self._over = np.zeros(num_envs, bool)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (type(self.task), self.task.options(), self.num_envs, self._settings)
+
+    @property
+    def np_random(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The generators of the simulations, as `SyncVectorEnv` has them."""
+        return tuple(self._random(number) for number in range(self.num_envs))
+
+    @property
+    def np_random_seed(self) -> Any:
+        """The seeds of the simulations, as `SyncVectorEnv` has them."""
+        _ = self.np_random
+        return tuple(self._seeds)
+
+    def reset(
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begins episodes.
+
+        Args:
+            seed: of the first simulation, the others have the following ones; or one each.
+            options: `reset_mask`, a bool for each simulation, resets some; nothing else is used.
+        """
+        if seed is None:
+            seeds: list[int | None] = [None] * self.num_envs
+        elif isinstance(seed, (int, np.integer)):
+            seeds = [int(seed) + number for number in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise InputError(f"{self.num_envs} simulations need as many seeds, not {len(seeds)}")
+        chosen = np.ones(self.num_envs, bool)
+        if options is not None and "reset_mask" in options:
+            chosen = np.asarray(options["reset_mask"])
+            if chosen.shape != (self.num_envs,) or chosen.dtype != bool or not chosen.any():
+                raise InputError(
+                    f"reset_mask must be {self.num_envs} bools of which one is true, not {chosen}"
+                )
+        for number in np.flatnonzero(chosen):
+            if seeds[number] is not None:
+                self._randoms[number], self._seeds[number] = seeding.np_random(seeds[number])
+        self._begin(np.flatnonzero(chosen))
+        info: dict[str, Any] = {}
+        _add(info, self.task.reset_info(self._state), chosen)
+        return self.task.observation(self._state), info
+
+    def step(
+        self, actions: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advances every simulation by `frame_skip` substeps, or begins its next episode.
+
+        Raises:
+            InputError: actions of another shape, or not finite.
+        """
+        task, state = self.task, self._state
+        actions = check_actions(actions, self.action_space.shape)
+        again = self._over.copy()
+        if self.autoreset_mode is not AutoresetMode.NEXT_STEP and again.any():
+            raise InputError(
+                f"simulations {np.flatnonzero(again).tolist()} are over: reset them with "
+                "reset(options={'reset_mask': ...}) before they are stepped"
+            )
+        stepped = ~again
+        before = task.mark(state)
+        if stepped.any():
+            self._ctrl[:] = task.act(actions, state)
+            ids = None if not again.any() else np.flatnonzero(stepped)
+            self.batch.step(ids, nstep=task.frame_skip)
+            state.found.clear()
+        self._elapsed += 1
+        terms = task.rewards(before, actions, state)
+        only_step = task.progress(before, state) | terms
+        rewards = np.array(task.total(terms), float)
+        terminated = np.array(task.terminated(state))
+        truncated = np.zeros(self.num_envs, bool)
+        if self.max_episode_steps is not None:
+            truncated = self._elapsed >= self.max_episode_steps
+        info: dict[str, Any] = {}
+        if again.any():
+            self._begin(np.flatnonzero(again))
+            rewards[again] = 0.0
+            terminated[again] = truncated[again] = False
+        over = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            self._finish(info, over, only_step)
+            self._begin(np.flatnonzero(over))
+            _add(info, only_step, ~over)
+            _add(info, task.reset_info(state), np.ones(self.num_envs, bool))
+            self._over = np.zeros(self.num_envs, bool)
+        else:
+            _add(info, task.reset_info(state), np.ones(self.num_envs, bool))
+            _add(info, only_step, stepped)
+            self._over = over
+        return task.observation(state), rewards, terminated, truncated, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture of each simulation, shape (height, width, 3)."""
+        if self.render_mode is None:
+            return None
+        frames = []
+        for number in range(self.num_envs):
+            model, data = self.batch.get_model(number), self.batch.get_data(number)
+            mujoco.mj_forward(model, data)
+            frames.append(self.eyes.look(model, data, int(self._state.active[number])))
+        return tuple(frames)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Gives back what was taken for rendering."""
+        self.eyes.close()
+
+    def _random(self, number: int) -> np.random.Generator:
+        random = self._randoms[number]
+        if random is None:
+            random, self._seeds[number] = seeding.np_random()
+            self._randoms[number] = random
+        return random
+
+    def _begin(self, ids: np.ndarray) -> None:
+        """Begins episodes of some simulations."""
+        task, state = self.task, self._state
+        samples, starts = [], []
+        for number in ids:
+            random = self._random(number)
+            sample = task.sample(random, int(self._episodes[number]))
+            samples.append(sample)
+            starts.append(task.begin(random, sample))
+        self._episodes[ids] += 1
+        self._elapsed[ids] = 0
+        self._over[ids] = False
+        self.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        for number, sample, start in zip(ids, samples, starts, strict=True):
+            if sample is not None:
+                task.lay(sample, state, number, self._plugin_state[number], self._gravity[number])
+            state.qpos[number], state.qvel[number] = start.qpos, start.qvel
+            if start.userdata is not None:
+                state.userdata[number] = start.userdata
+        self.batch.forward(ids)
+        state.found.clear()
+
+    def _finish(self, info: dict[str, Any], over: np.ndarray, only_step: dict[str, Any]) -> None:
+        """Puts what episodes ended with into `info`, as Gymnasium does."""
+        last = self.task.observation(self._state)
+        final = np.full(self.num_envs, None, object)
+        for number in np.flatnonzero(over):
+            final[number] = last[number].copy()
+        info["final_obs"], info["_final_obs"] = final, over.copy()
+        ended: dict[str, Any] = {}
+        _add(ended, self.task.reset_info(self._state) | only_step, over)
+        info["final_info"], info["_final_info"] = ended, over.copy()
+
+
+def _batch_class() -> Any:
+    try:
+        from mujoco.batch import Batch
+    except ImportError:
+        raise InputError(
+            f"a batch needs MuJoCo 4.0 or later, this is {mujoco.__version__}: "
+            "vectorization_mode='sync' or 'async' does without"
+        ) from None
+    return Batch
+
+
+def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:
+    """Adds entries of those simulations that the mask has, each with the mask, as Gymnasium does.
+
+    Others have zeros, or None where entries are no numbers. What no simulation has is left out.
+    """
+    if not mask.any():
+        return
+    every = mask.all()
+    for name, value in values.items():
+        if value.dtype == np.float32:  # as Python's numbers in the single environment
+            value = value.astype(float)
+        if not every:
+            value = value.copy()
+            value[~mask] = None if value.dtype == object else 0
+        info[name], info[f"_{name}"] = value, mask.copy()
+
+
+def _again(
+    task: type[Task], options: dict[str, Any], num_envs: int, settings: dict[str, Any]
+) -> SandVectorEnv:
+    return SandVectorEnv(task(**options), num_envs, **settings)

@@ -1,0 +1,165 @@
+"""A six-legged robot with two joints in each leg."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.models.link import model_path
+
+LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
+"""Names of the legs, in the order of their joints and servos."""
+
+_FOOT_MASS = 0.01  # of a hollow ball [kg]; chosen
+
+
+@dataclass(frozen=True)
+class Hexapod:
+    """A box on six legs, each with a hip that swings it to and fro and a knee that lifts it.
+
+    All sizes and masses are chosen, not measured: those of a desk-top robot with hobby servos.
+    Body `torso` has x ahead, y to the left, z up. Joints are `<leg>_swing`, positive with the foot
+    going ahead on either side, and `<leg>_lift`, positive with the foot going up. Parts of the
+    robot do not touch each other.
+
+    Attributes:
+        length: of the torso [m].
+        width: of the torso [m].
+        height: of the torso [m].
+        upper: length of the upper leg, from the torso outwards [m].
+        lower: length of the lower leg, downwards [m].
+        thickness: diameter of the legs [m].
+        foot: radius of the ball at the end of a leg [m].
+        torso_mass: with battery and electronics [kg].
+        leg_mass: of a leg, most of it in the servo at the knee [kg].
+        swing: greatest angle that a hip is asked for, either way [rad].
+        lift: greatest angle that a knee is asked for, either way [rad].
+        stiffness: gain of a servo [N m/rad].
+        lag: time in which an unloaded servo comes closer by a factor e [s].
+        armature: inertia of a servo's rotor, at the joint [kg m^2].
+
+    Raises:
+        InputError: a value outside its range.
+    """
+
+    length: float = 0.36
+    width: float = 0.16
+    height: float = 0.06
+    upper: float = 0.07
+    lower: float = 0.12
+    thickness: float = 0.024
+    foot: float = 0.025
+    torso_mass: float = 1.5
+    leg_mass: float = 0.15
+    swing: float = 0.6
+    lift: float = 0.6
+    stiffness: float = 12.0
+    lag: float = 0.03
+    armature: float = 2e-3
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"the hexapod's {name} must be positive, not {value}")
+
+    @property
+    def mass(self) -> float:
+        """Of the robot [kg]."""
+        return self.torso_mass + 6 * (self.leg_mass + _FOOT_MASS)
+
+    @property
+    def standing(self) -> float:
+        """Height of the torso's centre when the feet are at z = 0, all angles zero [m]."""
+        return self.lower + self.foot
+
+    def spec(self, timestep: float) -> mujoco.MjSpec:
+        """An editable model, with a floor at z = 0, at a time step [s].
+
+        Args:
+            timestep: with the implicit-fast integrator.
+        """
+        spec = mujoco.MjSpec.from_file(str(model_path("link")))
+        spec.modelname = "hexapod"
+        spec.comment = "A hexapod: mjgranular.models.Hexapod."
+        spec.delete(spec.body("link"))
+        spec.delete(spec.key("impact"))
+        for name in ("bed", "table"):
+            spec.delete(spec.geom(name))
+        for camera in list(spec.cameras):
+            spec.delete(camera)
+        spec.option.timestep = timestep
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
+        for name, colour in (("shell", (0.86, 0.45, 0.16)), ("leg", (0.25, 0.27, 0.31))):
+            material = spec.add_material(name=name)
+            material.rgba, material.specular, material.shininess = [*colour, 1], 0.3, 0.4
+        torso = spec.worldbody.add_body(name="torso", pos=[0, 0, self.standing])
+        torso.add_freejoint(name="root")
+        torso.add_geom(
+            name="torso",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[self.length / 2, self.width / 2, self.height / 2],
+            mass=self.torso_mass,
+            material="shell",
+            contype=0,
+            conaffinity=1,
+        )
+        for number, leg in enumerate(LEGS):
+            self._add_leg(spec, torso, leg, along=1 - number % 3, side=1 if number < 3 else -1)
+        return spec
+
+    def start(self) -> np.ndarray:
+        """`qpos` on the floor, all angles zero."""
+        qpos = np.zeros(19)
+        qpos[2], qpos[3] = self.standing, 1.0
+        return qpos
+
+    def _add_leg(
+        self, spec: mujoco.MjSpec, torso: mujoco.MjsBody, leg: str, *, along: int, side: int
+    ) -> None:
+        radius = self.thickness / 2
+        place = [along * (self.length / 2 - radius), side * self.width / 2, 0]
+        hip = torso.add_body(name=f"{leg}_hip", pos=place)
+        knee = hip.add_body(name=f"{leg}_knee", pos=[0, side * self.upper, 0])
+        for body, name, axis, share, end, limit in (
+            (hip, "swing", [0, 0, -side], 0.3, [0, side * self.upper, 0], self.swing),
+            (knee, "lift", [side, 0, 0], 0.7, [0, 0, -self.lower], self.lift),
+        ):
+            body.add_joint(
+                name=f"{leg}_{name}",
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=axis,
+                armature=self.armature,
+            )
+            geom = body.add_geom(
+                name=f"{leg}_{name}",
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=[radius, 0, 0],
+                mass=share * self.leg_mass,
+                material="leg",
+                contype=0,
+                conaffinity=1,
+            )
+            geom.fromto = [0, 0, 0, *end]
+            if body is knee:
+                body.add_geom(
+                    name=f"{leg}_foot",
+                    type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                    size=[self.foot, 0, 0],
+                    pos=end,
+                    mass=_FOOT_MASS,
+                    material="leg",
+                    contype=0,
+                    conaffinity=1,
+                )
+            servo = spec.add_actuator(
+                name=f"{leg}_{name}",
+                target=f"{leg}_{name}",
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            )
+            servo.set_to_position(kp=self.stiffness, kv=self.stiffness * self.lag)
+            servo.ctrllimited, servo.ctrlrange = True, [-limit, limit]

@@ -1,0 +1,385 @@
+"""Environments: Gymnasium's and Stable-Baselines3's own checks, Gymnasium's numbers, physics."""
+
+import pickle
+import re
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as check_for_sb3
+
+import mjgranular.envs
+from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
+from mjgranular.envs import SandEnv, on_sand, tasks
+from mjgranular.envs.gaits import gait, gaits
+from mjgranular.envs.ids import id_of
+from mjgranular.models import Link
+
+ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid")
+SECTIONS = (
+    "Description",
+    "Action Space",
+    "Observation Space",
+    "Rewards",
+    "Starting State",
+    "Episode End",
+    "Arguments",
+    "Version History",
+)
+
+pytestmark = [
+    # Unbounded observations are what Gymnasium's own robots have.
+    pytest.mark.filterwarnings("ignore:.*A Box observation space"),
+    pytest.mark.filterwarnings("ignore:.*Your observation .* has an unconventional"),
+    pytest.mark.filterwarnings("ignore:.*We recommend you to use a symmetric"),
+]
+
+
+def rollout(env, actions, seed=0):
+    """Observations, rewards and ends of some steps, the first of them the start."""
+    observation, _ = env.reset(seed=seed)
+    seen = [(observation, 0.0, False)]
+    for action in actions:
+        observation, reward, terminated, truncated, _ = env.step(action)
+        seen.append((observation, reward, terminated))
+        if terminated or truncated:
+            env.reset()
+    return seen
+
+
+def same(first, second):
+    return all(
+        np.array_equal(a[0], b[0]) and a[1] == b[1] and a[2] == b[2]
+        for a, b in zip(first, second, strict=True)
+    )
+
+
+def samples(env, count, seed=0):
+    env.action_space.seed(seed)
+    return [env.action_space.sample() for _ in range(count)]
+
+
+@pytest.mark.parametrize("name", tasks)
+def test_gymnasium_and_stable_baselines_find_nothing(name):
+    env = gym.make(id_of(name)).unwrapped
+    check_env(env, skip_render_check=True)
+    check_for_sb3(env)
+
+
+@pytest.mark.parametrize("name", tasks)
+def test_a_seed_decides_all_and_nothing_is_constant(name):
+    first, second = gym.make(id_of(name)), gym.make(id_of(name))
+    actions = samples(first, 12)
+    one, other = rollout(first, actions), rollout(second, actions)
+    assert same(one, other)
+    assert not same(one, rollout(second, actions, seed=1))
+    assert same(one, rollout(pickle.loads(pickle.dumps(first.unwrapped)), actions))
+    seen = np.array([observation for observation, _, _ in one])
+    for column in np.flatnonzero(np.ptp(seen, axis=0) == 0):
+        # Gymnasium's own: quantities of bodies welded to others, and forces on what hangs free.
+        assert name in ("Ant", "Humanoid"), column
+
+
+@pytest.mark.parametrize("name", tasks)
+def test_the_docstring_is_the_specification(name):
+    task = tasks[name]
+    assert re.findall(r"^ *## (.*)$", task.__doc__, re.MULTILINE) == list(SECTIONS)
+    env = gym.make(id_of(name))
+    text = " ".join(task.__doc__.split())
+    size = env.observation_space.shape[0]
+    if "links" in text:
+        text = text.replace("2 links + 2", "16").replace("2 links + 3", "17")
+        text = text.replace("links - 1", "6")
+    assert f"({size},), float64)" in text
+    assert f"({env.action_space.shape[0]},), float32)" in text
+    assert f"`frame_skip={env.unwrapped.task.frame_skip}`" in text or name in (*ROBOTS, "Swimmer")
+
+
+@pytest.mark.parametrize("name", ["ChainSwim", "Hopper"])
+def test_an_episode_is_as_long_as_it_says(name):
+    env = gym.make(id_of(name), max_episode_steps=5)
+    env.reset(seed=0)
+    zero = np.zeros(env.action_space.shape, np.float32)
+    assert [env.step(zero)[3] for _ in range(5)] == [False] * 4 + [True]
+    assert gym.spec(id_of(name)).max_episode_steps == tasks[name].episode
+
+
+def test_environments_work_in_processes_of_their_own():
+    batch = gym.make_vec(
+        id_of("LinkDrop"),
+        num_envs=2,
+        vectorization_mode="async",
+        vector_kwargs={"context": "spawn"},
+    )
+    sync = gym.make_vec(id_of("LinkDrop"), num_envs=2, vectorization_mode="sync")
+    assert np.array_equal(batch.reset(seed=3)[0], sync.reset(seed=3)[0])
+    action = np.full((2, 2), 0.3, np.float32)
+    assert np.array_equal(batch.step(action)[1], sync.step(action)[1])
+    batch.close()
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_robots_are_gymnasiums_on_sand_to_the_last_bit(name):
+    theirs, ours = on_sand(f"{name}-v5"), gym.make(id_of(name))
+    assert theirs.observation_space == ours.observation_space
+    assert theirs.action_space == ours.action_space
+    actions = samples(ours, 60)
+    assert same(rollout(theirs, actions), rollout(ours, actions))
+    assert theirs.reset(seed=2)[1].keys() == ours.reset(seed=2)[1].keys()
+    their_info, our_info = theirs.step(actions[0])[4], ours.step(actions[0])[4]
+    assert their_info.keys() == our_info.keys()
+    for key, value in their_info.items():
+        assert our_info[key] == pytest.approx(value, rel=1e-12), key
+
+
+@pytest.mark.parametrize("name", ["Hopper", "Ant"])
+def test_out_of_the_sands_reach_it_is_gymnasiums_own(name, tmp_path):
+    original = gym.make(f"{name}-v5").unwrapped
+    text = Path(original.fullpath).read_text()
+    text = text.replace('conaffinity="1" condim="3"', 'contype="0" conaffinity="0" condim="3"')
+    text = text.replace('integrator="RK4"', 'integrator="implicitfast"')
+    (tmp_path / "robot.xml").write_text(text)
+    floorless = gym.make(f"{name}-v5", xml_file=str(tmp_path / "robot.xml"))
+    deep = on_sand(f"{name}-v5", surface=Plane(height=-50.0))
+    actions = samples(deep, 25)
+    for a, b in zip(rollout(floorless, actions), rollout(deep, actions), strict=True):
+        assert b[0] == pytest.approx(a[0], rel=1e-9, abs=1e-9)
+        assert b[1] == pytest.approx(a[1], rel=1e-9)
+        assert a[2] == b[2]
+
+
+def test_an_ant_at_rest_feels_its_weight_in_cfrc_ext():
+    env = on_sand("Ant-v5", terminate_when_unhealthy=False, reset_noise_scale=0.0).unwrapped
+    _, info = env.reset(seed=0)
+    for _ in range(120):
+        *_, info = env.step(np.zeros(8))
+    weight = 9.81 * env.model.body_mass.sum()
+    assert env.data.cfrc_ext[:, 5].sum() == pytest.approx(weight, rel=1e-3)
+    assert info["sand/force"][2] == pytest.approx(weight, rel=1e-3)
+    assert info["reward_contact"] < 0
+    # MuJoCo makes the same of the same forces when they are its own.
+    bare = mujoco.MjData(env.model)
+    bare.qpos[:], bare.qvel[:] = env.data.qpos, env.data.qvel
+    mujoco.mj_forward(env.model, bare)
+    for body in range(1, env.model.nbody):
+        for sensor, place in (("force", slice(0, 3)), ("moment", slice(3, 6))):
+            name = f"sand/{sensor} of {env.model.body(body).name}/sand"
+            bare.xfrc_applied[body, place] = bare.sensor(name).data
+    wrench = env._wrenches.of(
+        bare.sensordata[None], bare.xipos[None], bare.subtree_com[None], env.model.nbody
+    )[0]
+    mujoco.mj_rnePostConstraint(env.model, bare)
+    assert wrench == pytest.approx(bare.cfrc_ext, rel=1e-9, abs=1e-9)
+
+
+def test_on_sand_takes_what_sand_takes():
+    soft = on_sand("Hopper-v5", medium="poppy_seed_loose", reset_noise_scale=0.0)
+    hard = on_sand("Hopper-v5", medium="quikrete_medium", reset_noise_scale=0.0)
+    depths = []
+    for env in (soft, hard):
+        _, info = env.reset(seed=0)
+        for _ in range(60):
+            *_, info = env.step(np.zeros(3))
+        depths.append(info["sand/depth"])
+    assert depths[0] > 2 * depths[1] > 0
+    again = pickle.loads(pickle.dumps(soft.unwrapped))
+    assert again._grounds == soft.unwrapped._grounds
+    swimmer = on_sand("Swimmer-v5", surface=Plane(height=0.3), medium="poppy_seed_loose")
+    _, info = swimmer.reset(seed=0)
+    assert info["sand/depth"] == pytest.approx(0.4, abs=0.03)  # though its geoms make no contacts
+    assert swimmer.unwrapped.model.opt.density == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "steps", "least"),
+    [("ChainSwim", 60, 0.02), ("ChainCrawl", 75, 0.1), ("Hexapod", 50, 0.1)],
+)
+def test_scripted_gaits_go_ahead(name, steps, least):
+    env = SandEnv(name)
+    env.reset(seed=0)
+    script = gait(env.task)
+    way = paid = 0.0
+    for step in range(steps):
+        _, _, _, _, info = env.step(script(step * env.dt))
+        way += info["x_velocity"] * env.dt
+        paid += info["reward_forward"]
+        assert info["sand/power"] < 1.0
+    assert way > least
+    assert paid > 0
+
+
+def test_a_wave_from_the_tail_swims_backwards():
+    env = SandEnv("ChainSwim")
+    ways = []
+    for waves in (1.0, -1.0):
+        env.reset(seed=0)
+        script = gait(env.task, waves=waves)
+        first = env.step(script(0.0))[4]["x_position"]
+        ways.append([env.step(script(i * env.dt))[4]["x_position"] for i in range(50)][-1] - first)
+    assert ways[0] > 0.01
+    assert ways[1] < -0.01
+
+
+@pytest.mark.parametrize(("angle", "spin"), [(-0.6, 0.0), (0.2, 0.4)])
+def test_a_drop_is_that_of_sand_step(angle, spin):
+    env = SandEnv("LinkDrop", frame_skip=300)
+    observation, _ = env.reset(seed=4)
+    *_, info = env.step(np.array([angle, spin], np.float32))
+    link, tilt = Link(), np.radians(75) * (np.float32(angle).item() + 1) / 2
+    turn = 40 * np.float32(spin).item()
+    model = link.model(timestep=5e-4)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    data = mujoco.MjData(model)
+    half = link.length / 2
+    data.qpos[:] = -half * np.sin(tilt), half * np.cos(tilt), tilt
+    data.qvel[:] = 0.0, -observation[1] - half * np.sin(tilt) * turn, turn
+    sand = Sand(model, medium="play_sand", law="link_distributed", scheme="implicit")
+    depth = 0.0
+    for _ in range(300):
+        depth = sand.report(data)["link"].depth
+        sand.step(data)
+    assert info["sand/depth"] == pytest.approx(depth, rel=1e-6)
+    assert info["reward_depth"] == pytest.approx(-abs(depth / 0.2 - observation[0]), rel=1e-6)
+
+
+def test_the_lower_end_meets_the_sand_at_the_speed_that_is_asked_for():
+    env = SandEnv("LinkDrop", frame_skip=1)
+    observation, _ = env.reset(seed=0)
+    task, state = env.task, env._state
+    task.act(np.array([[0.3, -0.7]]), state)
+    mujoco.mj_forward(env.model, env.data)
+    velocity = np.zeros(6)
+    site = env.model.site("T").id
+    mujoco.mj_objectVelocity(env.model, env.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
+    assert velocity[5] == pytest.approx(-observation[1], rel=1e-12)
+    assert env.data.site_xpos[site][2] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["ChainCrawl", "Hexapod", "Hopper", "Ant", "LinkDrop"])
+def test_starts_are_on_the_surface_that_is_given(name):
+    level = SandEnv(name).reset(seed=0)[1]["sand/depth"]
+    raised = SandEnv(name, surface=Plane(height=0.7)).reset(seed=0)[1]["sand/depth"]
+    assert raised == pytest.approx(level, abs=1e-9)
+    sloped = SandEnv(name, surface=Plane(height=-0.3, slope=0.1, uphill=2.0))
+    assert level - 0.25 < sloped.reset(seed=0)[1]["sand/depth"] < max(level, 0) + 0.05
+
+
+def test_the_law_is_said_to_hold_or_not():
+    env = SandEnv("ChainSwim")
+    _, info = env.reset(seed=0)
+    assert info["sand/valid"] is True
+    assert info["sand/depth"] == pytest.approx(0.056, abs=0.003)
+    deep = SandEnv("ChainSwim", surface=Plane(height=0.2))
+    assert deep.reset(seed=0)[1]["sand/valid"] is False
+    tilted = SandEnv("Hopper", surface=Plane(slope=0.3))
+    assert tilted.reset(seed=0)[1]["sand/valid"] is False
+
+
+def test_wrong_input_is_told():
+    with pytest.raises(UnknownNameError, match=r"no environment 'Nobody-v5'.*Ant-v5"):
+        on_sand("Nobody-v5")
+    with pytest.raises(InputError, match="no MuJoCo environment"):
+        on_sand("CartPole-v1")
+    with pytest.raises(InputError, match="no floor"):
+        on_sand("InvertedPendulum-v5")
+    with pytest.raises(UnknownNameError, match=r"no medium 'mud'; there are: glass_beads"):
+        on_sand("Hopper-v5", medium="mud")
+    with pytest.raises(InputError, match=r"no law 'wet'; there are: depth_velocity"):
+        gym.make(id_of("ChainSwim"), law="wet")
+    with pytest.raises(UnknownNameError, match=r"no environment 'Chain'; there are: Ant, ChainC"):
+        SandEnv("Chain")
+    with pytest.raises(InputError, match=r"ChainSwim has no option 'link'; it has: .*links"):
+        gym.make(id_of("ChainSwim"), link=3)
+    with pytest.raises(InputError, match="links must be a whole number from 2 up"):
+        SandEnv("ChainCrawl", links=1)
+    with pytest.raises(InputError, match="frame_skip must be a whole number"):
+        SandEnv("Hexapod", frame_skip=0)
+    with pytest.raises(InputError, match="target_range must be"):
+        SandEnv("LinkDrop", target_range=(0.2, 0.1))
+    with pytest.raises(InputError, match="render_mode must be None or one of human, rgb_array"):
+        SandEnv("Hopper", render_mode="text")
+    with pytest.raises(UnknownNameError, match="no camera 'mine'; there are: track"):
+        SandEnv("Hopper", camera_name="mine")
+    with pytest.raises(UnknownNameError, match="no gait for 'Hopper'"):
+        gait(SandEnv("Hopper").task)
+    with pytest.raises(InputError, match=r"has no 'speed'; it has: amplitude"):
+        gait(SandEnv("ChainSwim").task, speed=1)
+
+
+def test_actions_are_looked_at():
+    env = SandEnv("ChainSwim")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"Action dimension mismatch. Expected \(6,\), found"):
+        env.step(np.zeros(5))
+    with pytest.raises(InputError, match="an action must be finite"):
+        env.step(np.full(6, np.nan))
+    before = env.data.time
+    env.step(np.full(6, 7.0))  # beyond the space: as far as it goes
+    assert env.data.time > before
+    assert np.abs(env.data.ctrl).max() == env.task.worm.bend
+
+
+def test_pictures_show_sand_and_need_gl(monkeypatch):
+    env = gym.make(id_of("Hexapod"), render_mode="rgb_array", width=120, height=90)
+    env.reset(seed=0)
+    try:
+        picture = env.render()
+    except RenderError:
+        pytest.skip("this machine cannot draw")
+    assert picture.shape == (90, 120, 3)
+    red, green, blue = picture[60:].reshape(-1, 3).mean(axis=0)
+    assert red > green > blue  # sand
+    env.close()
+
+    def refuse(*_):
+        raise OSError("no EGL")
+
+    monkeypatch.setattr(mujoco, "Renderer", refuse)
+    env.reset(seed=0)
+    with pytest.raises(RenderError, match=r"no EGL.*libegl1"):
+        env.render()
+
+
+def test_a_window_needs_a_screen(monkeypatch):
+    glfw = pytest.importorskip("glfw")
+    monkeypatch.setattr(glfw, "init", lambda: False)
+    env = SandEnv("ChainSwim", render_mode="human")
+    with pytest.raises(RenderError, match="needs a screen"):
+        env.reset(seed=0)
+
+
+def test_without_gymnasium_there_is_an_install_line():
+    code = (
+        "import sys; sys.modules['gymnasium'] = None\n"
+        "import mjgranular\n"
+        "try:\n    import mjgranular.envs\n"
+        "except mjgranular.MissingExtraError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == (
+        "mjgranular.envs needs gymnasium, which is not installed: pip install 'mjgranular[envs]'"
+    )
+
+
+def test_ids_are_registered_by_the_import():
+    for name in tasks:
+        assert id_of(name) in gym.registry
+    code = "import gymnasium; print(gymnasium.make('mjgranular.envs:mjgranular/LinkDrop-v0'))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "SandEnv" in done.stdout
+
+
+def test_gaits_name_their_parameters():
+    for name, kind in gaits.items():
+        known = {field.name for field in fields(kind)}
+        assert set(kind.bounds) <= known
+        script = gait(mjgranular.envs.tasks[name]())
+        action = script(0.7)
+        assert action.dtype == np.float32
+        assert np.abs(action).max() <= 1

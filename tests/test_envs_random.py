@@ -1,0 +1,225 @@
+"""Sand that is drawn at each reset: where from, what it does, what is told."""
+
+import importlib.util
+import math
+from dataclasses import replace
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import InputError, Rft3dLaw, UnknownNameError, media
+from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand
+from mjgranular.envs.dunes import DUNES, Dunes
+from mjgranular.envs.ids import id_of
+
+batches = pytest.mark.skipif(
+    importlib.util.find_spec("mujoco.batch") is None, reason="batches need MuJoCo 4.0"
+)
+
+EVERYTHING = SandRanges(
+    strength=(0.5, 2.0),
+    density=(0.8, 1.2),
+    slope=(-0.1, 0.2),
+    media=("quikrete_medium", "glass_beads"),
+    surfaces=("plane", "dunes"),
+)
+
+
+def test_what_is_drawn_is_in_range_and_differs_and_is_told():
+    env = SandEnv("Hexapod", randomise=EVERYTHING, observe_sand=True)
+    env.reset(seed=0)
+    seen = []
+    for _ in range(40):
+        observation, info = env.reset()
+        for name in ("strength", "density", "slope"):
+            low, high = getattr(EVERYTHING, name)
+            assert low <= info[f"sand/{name}"] <= high
+        # strength, density, slope, and which of the four it is
+        told = [info[f"sand/{name}"] for name in ("strength", "density", "slope")]
+        assert list(observation[-7:-4]) == told
+        assert sorted(observation[-4:]) == [0, 0, 0, 1]
+        number = int(np.argmax(observation[-4:]))
+        choice = env.task.choices[number]
+        assert (choice.medium, choice.law, choice.surface) == tuple(
+            info[f"sand/{name}"] for name in ("medium", "law", "surface")
+        )
+        seen.append((*told, number))
+    assert len({strength for strength, *_ in seen}) == 40
+    assert {number for *_, number in seen} == {0, 1, 2, 3}
+    slopes = [slope for _, _, slope, _ in seen]
+    assert min(slopes) < -0.05
+    assert max(slopes) > 0.15
+
+
+def test_a_seed_decides_it():
+    first, second = (SandEnv("ChainSwim", randomise=EVERYTHING) for _ in range(2))
+    for seed in (0, None, None, 4):
+        one, other = first.reset(seed=seed)[1], second.reset(seed=seed)[1]
+        assert one["sand/strength"] == other["sand/strength"]
+        assert one["sand/medium"] == other["sand/medium"]
+
+
+@batches
+@pytest.mark.parametrize("name", ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
+def test_a_batch_draws_what_single_environments_draw(name):
+    options = {"randomise": EVERYTHING, "observe_sand": True, "max_episode_steps": 5}
+    sync = gym.make_vec(id_of(name), num_envs=4, vectorization_mode="sync", **options)
+    batch = gym.make_vec(id_of(name), num_envs=4, **options)
+    first, second = sync.reset(seed=2), batch.reset(seed=2)
+    sync.action_space.seed(0)
+    for _ in range(14):
+        assert np.array_equal(first[0], second[0])
+        assert first[-1].keys() == second[-1].keys()
+        for key, value in first[-1].items():
+            assert np.array_equal(value, second[-1][key]), key
+        actions = sync.action_space.sample()
+        first, second = sync.step(actions), batch.step(actions)
+        assert np.array_equal(first[1], second[1])
+
+
+def test_strength_is_the_laws_own_scale():
+    law = Rft3dLaw.from_medium(media["quikrete_medium"])
+    drawn = SandEnv("Hopper", law=law, randomise=SandRanges(strength=(0.4, 0.4)))
+    made = SandEnv("Hopper", law=replace(law, scale=0.4 * law.scale))
+    plain = SandEnv("Hopper", law=law)
+    ends = []
+    for env in (drawn, made, plain):
+        # The generator is asked for the sand first: the start itself is to be the same here.
+        observation, _ = env.reset(seed=0)
+        env.data.qpos[:], env.data.qvel[:] = env.model.qpos0, 0.0
+        for _ in range(40):
+            observation, *_ = env.step(np.zeros(3, np.float32))
+        ends.append(observation)
+    assert ends[0] == pytest.approx(ends[1], rel=1e-9, abs=1e-9)
+    assert np.abs(ends[0] - ends[2]).max() > 1e-4
+
+
+def test_slope_tilts_gravity_and_a_ball_rolls_down_nothing_else():
+    env = SandEnv("Hexapod", randomise=SandRanges(slope=(0.2, 0.2)))
+    env.reset(seed=0)
+    gravity = env.model.opt.gravity
+    assert np.linalg.norm(gravity) == pytest.approx(9.81, rel=1e-12)
+    assert math.atan2(-gravity[0], -gravity[2]) == pytest.approx(0.2)  # uphill towards +x
+    _, info = env.reset(seed=1)
+    assert np.linalg.norm(gravity) == pytest.approx(9.81, rel=1e-12)
+    for _ in range(25):
+        *_, info = env.step(np.zeros(12, np.float32))
+    weight = 9.81 * env.model.body_mass.sum()
+    # It stands: the sand bears it along the normal and holds it along the slope.
+    assert info["sand/force"][2] == pytest.approx(weight * math.cos(0.2), rel=0.05)
+    assert info["sand/force"][0] == pytest.approx(weight * math.sin(0.2), rel=0.2)
+    assert info["sand/valid"] is False  # the law is for level ground
+
+
+def test_dunes_are_where_they_say():
+    env = SandEnv("ChainCrawl", randomise=SandRanges(surfaces=("dunes",)))
+    env.reset(seed=0)
+    model, data, dunes = env.model, env.data, env.task.dunes
+    geom = model.geom(DUNES).id
+    for x, y in ((0.0, 0.0), (1.3, -0.4), (-7.2, 3.3)):
+        start, down = np.array([x, y, 5.0]), np.array([0.0, 0.0, -1.0])
+        away = mujoco.mj_rayHfield(model, data, geom, start, down, None)
+        assert 5.0 - away == pytest.approx(dunes.height(x, y), abs=2e-3)
+    heights = Dunes().heights()
+    slope = np.hypot(*np.gradient(heights, 0.4))
+    assert math.atan(slope.max()) <= Dunes().steepest + 1e-3
+    assert math.atan(slope.max()) > 0.5 * Dunes().steepest
+    assert env.reset(seed=0)[1]["sand/valid"] is True
+
+
+@batches
+@pytest.mark.parametrize("name", ["ChainCrawl", "Hexapod", "Hopper", "Walker2d", "Ant"])
+def test_starts_are_on_the_dunes(name):
+    batch = SandVectorEnv(name, 8, randomise=SandRanges(surfaces=("dunes",)))
+    _, info = batch.reset(seed=0)
+    level = SandEnv(name).reset(seed=0)[1]["sand/depth"]
+    assert (info["sand/depth"] < max(level, 0.0) + 0.05).all()  # they are not level all over
+    assert (info["sand/depth"] > level - 0.4).all()
+    assert np.ptp(info["x_position"]) > 0.5  # at another place of them each time
+
+
+def test_a_curriculum_is_asked_each_time():
+    asked = []
+
+    def harder(episode):
+        asked.append(episode)
+        return SandRanges(slope=(0.01 * episode, 0.01 * episode))
+
+    env = SandEnv("ChainSwim", randomise=SandRanges(slope=(0.0, 0.3)), curriculum=harder)
+    slopes = [env.reset(seed=i)[1]["sand/slope"] for i in range(4)]
+    assert asked == [0, 1, 2, 3]
+    assert slopes == pytest.approx([0.0, 0.01, 0.02, 0.03])
+
+
+@batches
+def test_a_batch_asks_a_curriculum_for_each_simulation():
+    def harder(episode):
+        return SandRanges(slope=(0.01 * episode, 0.01 * episode))
+
+    batch = SandVectorEnv(
+        "ChainSwim", 2, randomise=SandRanges(), curriculum=harder, max_episode_steps=1
+    )
+    batch.reset(seed=0)
+    batch.step(np.zeros((2, 6)))
+    _, _, _, _, info = batch.step(np.zeros((2, 6)))
+    assert info["sand/slope"] == pytest.approx([0.01, 0.01])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"strength": (2.0, 1.0)}, "strength has its low end above its high end"),
+        ({"strength": (0.0, 1.0)}, "strength must be positive, not 0.0"),
+        ({"strength": (1.0, 1e4)}, "strength is a factor and at most 100"),
+        ({"strength": 2.0}, r"strength must be \(low, high\), not 2.0"),
+        ({"density": (-1.0, 1.0)}, "density must not be negative, not -1.0"),
+        ({"density": (1.0, math.nan)}, "density must be finite"),
+        ({"slope": (0.0, 0.7)}, "slope must be within 0.593 rad"),
+        ({"media": "play_sand"}, "media must be a tuple of names, not 'play_sand'"),
+    ],
+)
+def test_ranges_that_cannot_be_are_named(options, message):
+    with pytest.raises(InputError, match=message):
+        SandRanges(**options)
+
+
+def test_wrong_input_is_told():
+    with pytest.raises(UnknownNameError, match=r"no medium 'mud'; there are: glass_beads, play"):
+        SandRanges(media=("mud",))
+    with pytest.raises(UnknownNameError, match=r"no law 'wet'; there are: depth_velocity"):
+        SandRanges(laws=("wet",))
+    with pytest.raises(UnknownNameError, match=r"no surface 'sea'; there are: plane, dunes"):
+        SandRanges(surfaces=("sea",))
+    with pytest.raises(InputError, match="randomise must be a SandRanges"):
+        SandEnv("Hopper", randomise={"strength": (1, 2)})
+    with pytest.raises(InputError, match="a curriculum needs randomise"):
+        SandEnv("Hopper", curriculum=lambda episode: SandRanges())
+    with pytest.raises(InputError, match="observe_sand needs randomise"):
+        SandEnv("Hopper", observe_sand=True)
+    with pytest.raises(InputError, match="no constants in medium 'play_sand' for law 'rft3d'"):
+        SandEnv("Hopper", randomise=SandRanges(media=("play_sand",), laws=("rft3d",)))
+    env = SandEnv(
+        "ChainSwim",
+        randomise=SandRanges(media=("quikrete_medium",)),
+        curriculum=lambda episode: SandRanges(media=("glass_beads",)),
+    )
+    with pytest.raises(InputError, match=r"media have 'glass_beads', which randomise does not"):
+        env.reset(seed=0)
+
+
+def test_gymnasiums_own_can_have_it_drawn_too():
+    env = on_sand("Hopper-v5", randomise=SandRanges(strength=(0.5, 2.0), slope=(-0.1, 0.1)))
+    first = env.reset(seed=0)[1]
+    ours = gym.make(id_of("Hopper"), randomise=SandRanges(strength=(0.5, 2.0), slope=(-0.1, 0.1)))
+    second = ours.reset(seed=0)[1]
+    assert first.keys() == second.keys()
+    assert first["sand/strength"] == second["sand/strength"]
+    assert first["sand/slope"] == second["sand/slope"]
+    with pytest.raises(InputError, match="on_sand draws no dunes"):
+        on_sand("Hopper-v5", randomise=SandRanges(surfaces=("dunes",)))
+    for _ in range(30):
+        one, other = env.step(np.ones(3, np.float32)), ours.step(np.ones(3, np.float32))
+        assert np.array_equal(one[0], other[0])
+        assert one[1] == other[1]
