@@ -42,9 +42,9 @@ ACCOUNT_DTYPE = np.dtype(
 )
 account_records = records(ACCOUNT_DTYPE)
 
-# The desk's table: sizes and switches, then addresses, in the order of `make_desk`. WITHIN is 1 where
-# the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the step is
-# not there yet.
+# The desk's table: sizes and switches, then addresses, in the order of `make_desk`. WITHIN is 1
+# where the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the
+# step is not there yet.
 NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN = range(8)
 OF_MODEL = (
     "M_rownnz",
