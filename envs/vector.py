@@ -208,7 +208,8 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def close_extras(self, **kwargs: Any) -> None:
         """Gives back what was taken for rendering."""
-        self.eyes.close()
+        if "eyes" in vars(self):  # not where making it was refused
+            self.eyes.close()
 
     def _random(self, number: int) -> np.random.Generator:
         random = self._randoms[number]
