@@ -18,6 +18,8 @@ FILES = (
     "mjgranular/envs/task.py",
     "mjgranular/models/worm.py",
     "mjgranular/cli/main.py",
+    "mjgranular/learn/settings/default.toml",
+    "mjgranular/learn/settings/mjgranular/ChainSwim-v0.toml",
     "mjgranular/kernel/memory.py",
 )
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, TextIO
+from typing import Any, Protocol, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from mjgranular.errors import GranularWarning
 
@@ -64,13 +70,20 @@ def show_compilation() -> None:
         logger.addHandler(_Announcement())
 
 
+class _Show(Protocol):
+    """Shows the amount of work done and, where it changes, what is being done."""
+
+    def __call__(self, done: float, what: str | None = None) -> None: ...
+
+
 @contextmanager
-def progress_bar(what: str, total: float) -> Iterator[Callable[[float], None]]:
+def progress_bar(what: str, total: float, *, remaining: bool = False) -> Iterator[_Show]:
     """A progress bar on standard error, where that is a terminal; gone when the work is done.
 
     Args:
         what: is being done.
         total: amount of work.
+        remaining: whether to show the time that is left, too.
 
     Yields:
         A function to be called with the amount of work done.
@@ -80,7 +93,12 @@ def progress_bar(what: str, total: float) -> Iterator[Callable[[float], None]]:
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
+        *((TextColumn("left"), TimeRemainingColumn()) if remaining else ()),
     )
     with Progress(*columns, console=err, transient=True) as progress:
         task = progress.add_task(what, total=total)
-        yield lambda done: progress.update(task, completed=done)
+
+        def show(done: float, what: str | None = None) -> None:
+            progress.update(task, completed=done, description=what)
+
+        yield show

@@ -1,4 +1,4 @@
-"""`mjgranular media` and `mjgranular laws`: what there is, with sources."""
+"""`mjgranular media`, `mjgranular laws`, `mjgranular policies`: what there is, with sources."""
 
 from __future__ import annotations
 
@@ -80,5 +80,43 @@ class LawsCommand:
         table.add_column("source")
         for row in rows:
             table.add_row(*row.values())
+        out.print(table)
+        return 0
+
+
+@dataclass(frozen=True)
+class PoliciesCommand:
+    """The trained policies that come with the package."""
+
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        from mjgranular.learn.policies import last_return, shipped_policies
+
+        rows = [
+            {
+                "name": name,
+                "environment": run.environment,
+                "algorithm": run.settings.algorithm,
+                "seed": run.seed,
+                "steps": run.settings.total_steps,
+                "mean_return": last_return(run),
+            }
+            for name, run in shipped_policies().items()
+        ]
+        if self.json:
+            print_json(rows)
+            return 0
+        if not rows:
+            out.print("none yet: mjgranular train ENV makes one")
+            return 0
+        table = Table(title="Policies", title_justify="left")
+        for heading in ("name", "environment", "algorithm", "seed", "steps", "return at the end"):
+            table.add_column(Text(heading), no_wrap=heading == "name")
+        for row in rows:
+            *cells, reached = row.values()
+            table.add_row(*map(str, cells), "" if reached is None else f"{reached:.4g}")
         out.print(table)
         return 0

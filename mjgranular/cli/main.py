@@ -11,16 +11,20 @@ from typing import Annotated
 import tyro
 
 from mjgranular._version import __version__
+from mjgranular.cli.compare import CompareCommand
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
 from mjgranular.cli.envs import EnvsCommand
+from mjgranular.cli.evaluate import EvaluateCommand
+from mjgranular.cli.gait import GaitCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
-from mjgranular.cli.lists import LawsCommand, MediaCommand
+from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.sweep import SweepCommand
+from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
 from mjgranular.errors import GranularError, GranularWarning
 
@@ -36,9 +40,14 @@ Command = (
     | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[IntrudeCommand, tyro.conf.subcommand("intrude")]
     | Annotated[ElementsCommand, tyro.conf.subcommand("elements")]
+    | Annotated[TrainCommand, tyro.conf.subcommand("train")]
+    | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
+    | Annotated[GaitCommand, tyro.conf.subcommand("gait")]
+    | Annotated[CompareCommand, tyro.conf.subcommand("compare")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
+    | Annotated[PoliciesCommand, tyro.conf.subcommand("policies")]
     | Annotated[EnvsCommand, tyro.conf.subcommand("envs")]
 )
 

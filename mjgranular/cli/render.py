@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from mjgranular.cli.console import out
+from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.drop import FILM
 from mjgranular.cli.impact import VIDEO, film_impact, write_film
 from mjgranular.errors import GranularError, InputError
@@ -19,19 +19,22 @@ from mjgranular.experiment.folder import ResultFolder, read_drop, read_impact, s
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
 
+POLICY_FILM = "policy.mp4"
+
 Draw = Callable[[ResultFolder, str], list[GranularError]]
 
 
 @dataclass(frozen=True)
 class RenderCommand:
-    """A film of a run that was saved with `mjgranular impact --out DIR` or `mjgranular drop --out`.
+    """A film of a run saved with `mjgranular impact --out`, `drop --out`, or of `train`.
 
-    The sand's force is drawn as an arrow. The film is slowed so that the impact, however short,
-    takes --seconds.
+    Of a drop the sand's force is drawn as an arrow, and the film is slowed so that the impact,
+    however short, takes --seconds. Of a training run the newest policy is filmed in an episode, at
+    the speed of life, for --seconds at most.
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", name="run")]
-    """Folder of the saved drop."""
+    """Folder of the saved drop or of the training run."""
     camera: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Camera: of the link side, close or corner; of other models theirs, or free."""
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 5.0
@@ -42,8 +45,13 @@ class RenderCommand:
     """Height of the picture."""
     fps: Annotated[int, tyro.conf.arg(metavar="N")] = 30
     """Frames a second."""
+    on: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
+    """Of a training run: a variant of its environment, for example medium=glass_beads."""
+    seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Of a training run: the seed of the episode."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mp4")] = None
-    """The file. Default: impact.mp4 or drop.mp4 in the folder of the run."""
+    """The file; of a training run also .gif. Default: impact.mp4, drop.mp4 or policy.mp4 in the
+    folder of the run."""
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Replace a film that is there already."""
 
@@ -51,12 +59,13 @@ class RenderCommand:
         """Runs the command."""
         from mjgranular.picture.video import Film
 
-        target = self.out or self.run_folder / "film.mp4"
-        if target.suffix != ".mp4":
+        command = self._command()
+        default = {"impact": VIDEO, "train": POLICY_FILM}.get(command, FILM)
+        target = self.out or self.run_folder / default
+        if target.suffix != ".mp4" and not (command == "train" and target.suffix == ".gif"):
             raise InputError(f"a film is written as .mp4, not {target.suffix or target.name!r}")
-        command = saved_command(self.run_folder)
-        if self.out is None:
-            target = self.run_folder / (VIDEO if command == "impact" else FILM)
+        if command != "train" and (self.on or self.seed is not None):
+            raise InputError(f"--on and --seed are for training runs; {self.run_folder} is none")
         film = Film(
             camera=self.camera or ("side" if command == "impact" else "free"),
             seconds=self.seconds,
@@ -64,7 +73,8 @@ class RenderCommand:
             height=self.height,
             fps=self.fps,
         )
-        draw = self._impact(film) if command == "impact" else self._model(film)
+        draws = {"impact": self._impact, "train": self._policy}
+        draw = draws.get(command, self._model)(film)
         folder = ResultFolder(target.parent, (target.name,))
         with folder.claimed(overwrite=self.overwrite):
             problems = draw(folder, target.name)
@@ -72,6 +82,18 @@ class RenderCommand:
             raise problems[0]
         out.print(f"written to {target}", highlight=False, markup=False)
         return 0
+
+    def _command(self) -> str:
+        """What the folder is the result of; a name of a policy that comes with the package goes."""
+        from mjgranular.learn.policies import shipped_policies
+
+        if self.run_folder.exists() or self.run_folder.as_posix() not in shipped_policies():
+            return saved_command(self.run_folder)
+        if self.out is None:
+            raise InputError(
+                f"a film of {self.run_folder} needs a file to write to: add --out FILE"
+            )
+        return "train"
 
     def _impact(self, film: Film) -> Draw:
         """How to film a drop of the link."""
@@ -90,3 +112,31 @@ class RenderCommand:
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
         count, pictures = frames_of_model(film, model, motion)
         return lambda folder, name: write_film(folder, name, film, lambda: (count, pictures))
+
+    def _policy(self, film: Film) -> Draw:
+        """How to film a policy."""
+        from mjgranular.cli.agents import find_actor
+        from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
+        from mjgranular.learn.film import film_episode
+
+        actor = find_actor(str(self.run_folder))
+        arguments = {**actor.arguments, **parse_variant(self.on)}
+
+        def draw(folder: ResultFolder, name: str) -> list[GranularError]:
+            with progress_bar("filming", film.seconds * film.fps) as show:
+                folder.write(
+                    name,
+                    lambda path: film_episode(
+                        path,
+                        actor.environment,
+                        arguments,
+                        actor.make,
+                        film,
+                        seed=FIRST_SEED if self.seed is None else self.seed,
+                        camera=self.camera,
+                        progress=show,
+                    ),
+                )
+            return []
+
+        return draw

@@ -9,10 +9,10 @@ from typing import Any
 _PACKAGES = ("mjgranular", "mujoco", "numpy", "numba")
 
 
-def versions() -> dict[str, Any]:
-    """Versions of Python and of the packages that results depend on, and the platform."""
+def versions(*further: str) -> dict[str, Any]:
+    """Versions of Python, of the packages that results depend on and of `further`; the platform."""
     found: dict[str, Any] = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in _PACKAGES:
+    for package in (*_PACKAGES, *further):
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -13,6 +13,7 @@ from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
 
 _BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"
+PALETTE = (_BLUE, _OCHRE, _RED)
 _MOST_CURVES = 8
 _STYLE = {
     "axes.grid": True,
@@ -27,7 +28,7 @@ _STYLE = {
 }
 
 
-def _figure(width: float, height: float) -> tuple[Any, Any]:
+def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
     """An empty figure of that size in inches, made without pyplot's global state."""
     matplotlib = need("matplotlib", extra="figures", purpose="Drawing figures")
     need("matplotlib.figure", extra="figures", purpose="Drawing figures")
@@ -36,7 +37,8 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
     return matplotlib.figure.Figure(figsize=(width, height)), context
 
 
-def _save(figure: Any, context: Any, path: Path) -> None:
+def save_figure(figure: Any, context: Any, path: Path) -> None:
+    """Writes a figure of `figure_of_size`."""
     try:
         figure.savefig(path)
     finally:
@@ -52,7 +54,7 @@ def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title
         stop: time of the stop since release [s], marked if there was one.
         title: above the figure.
     """
-    figure, context = _figure(6.4, 7.2)
+    figure, context = figure_of_size(6.4, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
     t = trajectory.t * 1e3
     axes[0].plot(t, trajectory.y_T * 1e3, color=_BLUE)
@@ -66,7 +68,7 @@ def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title
     axes[2].set_xlabel("time since release [ms]")
     _mark_stop(axes, stop)
     figure.suptitle(title)
-    _save(figure, context, path)
+    save_figure(figure, context, path)
 
 
 def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
@@ -74,7 +76,7 @@ def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title
 
     Args: as for `draw_motion`.
     """
-    figure, context = _figure(6.4, 8.2)
+    figure, context = figure_of_size(6.4, 8.2)
     axes = figure.subplots(4, 1, sharex=True)
     t = trajectory.t * 1e3
     axes[0].plot(t, -trajectory.F_y, color=_BLUE, label="up, $-F_y$")
@@ -90,7 +92,7 @@ def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title
     axes[3].set_xlabel("time since release [ms]")
     _mark_stop(axes, stop)
     figure.suptitle(title)
-    _save(figure, context, path)
+    save_figure(figure, context, path)
 
 
 def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
@@ -131,7 +133,7 @@ def draw_drop(
         power: of the sand [W], shape (n, bodies).
         title: above the figure.
     """
-    figure, context = _figure(6.8, 7.2)
+    figure, context = figure_of_size(6.8, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
     met = [k for k in range(len(names)) if depth[:, k].max() > 0] or list(range(len(names)))
     for k in met[:_MOST_CURVES]:
@@ -148,7 +150,7 @@ def draw_drop(
     if len(met) > _MOST_CURVES:
         title += f" (the first {_MOST_CURVES} of {len(met)} bodies)"
     figure.suptitle(title)
-    _save(figure, context, path)
+    save_figure(figure, context, path)
 
 
 def draw_intrusion(
@@ -163,7 +165,7 @@ def draw_intrusion(
         moment: about the intruder's centre [N m], shape (n, 3).
         title: above the figure.
     """
-    figure, context = _figure(6.4, 6.4)
+    figure, context = figure_of_size(6.4, 6.4)
     axes = figure.subplots(2, 1, sharex=True)
     labels = ("against the motion", "lift, up across the motion", "sideways")
     for k, (label, colour) in enumerate(zip(labels, (_BLUE, _OCHRE, _GREY), strict=True)):
@@ -178,7 +180,7 @@ def draw_intrusion(
     axes[1].set_xlabel("depth of the deepest point [mm]")
     axes[1].legend()
     figure.suptitle(title)
-    _save(figure, context, path)
+    save_figure(figure, context, path)
 
 
 def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: str = "") -> None:
@@ -196,7 +198,7 @@ def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: 
     }[over]
     stopped = [row for row in rows if row["stopped"]]
     x = [row[key] for row in stopped]
-    figure, context = _figure(6.4, 6.0)
+    figure, context = figure_of_size(6.4, 6.0)
     axes = figure.subplots(2, 1, sharex=True)
     ours = {"color": _BLUE, "marker": "o", "markersize": 3.5, "label": "mjgranular"}
     axes[0].plot(x, [row["stopping_time"] * 1e3 for row in stopped], **ours)
@@ -212,7 +214,7 @@ def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: 
     axes[1].set_xlabel(label)
     axes[0].legend()
     figure.suptitle(title)
-    _save(figure, context, path)
+    save_figure(figure, context, path)
 
 
 def _comparable(case: PaperCase, row: dict[str, Any], over: str) -> bool:

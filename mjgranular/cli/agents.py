@@ -1,0 +1,85 @@
+"""What `mjgranular evaluate` and `mjgranular render` share: who acts, and in what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjgranular.errors import InputError, OutputError, UnknownNameError
+from mjgranular.learn import environments
+from mjgranular.learn.agents import BASELINES, Agent, make_baseline
+from mjgranular.learn.policies import Policy, load_policy
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Who acts, and in what.
+
+    Attributes:
+        name: for people.
+        environment: Gymnasium's id.
+        arguments: of the environment.
+        make: is given the environments and gives the agent.
+    """
+
+    name: str
+    environment: str
+    arguments: Mapping[str, Any]
+    make: Callable[[Any], Agent]
+
+
+def find_actor(
+    what: str,
+    *,
+    agent: str = "policy",
+    environment: str | None = None,
+    gait: Mapping[str, float] | None = None,
+) -> Actor:
+    """Who is meant by a word on the command line.
+
+    Args:
+        what: a run's folder, a policy's, or an environment's id for agents that need no training.
+        agent: policy, or one of `BASELINES`.
+        environment: another than the one that the policy was trained in.
+        gait: parameters of the gait, where they differ from its own.
+    """
+    if agent not in ("policy", *BASELINES):
+        raise UnknownNameError("agent", agent, ("policy", *BASELINES))
+    if agent == "policy":
+        try:
+            return _policy(what, load_policy(what), environment)
+        except UnknownNameError as error:
+            if not _is_environment(what):
+                raise
+            raise InputError(
+                f"{what} is an environment: say who acts in it, with --agent "
+                f"{'|'.join(BASELINES)}, or name a run or policy"
+            ) from error
+    if environment is not None:
+        raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
+    env_id, arguments = what, {}
+    if not _is_environment(what):
+        run = load_policy(what).run
+        env_id, arguments = run.environment, dict(run.settings.environment)
+    return Actor(agent, env_id, arguments, lambda env: make_baseline(agent, env_id, env, gait=gait))
+
+
+def _policy(what: str, policy: Policy, environment: str | None) -> Actor:
+    run = policy.run
+    env_id = environment or run.environment
+    same = env_id == run.environment
+    arguments = dict(run.settings.environment) if same else {}
+    environments.find_spec(env_id)
+    return Actor(what, env_id, arguments, lambda env: policy.checked(env_id, env))
+
+
+def _is_environment(what: str) -> bool:
+    if Path(what).exists():
+        return False
+    try:
+        environments.find_spec(what)
+    except (UnknownNameError, OutputError):
+        return False
+    return True

@@ -1,0 +1,143 @@
+"""`mjgranular evaluate`: returns of agents over many seeds, on several sands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.table import Table
+from rich.text import Text
+
+from mjgranular.cli.agents import find_actor
+from mjgranular.cli.console import out, print_json, progress_bar
+from mjgranular.errors import InputError
+from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
+from mjgranular.learn.evaluate import FIRST_SEED, Score, evaluate, parse_variant
+
+_SPEED = "x_velocity"
+_VALID = "sand/valid"
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Mean return over seeds with its 95 % confidence interval, for policies and baselines.
+
+    Each POLICY is the folder of a run, the name of a policy that comes with the package
+    (`mjgranular policies`), or with --agent zero, random or gait the id of an environment. --on
+    adds other sands: every policy is run in its own environment and in each of the variants.
+    """
+
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
+    """Runs, policies, or environments for --agent."""
+    agent: Annotated[str, tyro.conf.arg(metavar="policy|zero|random|gait")] = "policy"
+    """Who acts."""
+    gait: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
+    """Parameters for --agent gait; `mjgranular gait ENV` finds the best."""
+    env: Annotated[str | None, tyro.conf.arg(metavar="ENV")] = None
+    """Another environment than the one trained in; must observe and move the same."""
+    on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE,... ...")] = ()
+    """Variants of the environment, for example medium=glass_beads."""
+    seeds: Annotated[int, tyro.conf.arg(metavar="N")] = 10
+    """Episodes, one a seed."""
+    first_seed: Annotated[int, tyro.conf.arg(metavar="N")] = FIRST_SEED
+    """The first seed; the others follow it."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the results; nothing is written without it."""
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace a result that the folder holds already."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print a JSON list instead of a table."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        if not self.policies:
+            raise InputError("evaluate needs a run, a policy or, with --agent, an environment")
+        for variant in self.on:
+            parse_variant(variant)
+        if self.gait and self.agent != "gait":
+            raise InputError("--gait is for --agent gait")
+        if self.out is None:
+            self._show(self._scores())
+            return 0
+        with ResultFolder(self.out, (CONFIG, SUMMARY)).claimed(overwrite=self.overwrite) as folder:
+            scores = self._scores()
+            asked = {
+                "policies": list(self.policies),
+                "agent": self.agent,
+                "environment": self.env,
+                "variants": list(self.on),
+                "seeds": self.seeds,
+                "first_seed": self.first_seed,
+            }
+            folder.write_config("evaluate", asked)
+            folder.write_json(SUMMARY, [score.as_json() for score in scores])
+            self._show(scores)
+        if not self.json:
+            out.print(f"written to {self.out}", highlight=False, markup=False)
+        return 0
+
+    def _scores(self) -> list[Score]:
+        actors = [
+            find_actor(what, agent=self.agent, environment=self.env, gait=parse_variant(self.gait))
+            for what in self.policies
+        ]
+        jobs = [(actor, variant) for actor in actors for variant in ("", *self.on)]
+        scores: list[Score] = []
+        with progress_bar("running episodes", len(jobs) * self.seeds) as show:
+            for actor, variant in jobs:
+                done = len(scores) * self.seeds
+                scores.append(
+                    evaluate(
+                        actor.name,
+                        actor.make,
+                        actor.environment,
+                        actor.arguments,
+                        variant=variant,
+                        seeds=self.seeds,
+                        first_seed=self.first_seed,
+                        progress=lambda n, done=done: show(done + n),
+                    )
+                )
+        return scores
+
+    def _show(self, scores: list[Score]) -> None:
+        if self.json:
+            print_json([score.as_json() for score in scores])
+        else:
+            out.print(table_of(scores, self.seeds))
+
+
+def table_of(scores: list[Score], seeds: int) -> Table:
+    """Scores for people; columns that would say the same in every row are left out."""
+    environments = {score.environment for score in scores}
+    where = f" in {environments.pop()}" if len(environments) == 1 else ""
+    columns: list[tuple[str, Callable[[Score], str]]] = [("agent", lambda score: score.agent)]
+    if not where:
+        columns.append(("environment", lambda score: score.environment.rpartition("/")[2]))
+    if any(score.variant for score in scores):
+        columns.append(("on", lambda score: score.variant or "its own"))
+    words = len(columns)
+    columns.append(("return", lambda score: str(score.returned)))
+    columns.append(("steps", lambda score: f"{score.length.mean:.0f}"))
+    if any(score.figure(_SPEED) is not None for score in scores):
+        columns.append(("speed [m/s]", lambda score: str(score.figure(_SPEED) or "")))
+    if any(score.figure(_VALID) is not None for score in scores):
+        columns.append(("law held", _held))
+    title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
+    table = Table(title=title, title_justify="left")
+    for number, (heading, _) in enumerate(columns):
+        left = number < words
+        table.add_column(
+            Text(heading), justify="left" if left else "right", no_wrap=not left, overflow="fold"
+        )
+    for score in scores:
+        table.add_row(*(Text(cell(score)) for _, cell in columns))
+    return table
+
+
+def _held(score: Score) -> str:
+    valid = score.figure(_VALID)
+    return "" if valid is None else f"{valid.mean:.0%}"

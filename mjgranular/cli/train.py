@@ -1,0 +1,168 @@
+"""`mjgranular train`: a policy for an environment."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.errors import InputError, MissingExtraError
+from mjgranular.experiment.folder import ResultFolder
+from mjgranular.learn import environments
+from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.settings import Settings, change, find_settings
+from mjgranular.learn.train import Training, train
+
+_REFRESH = 0.2  # [s]
+_FIGURE = "curve.png"
+
+
+@dataclass(frozen=True)
+class TrainCommand:
+    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3.
+
+    ENV is an id of Gymnasium's: `mjgranular envs` lists ours; any other goes too, `my_module:My-v0`
+    for your own. Each has its settings in a file; --set changes them one by one. Ctrl-C or SIGTERM
+    ends the training with a checkpoint; --resume DIR goes on, also after a crash.
+    """
+
+    environment: Annotated[
+        str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[ENV]", name="env")
+    ] = None
+    """Id of the environment."""
+    resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Go on with the run in this folder, up to its --total-steps or to a new number of them."""
+    algorithm: Annotated[str | None, tyro.conf.arg(metavar="ppo|sac|td3")] = None
+    """Default: the one that the settings name."""
+    total_steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Steps of all environments together. Default: as in the settings."""
+    settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
+    """Settings to read in place of the environment's own."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
+    seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Of all random numbers. Default: 0."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the run. Default: runs/NAME-ALGORITHM-SEED."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object at the end."""
+
+    def run(self) -> int:
+        """Runs the command."""
+        run = self._begun() if self.resume is None else self._resumed(self.resume)
+        with run.locked():
+            if self.resume is not None and self.total_steps is not None:
+                run = run.extended(self.total_steps)
+            try:
+                training = self._train(run)
+            except InputError:
+                if self.resume is None:
+                    run.discard()
+                raise
+        if training.progress.curve:
+            _draw(run, training)
+        return self._tell(run, training)
+
+    def _begun(self) -> Run:
+        if self.environment is None:
+            raise InputError(
+                "train needs an environment, for example mjgranular train mjgranular/ChainSwim-v0, "
+                "or --resume DIR"
+            )
+        environments.find_spec(self.environment)
+        settings = change(self._settings(self.environment), self.set)
+        if self.total_steps is not None:
+            settings = replace(settings, total_steps=self.total_steps)
+        seed = 0 if self.seed is None else self.seed
+        short = self.environment.replace(":", "/").rpartition("/")[2]
+        path = self.out or Path("runs") / f"{short}-{settings.algorithm}-{seed}"
+        # A mistake in the arguments of the environment is found before a folder is made.
+        environments.one(self.environment, settings.environment).close()
+        return begin_run(path, self.environment, settings, seed=seed)
+
+    def _settings(self, environment: str) -> Settings:
+        algorithm = None if self.algorithm is None else self.algorithm.lower()
+        return find_settings(environment, algorithm=algorithm, file=self.settings)
+
+    def _resumed(self, path: Path) -> Run:
+        given = {
+            "ENV": self.environment,
+            "--algorithm": self.algorithm,
+            "--settings": self.settings,
+            "--set": self.set or None,
+            "--seed": self.seed,
+            "--out": self.out,
+        }
+        extra = [name for name, value in given.items() if value is not None]
+        if extra:
+            raise InputError(
+                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away "
+                "(--total-steps may be given)"
+            )
+        return open_run(path)
+
+    def _train(self, run: Run) -> Training:
+        total = run.settings.total_steps
+        with progress_bar(run.name, total, remaining=True) as show:
+            shown = 0.0
+
+            def report(steps: int, newest: float | None) -> None:
+                nonlocal shown
+                if time.monotonic() - shown > _REFRESH:
+                    shown = time.monotonic()
+                    reached = "" if newest is None else f", return {newest:.4g}"
+                    show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
+
+            return train(run, report=report)
+
+    def _tell(self, run: Run, training: Training) -> int:
+        progress = training.progress
+        newest = progress.curve[-1][3] if progress.curve else None
+        if self.json:
+            print_json(
+                {
+                    **run.config(),
+                    "run": str(run.path),
+                    "steps": progress.steps,
+                    "seconds": progress.seconds,
+                    "finished": training.stopped_by is None,
+                    "mean_return": newest,
+                }
+            )
+        else:
+            reached = "no episode ended" if newest is None else f"last mean return {newest:.4g}"
+            out.print(
+                f"{run.name}: {progress.steps} steps in {progress.seconds:.0f} s, {reached}",
+                highlight=False,
+                markup=False,
+            )
+            out.print(f"in {run.path}", highlight=False, markup=False)
+        if training.stopped_by is not None:
+            show_error(
+                f"stopped after {progress.steps} steps, all of them kept; go on with mjgranular "
+                f"train --resume {run.path}"
+            )
+            return 128 + training.stopped_by
+        if progress.steps == training.began:
+            err.print(
+                f"nothing to do: the run has its {progress.steps} steps; a greater --total-steps "
+                "goes on",
+                highlight=False,
+                markup=False,
+            )
+        return 0
+
+
+def _draw(run: Run, training: Training) -> None:
+    """Draws the learning curve, where matplotlib is installed: the numbers are there anyway."""
+    from mjgranular.picture.learning import draw_curves
+
+    with suppress(MissingExtraError):
+        folder = ResultFolder(run.path, (_FIGURE,))
+        curves = {run.name: [training.progress.curve]}
+        folder.write(_FIGURE, lambda path: draw_curves(path, curves, title=run.name))

@@ -1,0 +1,146 @@
+"""Who acts: nobody, chance, a scripted gait, or a trained policy (`policies.Policy`)."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjgranular.errors import InputError
+
+BASELINES = ("zero", "random", "gait")
+
+
+class Agent(Protocol):
+    """Chooses actions for several simulations."""
+
+    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Actions, shape (n, m).
+
+        Args:
+            observations: shape (n, k).
+            steps: since the episodes began, shape (n,).
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Zero:
+    """Does nothing: the middle of the actions that there are, or the first of them.
+
+    Attributes:
+        space: of one action.
+    """
+
+    space: Any
+
+    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        return np.array([self._idle()] * len(steps))
+
+    def _idle(self) -> Any:
+        if hasattr(self.space, "low"):
+            middle = np.clip(0.0, self.space.low, self.space.high)
+            return middle.astype(self.space.dtype)
+        return 0
+
+
+@dataclass(frozen=True)
+class Random:
+    """Draws every action evenly from those that there are.
+
+    Attributes:
+        space: of one action, seeded by whoever made it.
+    """
+
+    space: Any
+
+    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        return np.array([self.space.sample() for _ in steps])
+
+
+@dataclass(frozen=True)
+class Gaits:
+    """Moves by the clock, whatever it observes.
+
+    Attributes:
+        scripts: from times to actions: one for all simulations, or one for each.
+        dt: duration of a step [s].
+    """
+
+    scripts: tuple[Callable[[float], np.ndarray], ...]
+    dt: float
+
+    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        several = self.scripts * (len(steps) if len(self.scripts) == 1 else 1)
+        times = steps * self.dt
+        return np.array([script(float(t)) for script, t in zip(several, times, strict=True)])
+
+
+def make_baseline(
+    name: str,
+    env_id: str,
+    env: Any,
+    *,
+    seed: int = 0,
+    gait: Mapping[str, float] | None = None,
+) -> Agent:
+    """An agent that needs no training.
+
+    Args:
+        name: zero, random or gait.
+        env_id: of the environment.
+        env: the environment itself, one or several.
+        seed: of the random agent.
+        gait: parameters of the gait, where they differ from its own.
+
+    Raises:
+        InputError: there is no scripted gait for this environment.
+    """
+    space = getattr(env, "single_action_space", None) or env.action_space
+    if name == "zero":
+        return Zero(space)
+    if name == "random":
+        space.seed(seed)
+        return Random(space)
+    return make_gait(env_id, env, gait or {})
+
+
+def make_gait(
+    env_id: str, env: Any, parameters: Mapping[str, float] | Sequence[Mapping[str, float]]
+) -> Gaits:
+    """The scripted gait of an environment.
+
+    Args:
+        env_id: of the environment.
+        env: the environment itself, one or several.
+        parameters: of the gait, where they differ from its own; one for all simulations, or one
+            for each.
+
+    Raises:
+        InputError: the environment has no gait, or that has no such parameter; lists those there
+            are.
+    """
+    task = task_of(env_id, env)
+    single = isinstance(parameters, Mapping)
+    several = [parameters] if single else list(parameters)
+    gait = importlib.import_module("mjgranular.envs.gaits").gait
+    return Gaits(tuple(gait(task, **given) for given in several), task.dt)
+
+
+def task_of(env_id: str, env: Any) -> Any:
+    """The task of an environment of ours that has a scripted gait.
+
+    Raises:
+        InputError: it has none; lists those that have.
+    """
+    gaits = importlib.import_module("mjgranular.envs.gaits").gaits
+    task = getattr(env.unwrapped, "task", None)
+    if type(task).__name__ not in gaits:
+        raise InputError(
+            f"there is no scripted gait for {env_id}; there are some for "
+            f"{', '.join(f'mjgranular/{name}-v0' for name in gaits)}"
+        )
+    return task

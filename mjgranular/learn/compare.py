@@ -1,0 +1,184 @@
+"""Does sand matter? Policies trained on one ground each, evaluated on all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjgranular.errors import OutputError, UnknownNameError
+from mjgranular.experiment.folder import CONFIG
+from mjgranular.learn.evaluate import Mean, evaluate, mean_of
+from mjgranular.learn.policies import load_policy
+from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.settings import change, find_settings
+from mjgranular.learn.train import train
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What a robot stands on.
+
+    Attributes:
+        environment: Gymnasium's id.
+        arguments: of the environment.
+    """
+
+    environment: str
+    arguments: Mapping[str, Any]
+
+
+# Chosen: a factor of two either way, about what separates loose from close packing (the two sets of
+# poppy seed of Li, Zhang and Goldman, Science 339 (2013)), and slopes of a beach.
+_RANGES = {"strength": [0.5, 2.0], "density": [0.5, 2.0], "slope": [-0.1, 0.1]}
+
+GROUNDS: dict[str, dict[str, Ground]] = {
+    "Hopper": {
+        "rigid": Ground("Hopper-v5", {}),
+        "sand": Ground("mjgranular/Hopper-v0", {}),
+        "randomised sand": Ground("mjgranular/Hopper-v0", {"randomise": _RANGES}),
+    },
+    "Hexapod": {
+        # A hundred times as strong, sand yields a hundredth of the way.
+        "rigid": Ground("mjgranular/Hexapod-v0", {"randomise": {"strength": [100.0, 100.0]}}),
+        "sand": Ground("mjgranular/Hexapod-v0", {}),
+        "randomised sand": Ground("mjgranular/Hexapod-v0", {"randomise": _RANGES}),
+    },
+}
+"""For each robot the grounds that are compared; policies of one go with all the others."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """How policies that were trained on one ground do on another.
+
+    Attributes:
+        trained_on: the one.
+        on: the other.
+        returned: mean return over all policies and seeds; the interval is that of the policies'
+            means where there are several, else that of the seeds.
+    """
+
+    trained_on: str
+    on: str
+    returned: Mean
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain values."""
+        mean = self.returned
+        return {
+            "trained_on": self.trained_on,
+            "on": self.on,
+            "mean": mean.mean,
+            "low": mean.low,
+            "high": mean.high,
+            "values": list(mean.values),
+        }
+
+
+Report = Callable[[str, float], None]
+"""Told what is being done, and the share of it that is done."""
+
+
+def compare(
+    robot: str,
+    folder: Path,
+    *,
+    policies: int = 3,
+    seeds: int = 10,
+    total_steps: int | None = None,
+    changes: Sequence[str] = (),
+    report: Report | None = None,
+) -> list[Cell] | int:
+    """Trains what is not trained yet, and evaluates everything on everything.
+
+    Args:
+        robot: one of `GROUNDS`.
+        folder: for the runs; what is there already is gone on with.
+        policies: how many for each ground, with the seeds 0, 1, ...
+        seeds: episodes for each policy and ground.
+        total_steps: of each training; None for that of the settings.
+        changes: of the settings, as for `settings.change`; the same for all grounds.
+        report: told what is being done.
+
+    Returns:
+        A cell for each pair of grounds; or the signal that stopped the training, after which the
+        same call goes on.
+
+    Raises:
+        UnknownNameError: no such robot.
+        OutputError: a run in the folder was begun with other settings.
+    """
+    if robot not in GROUNDS:
+        raise UnknownNameError("robot to compare grounds with", robot, GROUNDS)
+    grounds = GROUNDS[robot]
+    runs: dict[str, list[Run]] = {name: [] for name in grounds}
+    for seed in range(policies):
+        for name, ground in grounds.items():
+            path = folder / f"{name.replace(' ', '-')}-{seed}"
+            run = _run(path, robot, ground, seed, total_steps, changes)
+            runs[name].append(run)
+            stopped_by = _train(run, f"{robot} on {name}, seed {seed}", report)
+            if stopped_by is not None:
+                return stopped_by
+    cells = []
+    for name in grounds:
+        for other, ground in grounds.items():
+            if report is not None:
+                report(f"evaluating {name} on {other}", len(cells) / len(grounds) ** 2)
+            arguments = runs[other][0].settings.environment
+            on = Ground(ground.environment, arguments)
+            cells.append(Cell(name, other, _return_on(runs[name], on, seeds)))
+    return cells
+
+
+def _run(
+    path: Path,
+    robot: str,
+    ground: Ground,
+    seed: int,
+    total_steps: int | None,
+    changes: Sequence[str],
+) -> Run:
+    # The settings are those of the sand for every ground: only the ground differs.
+    settings = change(find_settings(GROUNDS[robot]["sand"].environment), changes)
+    settings = replace(settings, environment={**settings.environment, **ground.arguments})
+    if total_steps is not None:
+        settings = replace(settings, total_steps=total_steps)
+    if not (path / CONFIG).exists():
+        return begin_run(path, ground.environment, settings, seed=seed)
+    run = open_run(path)
+    if (run.settings.as_json(), run.environment) != (settings.as_json(), ground.environment):
+        raise OutputError(
+            f"{path} holds a run with other settings: choose another folder with --out"
+        )
+    return run
+
+
+def _train(run: Run, title: str, report: Report | None) -> int | None:
+    with run.locked():
+
+        def tell(steps: int, _newest: float | None) -> None:
+            if report is not None:
+                report(title, steps / run.settings.total_steps)
+
+        return train(run, report=tell).stopped_by
+
+
+def _return_on(runs: Sequence[Run], ground: Ground, seeds: int) -> Mean:
+    returns = []
+    for run in runs:
+        policy = load_policy(run.path)
+        score = evaluate(
+            run.name,
+            lambda env, policy=policy: policy.checked(ground.environment, env),
+            ground.environment,
+            ground.arguments,
+            seeds=seeds,
+        )
+        returns.append(score.episodes.returns)
+    means = [float(np.mean(values)) for values in returns]
+    return mean_of(means) if len(means) > 1 else mean_of(returns[0])

@@ -1,0 +1,156 @@
+"""Environments by their ids: one, several at once, or as Stable-Baselines3 wants them."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from mjgranular.errors import GranularError, InputError, RenderError, UnknownNameError
+from mjgranular.extras import need
+from mjgranular.learn import refine
+
+T = TypeVar("T")
+_PURPOSE = "Training and evaluating policies"
+
+
+def find_spec(env_id: str) -> Any:
+    """What Gymnasium knows of an environment.
+
+    Raises:
+        UnknownNameError: there is none of that id; lists those of mjgranular and similar ones.
+        MissingExtraError: Gymnasium is not installed.
+    """
+    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    importlib.import_module("mjgranular.envs")  # makes its ids known
+    try:
+        if ":" not in env_id:
+            return gym.spec(env_id)
+        module, _, name = env_id.partition(":")
+        need(module, extra="train", purpose=f"The environment {env_id}")
+        return gym.spec(name)
+    except gym.error.Error:
+        known = sorted(gym.registry)
+        ours = [name for name in known if name.startswith("mjgranular/")]
+        close = difflib.get_close_matches(env_id, known, n=5, cutoff=0.5)
+        raise UnknownNameError(
+            "environment", env_id, [*ours, *(name for name in close if name not in ours)]
+        ) from None
+
+
+def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
+    """One environment, a `gymnasium.Env`."""
+    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    find_spec(env_id)
+    return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
+
+
+def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
+    """Several environments stepped together, a `gymnasium.vector.VectorEnv`.
+
+    Those that have a vector form run in it; others one after another.
+    """
+    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
+    return _made(
+        env_id,
+        arguments,
+        lambda given: gym.make_vec(env_id, num_envs=num_envs, vectorization_mode=mode, **given),
+    )
+
+
+def for_training(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
+    """Several environments as a `VecEnv` of Stable-Baselines3, which reports finished episodes."""
+    need("stable_baselines3", extra="train", purpose="Training a policy")
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import VecMonitor
+
+    if not _has_vector_form(env_id):
+        return _made(
+            env_id,
+            arguments,
+            lambda given: make_vec_env(env_id, n_envs=num_envs, env_kwargs=given),
+        )
+    make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
+    env = _made(env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **given))
+    return VecMonitor(env)
+
+
+def for_filming(
+    env_id: str, arguments: Mapping[str, Any], *, width: int, height: int, camera: str | None
+) -> Any:
+    """One environment that draws itself.
+
+    Raises:
+        RenderError: it cannot, on this machine.
+        InputError: it has no cameras, and one was asked for.
+    """
+    spec = find_spec(env_id)
+    wanted: dict[str, Any] = {"width": width, "height": height}
+    if camera is not None:
+        wanted["camera_name"] = camera
+    taken = _parameters(spec)
+    if camera is not None and not _takes(taken, "camera_name"):
+        raise InputError(f"{env_id} has no cameras to choose from; leave --camera away")
+    wanted = {name: value for name, value in wanted.items() if _takes(taken, name)}
+    return one(env_id, {**arguments, "render_mode": "rgb_array", **wanted})
+
+
+def _parameters(spec: Any) -> Mapping[str, inspect.Parameter]:
+    from gymnasium.envs.registration import load_env_creator
+
+    point = spec.entry_point
+    return inspect.signature(
+        load_env_creator(point) if isinstance(point, str) else point
+    ).parameters
+
+
+def _takes(parameters: Mapping[str, inspect.Parameter], name: str) -> bool:
+    return name in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+
+
+def _has_vector_form(env_id: str) -> bool:
+    return find_spec(env_id).vector_entry_point is not None and env_id.rpartition(":")[
+        2
+    ].startswith("mjgranular/")
+
+
+def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments as environments take them: a table of ranges of sand becomes `SandRanges`."""
+    resolved = dict(arguments)
+    table = resolved.get("randomise")
+    if isinstance(table, Mapping):
+        from mjgranular.envs.ranges import SandRanges  # pyright: ignore[reportMissingImports]
+
+        try:
+            resolved["randomise"] = SandRanges(
+                **{name: tuple(value) for name, value in table.items()}
+            )
+        except TypeError as error:
+            raise InputError(f"randomise must be a table of ranges of sand: {error}") from None
+    return resolved
+
+
+def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
+    """What `make` makes of the arguments; an environment's own complaints as one sentence."""
+    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    given, times = refine.split(_resolved(arguments))
+    try:
+        if times == 1:
+            return make(given)
+        coarse = gym.make(env_id, **given)
+        try:
+            given["frame_skip"] = times * refine.frame_skip_of(coarse)
+        finally:
+            coarse.close()
+        env = make(given)
+        refine.refine(env, times)
+        return env
+    except GranularError:
+        raise
+    except gym.error.DependencyNotInstalled as error:
+        raise RenderError(f"{env_id}: {' '.join(str(error).split())}") from None
+    except (gym.error.Error, TypeError, ValueError) as error:
+        raise InputError(f"{env_id} cannot be made: {' '.join(str(error).split())}") from None

@@ -1,0 +1,143 @@
+"""Policies: of a run, of one of its checkpoints, or of those that come with the package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import mjgranular.models
+from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
+from mjgranular.experiment.folder import CONFIG
+from mjgranular.learn.normalizer import FILE as NORMALIZER
+from mjgranular.learn.normalizer import Normalizer, read_normalizer
+from mjgranular.learn.run import CHECKPOINTS, CURVE, POLICY, Run, open_run, read_curve
+from mjgranular.learn.settings import algorithm_class
+
+SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
+"""Where the policies that come with the package lie: folders with the files of `POLICY_FILES`."""
+POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A trained policy.
+
+    Attributes:
+        run: what it was trained as.
+        folder: with its files.
+        model: of Stable-Baselines3.
+        normalizer: of its observations; None if they are taken as they are.
+    """
+
+    run: Run
+    folder: Path
+    model: Any
+    normalizer: Normalizer | None
+
+    def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Its actions, without noise.
+
+        Args:
+            observations: shape (n, ...).
+            steps: since the episodes began, shape (n,); not used.
+        """
+        if self.normalizer is not None:
+            observations = self.normalizer(observations)
+        return self.model.predict(observations, deterministic=True)[0]
+
+    def checked(self, env_id: str, env: Any) -> Policy:
+        """Itself, unless an environment observes or moves something else.
+
+        Args:
+            env_id: its id.
+            env: a `gymnasium.vector.VectorEnv`, or a `gymnasium.Env`.
+
+        Raises:
+            InputError: says what differs.
+        """
+        for what in ("observation", "action"):
+            mine = getattr(self.model, f"{what}_space")
+            there = getattr(env, f"single_{what}_space", None) or getattr(env, f"{what}_space")
+            if mine.shape != there.shape or type(mine) is not type(there):
+                raise InputError(
+                    f"the policy {self.folder} is for {self.run.environment}: its {what}s are "
+                    f"{_describe(mine)}, those of {env_id} {_describe(there)}"
+                )
+        return self
+
+
+def load_policy(where: Path | str) -> Policy:
+    """Loads a policy. Its file is a pickle: load only what you trust.
+
+    Args:
+        where: a run's folder (its newest checkpoint is taken), a checkpoint's, a policy's folder or
+            its `policy.zip`; or the name of one that comes with the package.
+
+    Raises:
+        OutputError: there is none, or the installed packages cannot read it.
+        UnknownNameError: neither a folder nor a name; lists the names.
+    """
+    folder = _folder(where)
+    run = open_run(folder)
+    newest = run.newest_checkpoint() if (folder / CHECKPOINTS).is_dir() else None
+    holder = newest or folder
+    if not (holder / POLICY).is_file():
+        raise OutputError(
+            f"{folder} has no policy yet: its training has written no checkpoint; go on with "
+            f"mjgranular train --resume {folder}"
+        )
+    try:
+        model = algorithm_class(run.settings.algorithm).load(holder / POLICY, device="cpu")
+        normalizer = read_normalizer(holder / NORMALIZER)
+    except Exception as error:  # unpickling what other versions wrote fails in many ways
+        raise OutputError(
+            f"{holder / POLICY} cannot be read by the packages installed here "
+            f"({type(error).__name__}: {error}); it was written with stable-baselines3 "
+            f"{run.versions.get('stable-baselines3')}, torch {run.versions.get('torch')}"
+        ) from None
+    _warn_of_version(run)
+    return Policy(run, folder, model, normalizer)
+
+
+def shipped_policies() -> dict[str, Run]:
+    """The policies that come with the package, by name."""
+    found = sorted(SHIPPED.rglob(POLICY)) if SHIPPED.is_dir() else []
+    folders = [file.parent for file in found]
+    return {folder.relative_to(SHIPPED).as_posix(): open_run(folder) for folder in folders}
+
+
+def last_return(run: Run) -> float | None:
+    """Mean return at the end of a run's learning curve; None without one."""
+    try:
+        rows = read_curve(run.path / CURVE)
+    except (OSError, ValueError):
+        return None
+    return rows[-1][3] if rows else None
+
+
+def _folder(where: Path | str) -> Path:
+    path = Path(where)
+    if path.name == POLICY and path.is_file():
+        return path.parent
+    if path.is_dir():
+        return path
+    names = list(shipped_policies())
+    if str(where) in names:
+        return SHIPPED / str(where)
+    raise UnknownNameError("run folder or policy", str(where), names)
+
+
+def _warn_of_version(run: Run) -> None:
+    """Says so where physics may have changed since the training."""
+    there = str(run.versions.get("mujoco"))
+    if there.partition(".")[0] != mujoco.__version__.partition(".")[0]:
+        warn_user(f"{run.path} was trained with MuJoCo {there}, this is {mujoco.__version__}")
+
+
+def _describe(space: Any) -> str:
+    size = "x".join(map(str, space.shape)) or "1"
+    return f"{size} number{'s' if size != '1' else ''} ({type(space).__name__})"

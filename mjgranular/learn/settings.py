@@ -1,0 +1,281 @@
+"""What a policy is trained with: read from TOML files, changed on the command line, checked."""
+
+from __future__ import annotations
+
+import inspect
+import tomllib
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Union
+
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.extras import need
+
+ALGORITHMS = ("ppo", "sac", "td3")
+ACTIVATIONS = ("tanh", "relu", "elu")
+FOLDER = Path(__file__).resolve().parent / "settings"
+_GIVEN_BY_US = (
+    "self",
+    "policy",
+    "env",
+    "policy_kwargs",
+    "seed",
+    "verbose",
+    "device",
+    "tensorboard_log",
+    "_init_setup_model",
+)
+_TABLES = ("arguments", "policy", "environment")
+_LINEAR = "linear_"
+_SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during the training
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a policy is trained with.
+
+    Attributes:
+        algorithm: ppo, sac or td3, those of Stable-Baselines3.
+        total_steps: steps of all environments together.
+        num_envs: environments that are stepped together.
+        net: widths of the hidden layers, of the policy and of what judges it.
+        activation: between layers: tanh, relu or elu.
+        normalize_observations: by their running mean and variance, which are saved with the policy.
+        normalize_rewards: by the running variance of the return, in training only.
+        checkpoint_every: steps from one checkpoint to the next.
+        arguments: of the algorithm's class. A learning rate or clip range "linear_3e-4" falls from
+            there to zero; `action_noise` is the standard deviation of normal noise.
+        policy: further arguments of the algorithm's policy, such as `log_std_init`.
+        environment: arguments of `gymnasium.make`.
+    """
+
+    algorithm: str
+    total_steps: int
+    num_envs: int
+    net: tuple[int, ...] = (64, 64)
+    activation: str = "tanh"
+    normalize_observations: bool = True
+    normalize_rewards: bool = True
+    checkpoint_every: int = 50_000
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    policy: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.algorithm not in ALGORITHMS:
+            raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS)
+        if self.activation not in ACTIVATIONS:
+            raise UnknownNameError("activation", self.activation, ACTIVATIONS)
+        for name in ("total_steps", "num_envs", "checkpoint_every"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise InputError(f"{name} must be a whole number of at least 1, not {value!r}")
+        for name in ("normalize_observations", "normalize_rewards"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"{name} must be true or false, not {getattr(self, name)!r}")
+        if not isinstance(self.net, tuple) or not all(
+            isinstance(w, int) and not isinstance(w, bool) and w > 0 for w in self.net
+        ):
+            raise InputError(f"net must be widths of layers such as [64, 64], not {self.net!r}")
+        for name in _TABLES:
+            if not isinstance(getattr(self, name), Mapping):
+                raise InputError(f"{name} must be a table of names and values")
+        _check_arguments(self.algorithm, self.arguments)
+        if self.algorithm == "ppo":
+            self._check_batches()
+
+    def _check_batches(self) -> None:
+        steps = self.arguments.get("n_steps", 2048) * self.num_envs
+        batch = self.arguments.get("batch_size", 64)
+        if batch < 2 or steps % batch:
+            raise InputError(
+                f"batch_size {batch} does not divide the {steps} steps of a rollout "
+                f"(n_steps times num_envs): {_nearest_divisor(steps, batch)} would"
+            )
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {**asdict(self), "net": list(self.net)}
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Settings:
+        """The settings of which `as_json` made `content`."""
+        return cls(**{**content, "net": tuple(content["net"])})
+
+
+def find_settings(
+    env_id: str, *, algorithm: str | None = None, file: Path | None = None
+) -> Settings:
+    """The settings for an environment.
+
+    Args:
+        env_id: Gymnasium's, such as `mjgranular/ChainSwim-v0`.
+        algorithm: None for the one that the file names.
+        file: to read; None for the environment's own file, or where there is none the one for all.
+
+    Raises:
+        InputError: a file that cannot be read, or with a wrong key or value in it; says which.
+        UnknownNameError: there is no such algorithm, or nothing in the file on it.
+    """
+    return read_settings(file or settings_file(env_id), algorithm=algorithm)
+
+
+def settings_file(env_id: str) -> Path:
+    """The file with the settings that come with the package for an environment."""
+    # `module:namespace/Name-v0` is Gymnasium's way to name an environment of a module.
+    own = FOLDER / f"{env_id.rpartition(':')[2]}.toml"
+    return own if own.is_file() and own.is_relative_to(FOLDER) else FOLDER / "default.toml"
+
+
+def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
+    """Reads settings: `algorithm`, a table `[environment]`, and a table for each algorithm.
+
+    Raises:
+        InputError: the file cannot be read, or has a wrong key or value in it; says which.
+        UnknownNameError: there is no such algorithm, or nothing in the file on it.
+    """
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read the settings {file}: {error.strerror or error}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{file} is not TOML: {error}") from None
+    _check_keys(str(file), content, ("algorithm", "environment", *ALGORITHMS))
+    present = [name for name in ALGORITHMS if name in content]
+    name = (algorithm or str(content.get("algorithm", ""))).lower()
+    if name not in ALGORITHMS:
+        raise UnknownNameError("algorithm", name, present or ALGORITHMS)
+    if name not in content:
+        raise InputError(
+            f"{file} has no table [{name}]; it has settings for {', '.join(present) or 'none'}"
+        )
+    table = content[name]
+    if not isinstance(table, dict):
+        raise InputError(f"{file}: {name} must be a table, [{name}]")
+    known = {entry.name for entry in fields(Settings)} - {"algorithm", "environment"}
+    _check_keys(f"{file}, [{name}]", table, sorted(known))
+    missing = [key for key in ("total_steps", "num_envs") if key not in table]
+    if missing:
+        raise InputError(f"{file}, [{name}]: {' and '.join(missing)} must be given")
+    net = table.get("net", [64, 64])
+    if not isinstance(net, list):
+        raise InputError(f"{file}, [{name}]: net must be widths such as [64, 64], not {net!r}")
+    try:
+        return Settings(
+            algorithm=name,
+            environment=content.get("environment", {}),
+            **{**table, "net": tuple(net)},
+        )
+    except UnknownNameError:
+        raise
+    except InputError as error:
+        raise InputError(f"{file}, [{name}]: {error}") from None
+
+
+def change(settings: Settings, changes: Sequence[str]) -> Settings:
+    """Settings with some values changed.
+
+    Args:
+        settings: to start from.
+        changes: `name=value`, where name is a field of the settings (`num_envs=8`), an argument of
+            the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values as in TOML,
+            where texts may go without quotes.
+
+    Raises:
+        InputError: not of this form, an unknown name or a wrong type.
+    """
+    own = {entry.name for entry in fields(Settings)} - {"algorithm", *_TABLES}
+    changed: dict[str, Any] = {name: dict(getattr(settings, name)) for name in _TABLES}
+    for text in changes:
+        name, given, value = text.partition("=")
+        name = name.strip()
+        if not given or not name:
+            raise InputError(f"a change of the settings is NAME=VALUE, not {text!r}")
+        parsed = toml_value(value)
+        table, dot, key = name.partition(".")
+        if dot and table in _TABLES:
+            changed[table][key] = parsed
+        elif name in own:
+            changed[name] = tuple(parsed) if name == "net" and isinstance(parsed, list) else parsed
+        else:
+            changed["arguments"][name] = parsed
+    return replace(settings, **changed)
+
+
+def toml_value(text: str) -> Any:
+    """A value as TOML writes it; a bare word is a text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()
+
+
+def algorithm_class(name: str) -> Any:
+    """The class of an algorithm in Stable-Baselines3.
+
+    Raises:
+        MissingExtraError: that is not installed.
+    """
+    module = need("stable_baselines3", extra="train", purpose="Training a policy")
+    return getattr(module, name.upper())
+
+
+def linear_start(value: object) -> float | None:
+    """Where a value that falls to zero begins: 3e-4 of "linear_3e-4"; None for other values."""
+    if isinstance(value, str) and value.startswith(_LINEAR):
+        try:
+            return float(value.removeprefix(_LINEAR))
+        except ValueError:
+            return None
+    return None
+
+
+def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> None:
+    for key in table:
+        if key not in known:
+            raise InputError(f"{where}: no key {key!r}; there are: {', '.join(known)}")
+
+
+def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:
+    """Refuses what the algorithm's class does not take, by name and by type."""
+    signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
+    names = [name for name in signature if name not in _GIVEN_BY_US]
+    for name, value in arguments.items():
+        if name not in names:
+            raise InputError(f"{algorithm} has no argument {name!r}; it has: {', '.join(names)}")
+        wanted = float if name == "action_noise" else signature[name].annotation
+        if name in _SCHEDULES and linear_start(value) is not None:
+            continue
+        if not _fits(value, wanted):
+            raise InputError(f"{algorithm}: {name} must be {_words(wanted)}, not {value!r}")
+
+
+def _members(kind: Any) -> tuple[Any, ...]:
+    """Of a union its members, of anything else itself."""
+    if typing.get_origin(kind) in (Union, types.UnionType):
+        return typing.get_args(kind)
+    return (kind,)
+
+
+def _fits(value: object, kind: Any) -> bool:
+    for member in _members(kind):
+        if member in (int, bool, str) and type(value) is member:
+            return True
+        if member is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+            return True
+        if typing.get_origin(member) is tuple and isinstance(value, (list, tuple)):
+            return True
+    return False
+
+
+def _words(kind: Any) -> str:
+    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+    return " or ".join(names[member] for member in _members(kind) if member in names)
+
+
+def _nearest_divisor(steps: int, batch: int) -> int:
+    divisors = [d for d in range(2, steps + 1) if steps % d == 0]
+    return min(divisors, key=lambda d: abs(d - batch)) if divisors else steps

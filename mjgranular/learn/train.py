@@ -1,0 +1,336 @@
+"""Training a policy, from the beginning or from the newest checkpoint."""
+
+from __future__ import annotations
+
+import random
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjgranular.errors import InputError, UnstableError, warn_user
+from mjgranular.extras import need
+from mjgranular.learn import durable, environments
+from mjgranular.learn.checkpoint import (
+    Progress,
+    load_checkpoint,
+    save_checkpoint,
+    write_policy,
+)
+from mjgranular.learn.run import (
+    CHECKPOINTS,
+    CURVE,
+    TENSORBOARD,
+    Run,
+    current_versions,
+    curve_text,
+)
+from mjgranular.learn.settings import Settings, algorithm_class, linear_start
+
+_ROWS_PER_CHECKPOINT = 5  # of the learning curve
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a training ended.
+
+    Attributes:
+        progress: how far it came.
+        stopped_by: the signal that ended it early; None if it is finished.
+        began: steps of the checkpoint that it went on from; 0 for a new one.
+    """
+
+    progress: Progress
+    stopped_by: int | None
+    began: int
+
+
+Report = Callable[[int, float | None], None]
+"""Told the steps done and the mean return of the newest episodes (None before the first ends)."""
+
+
+def train(run: Run, *, report: Report | None = None) -> Training:
+    """Trains until `total_steps`, from the newest checkpoint if there is one.
+
+    SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one at
+    once. The run must be locked by the caller.
+
+    At each checkpoint the environments begin new episodes and all random numbers begin anew from
+    the run's seed and the number of steps, whether the process goes on or another one does. So a
+    run that was killed and resumed gives the same policy, to the last bit, as one that was not.
+
+    Args:
+        run: what to train.
+        report: called at every step of the environments.
+
+    Raises:
+        InputError: the environment, the algorithm or its arguments do not go together.
+        OutputError: a checkpoint cannot be written or read; those before it are whole.
+        UnstableError: the policy's numbers are not finite any more.
+    """
+    torch = need("torch", extra="train", purpose="Training a policy")
+    need("tensorboard", extra="train", purpose="Training a policy")
+    # Networks of this size are quicker on one thread; the other cores step environments.
+    torch.set_num_threads(1)
+    durable.remove_leftovers(run.path)
+    durable.remove_leftovers(run.path / CHECKPOINTS)
+    env = _environments(run)
+    try:
+        newest = run.newest_checkpoint()
+        if newest is None:
+            model, progress = _new_model(run, env), Progress(0, 0.0, [])
+        else:
+            _warn_of_versions(run)
+            model, progress = load_checkpoint(newest, run, env)
+        if progress.steps >= run.settings.total_steps:
+            return Training(progress, None, progress.steps)
+        return _learn(run, model, progress, report)
+    finally:
+        env.close()
+
+
+def begin_episodes(model: Any, seed: int) -> None:
+    """Begins new episodes, with all random numbers following from the seed and the steps done."""
+    torch = need("torch", extra="train", purpose="Training a policy")
+    word = int(np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)[0]) % 2**31
+    random.seed(word)
+    np.random.seed(word)  # noqa: NPY002  Stable-Baselines3 draws from it
+    torch.manual_seed(word)
+    model.action_space.seed(word)
+    model.env.seed(word)
+    model._last_obs = model.env.reset()
+    model._last_episode_starts = np.ones(model.env.num_envs, dtype=bool)
+    model._last_original_obs = model.get_vec_normalize_env().get_original_obs()
+
+
+def _warn_of_versions(run: Run) -> None:
+    """Says so where a run goes on with other packages than it was begun with."""
+    now = current_versions()
+    changed = [
+        f"{name} {then} (now {now.get(name)})"
+        for name, then in run.versions.items()
+        if name != "platform" and now.get(name) != then
+    ]
+    if changed:
+        warn_user(
+            f"{run.path} was begun with {', '.join(changed)}: numbers may differ from here on"
+        )
+
+
+def _environments(run: Run) -> Any:
+    """The run's environments, normalised."""
+    from gymnasium import spaces
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    settings = run.settings
+    env = environments.for_training(
+        run.environment, settings.environment, num_envs=settings.num_envs
+    )
+    if not isinstance(env.observation_space, spaces.Box):
+        env.close()
+        raise InputError(
+            f"{run.environment} observes a {type(env.observation_space).__name__}; policies are "
+            "trained on plain vectors (Box)"
+        )
+    if settings.algorithm != "ppo" and not isinstance(env.action_space, spaces.Box):
+        env.close()
+        raise InputError(
+            f"{settings.algorithm} needs actions that are vectors; those of {run.environment} are "
+            f"{type(env.action_space).__name__}: take --algorithm ppo"
+        )
+    return VecNormalize(
+        env,
+        norm_obs=settings.normalize_observations,
+        norm_reward=settings.normalize_rewards,
+        gamma=float(settings.arguments.get("gamma", 0.99)),
+    )
+
+
+def _new_model(run: Run, env: Any) -> Any:
+    settings = run.settings
+    try:
+        return algorithm_class(settings.algorithm)(
+            "MlpPolicy",
+            env,
+            seed=run.seed,
+            device="cpu",
+            policy_kwargs={
+                "net_arch": list(settings.net),
+                "activation_fn": _activation(settings.activation),
+                **settings.policy,
+            },
+            **_arguments(settings, env),
+        )
+    except (AssertionError, TypeError, ValueError) as error:
+        raise InputError(f"{settings.algorithm}: {' '.join(str(error).split())}") from None
+
+
+def _activation(name: str) -> Any:
+    torch = need("torch", extra="train", purpose="Training a policy")
+    return {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}[name]
+
+
+def _arguments(settings: Settings, env: Any) -> dict[str, Any]:
+    """Arguments for the algorithm's class: schedules and noise made of their numbers."""
+    from stable_baselines3.common.noise import NormalActionNoise
+    from stable_baselines3.common.utils import LinearSchedule
+
+    made: dict[str, Any] = {}
+    for name, value in settings.arguments.items():
+        start = linear_start(value)
+        if start is not None:
+            made[name] = LinearSchedule(start, 0.0, 1.0)
+        elif name == "action_noise":
+            size = env.action_space.shape
+            made[name] = NormalActionNoise(np.zeros(size), np.full(size, float(value)))
+        else:
+            made[name] = tuple(value) if isinstance(value, list) else value
+    return made
+
+
+class _StoppedError(Exception):
+    """Leaves the algorithm's loop."""
+
+
+def _learn(run: Run, model: Any, progress: Progress, report: Report | None) -> Training:
+    from stable_baselines3.common.logger import configure
+
+    model.set_logger(configure(str(run.path / TENSORBOARD), ["tensorboard"]))
+    # Rows after the checkpoint that is gone on from belong to what was lost.
+    durable.write_text(run.path / CURVE, curve_text(progress.curve))
+    keeper = _keeper(run, progress, report)
+    begin_episodes(model, run.seed)
+    with _signals() as received:
+        keeper.received = received
+        try:
+            model.learn(
+                run.settings.total_steps - progress.steps,
+                callback=keeper,
+                reset_num_timesteps=False,
+            )
+        except _StoppedError:
+            model.num_timesteps = keeper.rollout_start
+        except ValueError:
+            _refuse_not_finite(model, run)  # that is how the algorithm notices it
+            raise
+        saved = keeper.save()
+    model.logger.close()
+    stopped_by = received[0] if received else None
+    if stopped_by is None:
+        write_policy(run, run.checkpoint_folder(saved.steps))
+    return Training(saved, stopped_by, progress.steps)
+
+
+def _keeper(run: Run, progress: Progress, report: Report | None) -> Any:
+    """The callback that keeps the curve and the checkpoints."""
+    # Its base class comes with an optional package: hence a class within a function.
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    every = run.settings.checkpoint_every
+    row_every = max(1, every // _ROWS_PER_CHECKPOINT)
+
+    class Keeper(BaseCallback):
+        def __init__(self) -> None:
+            super().__init__()
+            self.received: list[int] = []
+            self.rollout_start = progress.steps
+            self.curve = list(progress.curve)
+            self.began = time.monotonic()
+            self.next_checkpoint = (progress.steps // every + 1) * every
+            self.next_row = (progress.steps // row_every + 1) * row_every
+            self.ended: list[dict[str, float]] = []  # episodes since the last row
+            self.newest: float | None = None
+
+        def _on_rollout_start(self) -> None:
+            self.rollout_start = self.num_timesteps
+            self._stop_if_asked()
+            if self.num_timesteps >= self.next_row:
+                self.next_row = (self.num_timesteps // row_every + 1) * row_every
+                self._add_row()
+            if self.num_timesteps >= self.next_checkpoint:
+                self.next_checkpoint = (self.num_timesteps // every + 1) * every
+                self.save()
+                begin_episodes(self.model, run.seed)
+                policy: Any = self.model.policy
+                if self.model.use_sde:  # as the algorithm does before each rollout
+                    policy.reset_noise(self.training_env.num_envs)
+
+        def _on_step(self) -> bool:
+            self.ended += [info["episode"] for info in self.locals["infos"] if "episode" in info]
+            if self.ended:
+                newest = self.ended[-20:]
+                self.newest = float(np.mean([episode["r"] for episode in newest]))
+            if report is not None:
+                report(self.num_timesteps, self.newest)
+            self._stop_if_asked()
+            return True
+
+        def _stop_if_asked(self) -> None:
+            if self.received:
+                raise _StoppedError
+
+        def _add_row(self) -> None:
+            if self.ended:
+                returns = [float(episode["r"]) for episode in self.ended]
+                lengths = [float(episode["l"]) for episode in self.ended]
+                row = (
+                    self.num_timesteps,
+                    round(self.seconds(), 3),
+                    len(returns),
+                    float(np.mean(returns)),
+                    float(np.mean(lengths)),
+                )
+                self.curve.append(row)
+                self.ended = []
+                durable.write_text(run.path / CURVE, curve_text(self.curve))
+
+        def seconds(self) -> float:
+            """Spent in training, this sitting and those before it [s]."""
+            return progress.seconds + time.monotonic() - self.began
+
+        def save(self) -> Progress:
+            """Writes a checkpoint."""
+            _refuse_not_finite(self.model, run)
+            self._add_row()
+            reached = Progress(self.model.num_timesteps, self.seconds(), tuple(self.curve))
+            save_checkpoint(run, self.model, reached)
+            return reached
+
+    return Keeper()
+
+
+def _refuse_not_finite(model: Any, run: Run) -> None:
+    torch = need("torch", extra="train", purpose="Training a policy")
+    if not all(bool(torch.isfinite(p).all()) for p in model.policy.parameters()):
+        raise UnstableError(
+            f"{run.name}: the policy's numbers are not finite after {model.num_timesteps} steps; "
+            "the checkpoints before are whole: begin a new run with a smaller learning_rate"
+        )
+
+
+@contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Collects SIGTERM and SIGINT; the second one acts at once, as ever."""
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received  # signals belong to the main thread
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+
+    def receive(number: int, _frame: object) -> None:
+        received.append(number)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+    for number in before:
+        signal.signal(number, receive)
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,35 @@
+"""Evaluates what scripts/train.py has saved, over ten seeds.
+
+python scripts/evaluate.py mjgranular/ChainSwim-v0 policy
+"""
+
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+import mjgranular  # noqa: F401  its environments are known to Gymnasium
+
+
+def main(env_id: str, folder: Path) -> None:
+    """Prints the mean return; `mjgranular evaluate` does it on other sands, with intervals."""
+    plain = DummyVecEnv([lambda: Monitor(gym.make(env_id))])
+    env = VecNormalize.load(str(folder / "normalizer.pkl"), plain)
+    env.training, env.norm_reward = False, False
+    env.seed(10_000)
+    model = PPO.load(folder / "policy.zip", device="cpu")
+    returns, _ = evaluate_policy(model, env, n_eval_episodes=10, return_episode_rewards=True)
+    print(f"{env_id}: {np.mean(returns):.4g}, standard deviation {np.std(returns, ddof=1):.2g}")
+
+
+if __name__ == "__main__":
+    given = sys.argv[1:]
+    main(
+        given[0] if given else "mjgranular/ChainSwim-v0",
+        Path(given[1] if len(given) > 1 else "policy"),
+    )

@@ -1,0 +1,34 @@
+"""Trains a policy on sand with Stable-Baselines3 alone, and saves it with its normaliser.
+
+python scripts/train.py mjgranular/ChainSwim-v0 100000 policy
+"""
+
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import VecNormalize
+
+import mjgranular  # noqa: F401  its environments are known to Gymnasium
+
+
+def main(env_id: str, steps: int, out: Path) -> None:
+    """Trains for so many steps; `mjgranular train` does it with checkpoints and tuned settings."""
+    env = VecNormalize(make_vec_env(lambda: gym.make(env_id), n_envs=4, seed=0))
+    model = PPO("MlpPolicy", env, n_steps=512, batch_size=256, seed=0, device="cpu")
+    model.learn(steps)
+    out.mkdir(parents=True, exist_ok=True)
+    model.save(out / "policy.zip")
+    env.save(str(out / "normalizer.pkl"))
+    print(f"{env_id}: {steps} steps, saved in {out}")
+
+
+if __name__ == "__main__":
+    given = sys.argv[1:]
+    main(
+        given[0] if given else "mjgranular/ChainSwim-v0",
+        int(given[1]) if len(given) > 1 else 100_000,
+        Path(given[2] if len(given) > 2 else "policy"),
+    )

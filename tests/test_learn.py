@@ -1,0 +1,589 @@
+"""Training: what is interrupted goes on, what is wrong is refused, what is counted is right."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy import stats
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+from mjgranular.cli import main
+from mjgranular.errors import (
+    GranularWarning,
+    InputError,
+    MissingExtraError,
+    OutputError,
+    UnknownNameError,
+)
+from mjgranular.learn import durable, environments
+from mjgranular.learn.agents import Random, Zero
+from mjgranular.learn.episodes import run_episodes
+from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
+from mjgranular.learn.normalizer import (
+    Normalizer,
+    normalizer_state,
+    read_normalizer,
+    restore_normalizer,
+)
+from mjgranular.learn.policies import POLICY_FILES, load_policy
+from mjgranular.learn.run import Run, begin_run, open_run, read_curve
+from mjgranular.learn.search import grid
+from mjgranular.learn.settings import (
+    FOLDER,
+    Settings,
+    change,
+    find_settings,
+    read_settings,
+    settings_file,
+)
+from mjgranular.learn.train import train
+
+ID = "Pendulum-v1"
+QUICK = {
+    "ppo": ("n_steps=64", "batch_size=64", "n_epochs=2"),
+    "sac": (
+        "learning_starts=100",
+        "buffer_size=2000",
+        "train_freq=8",
+        "gradient_steps=2",
+        "net=[16, 16]",
+    ),
+    "td3": (
+        "learning_starts=100",
+        "buffer_size=2000",
+        "train_freq=8",
+        "gradient_steps=2",
+        "net=[16, 16]",
+    ),
+}
+
+
+def quick(algorithm: str = "ppo", *changes: str) -> Settings:
+    """Settings for some hundred steps."""
+    few = ("num_envs=2", "checkpoint_every=512", "total_steps=1152")
+    return change(find_settings(ID, algorithm=algorithm), (*few, *QUICK[algorithm], *changes))
+
+
+def weights(run: Run) -> np.ndarray:
+    """All numbers of a run's policy."""
+    parameters = load_policy(run.path).model.policy.state_dict().values()
+    return np.concatenate([p.numpy().ravel() for p in parameters])
+
+
+class Killed(BaseException):
+    """As good as a lost machine: nothing catches it."""
+
+
+def kill_after(steps: int):
+    def report(done: int, _newest: float | None) -> None:
+        if done > steps:
+            raise Killed
+
+    return report
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Run:
+    run = begin_run(tmp_path_factory.mktemp("runs") / "pendulum", ID, quick(), seed=3)
+    train(run)
+    return run
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "td3"])
+def test_a_killed_and_resumed_run_is_the_uninterrupted_one_to_the_last_bit(algorithm, tmp_path):
+    settings = quick(algorithm)
+    whole = begin_run(tmp_path / "whole", ID, settings, seed=5)
+    assert train(whole).progress.steps == 1152
+    broken = begin_run(tmp_path / "broken", ID, settings, seed=5)
+    with pytest.raises(Killed):
+        train(broken, report=kill_after(1100))
+    assert [folder.name for folder in broken.checkpoints()] == [
+        "step-0000001024",
+        "step-0000000512",
+    ]
+    training = train(open_run(broken.path))
+    assert training.progress.steps == 1152
+    assert training.stopped_by is None
+    np.testing.assert_array_equal(weights(broken), weights(whole))
+    a, b = (load_policy(run.path).normalizer for run in (whole, broken))
+    np.testing.assert_array_equal(a.mean, b.mean)
+    rows = [read_curve(run.path / "curve.csv") for run in (whole, broken)]
+    assert len(rows[0]) >= 2
+    assert [(row[0], *row[2:]) for row in rows[0]] == [(row[0], *row[2:]) for row in rows[1]]
+
+
+def test_another_seed_is_another_policy_and_the_same_seed_the_same(trained, tmp_path):
+    same = begin_run(tmp_path / "same", ID, trained.settings, seed=3)
+    other = begin_run(tmp_path / "other", ID, trained.settings, seed=4)
+    for run in (same, other):
+        train(run)
+    np.testing.assert_array_equal(weights(same), weights(trained))
+    assert not np.array_equal(weights(other), weights(trained))
+
+
+def test_damaged_checkpoints_are_skipped_with_one_sentence(tmp_path):
+    run = begin_run(
+        tmp_path / "run", ID, quick("ppo", "total_steps=512", "checkpoint_every=256"), seed=0
+    )
+    train(run)
+    newest, older = run.checkpoints()
+    file = newest / "policy.zip"
+    file.write_bytes(file.read_bytes()[:-100])  # as a full disk leaves it
+    with pytest.warns(GranularWarning, match=r"step-0000000512 is damaged \(policy.zip is not"):
+        assert run.newest_checkpoint() == older
+    (newest / "policy.zip").unlink()
+    with pytest.warns(GranularWarning, match="policy.zip is missing"):
+        assert run.steps() == 256
+    (newest / durable.MANIFEST).unlink()
+    with pytest.warns(GranularWarning, match="cannot be read"):
+        assert train(run).progress.steps == 512
+    assert run.newest_checkpoint() == newest  # made anew
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    def fill(folder: Path) -> None:
+        (folder / "a").write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OutputError, match="No space left on device"):
+        durable.write_folder(tmp_path / "checkpoint", fill)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / ".step-1.part99").mkdir()
+    (tmp_path / ".curve.csv.part99").write_text("")
+    durable.remove_leftovers(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_ends_with_a_checkpoint_on_sigterm_and_goes_on_after_sigkill(tmp_path):
+    folder = tmp_path / "run"
+    # Far more steps than are waited for.
+    small = ["num_envs=2", "checkpoint_every=512", *QUICK["ppo"]]
+    command = [sys.executable, "-m", "mjgranular", "train"]
+    begin = [*command, ID, "--total-steps", "10000000", "--out", str(folder), "--set", *small]
+
+    def wait_for(steps: int, process: subprocess.Popen) -> None:
+        deadline = time.monotonic() + 60
+        while not any(
+            int(path.name.partition("-")[2]) >= steps for path in folder.glob("checkpoints/step-*")
+        ):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+    def start(arguments: list[str]) -> subprocess.Popen:
+        return subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+    process = start(begin)
+    wait_for(512, process)
+    # While it runs, nobody else may write there.
+    with pytest.raises(OutputError, match="in use by another process"), open_run(folder).locked():
+        pass
+    process.send_signal(signal.SIGTERM)
+    said = process.communicate(timeout=60)[1].decode()
+    assert process.returncode == 128 + signal.SIGTERM
+    assert "all of them kept" in " ".join(said.split())
+    stopped = open_run(folder).steps()
+    assert stopped >= 512
+
+    process = start([*command, "--resume", str(folder)])
+    wait_for(stopped + 600, process)
+    process.kill()
+    process.communicate(timeout=60)
+    killed = open_run(folder).steps()
+    assert killed >= stopped + 512
+    assert main(["train", "--resume", str(folder), "--total-steps", str(killed + 64)]) == 0
+    assert open_run(folder).steps() >= killed + 64
+    assert open_run(folder).settings.total_steps == killed + 64
+    assert (folder / "curve.png").stat().st_size > 1000
+
+
+def test_the_newest_policy_is_a_file_of_stable_baselines(trained):
+    from stable_baselines3 import PPO
+
+    assert PPO.load(trained.path / "policy.zip", device="cpu").num_timesteps == 1152
+    config = json.loads((trained.path / "config.json").read_text())
+    assert config["environment"] == ID
+    assert config["seed"] == 3
+    assert config["settings"]["total_steps"] == 1152
+    assert config["versions"]["stable-baselines3"]
+    assert list((trained.path / "tensorboard").iterdir())
+
+
+def test_observations_are_normalised_as_in_training(tmp_path):
+    def environments() -> VecNormalize:
+        return VecNormalize(DummyVecEnv([lambda: gym.make(ID)] * 3))
+
+    env = environments()
+    env.seed(1)
+    env.reset()
+    for _ in range(50):
+        env.step(np.zeros((3, 1), np.float32))
+    (tmp_path / "normalizer.json").write_text(json.dumps(normalizer_state(env)))
+    normalizer = read_normalizer(tmp_path / "normalizer.json")
+    assert isinstance(normalizer, Normalizer)
+    seen = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32) * 30
+    np.testing.assert_array_equal(normalizer(seen), env.normalize_obs(seen))
+    other = environments()
+    restore_normalizer(other, json.loads((tmp_path / "normalizer.json").read_text()))
+    np.testing.assert_array_equal(other.obs_rms.var, env.obs_rms.var)
+    assert other.ret_rms.count == env.ret_rms.count
+
+
+def test_the_interval_is_students():
+    values = [1.0, 2.0, 4.0, 8.0]
+    mean = mean_of(values)
+    low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
+    assert (mean.mean, mean.low, mean.high) == pytest.approx((3.75, low, high))
+    with pytest.raises(InputError, match="at least 2 seeds"):
+        mean_of([1.0])
+
+
+def test_episodes_are_those_of_the_single_environment():
+    seeds = [11, 12, 13]
+    several = run_episodes("CartPole-v1", {}, lambda env: Zero(env.single_action_space), seeds)
+    for k, seed in enumerate(seeds):
+        env = gym.make("CartPole-v1")
+        env.reset(seed=seed)
+        total, steps, over = 0.0, 0, False
+        while not over:
+            _, reward, ended, cut, _ = env.step(0)
+            total, steps, over = total + float(reward), steps + 1, ended or cut
+        assert (several.returns[k], several.lengths[k]) == (total, steps)
+
+
+def test_figures_of_info_are_means_over_the_episode():
+    score = evaluate(
+        "random", lambda env: Random(env.single_action_space), "Swimmer-v5", {}, seeds=2
+    )
+    reached = score.episodes.figures["x_velocity"] * 1000 * 0.04  # steps of 0.04 s
+    assert score.figure("nothing") is None
+    assert np.all(score.episodes.lengths == 1000)
+    # The return is the way forward over the time, less the cost of control.
+    forward = score.episodes.figures["reward_forward"] * 1000
+    np.testing.assert_allclose(forward * 0.04, reached)
+    json.dumps(score.as_json(), allow_nan=False)
+
+
+def test_baselines():
+    box = gym.spaces.Box(np.array([-1.0, 2.0]), np.array([1.0, 3.0]), dtype=np.float64)
+    assert Zero(box).act(np.zeros((2, 1)), np.zeros(2)).tolist() == [[0, 2], [0, 2]]
+    assert Random(box).act(np.zeros((4, 1)), np.zeros(4)).shape == (4, 2)
+
+
+# Settings
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.rglob("*.toml")), ids=lambda file: file.stem)
+def test_settings_that_come_with_the_package_are_valid(file):
+    for algorithm in ("ppo", "sac", "td3"):
+        if f"[{algorithm}]" in file.read_text():
+            settings = read_settings(file, algorithm=algorithm)
+            assert Settings.from_json(json.loads(json.dumps(settings.as_json()))) == settings
+
+
+def test_an_environment_without_a_file_takes_the_default(tmp_path):
+    assert settings_file("No-v0") == FOLDER / "default.toml"
+    assert settings_file("../../secret") == FOLDER / "default.toml"
+
+
+def test_settings_are_changed_by_name():
+    settings = change(
+        find_settings(ID),
+        ["gamma=0.9", "net=[32]", "policy.log_std_init=-1", "environment.g=5", "activation=relu"],
+    )
+    assert settings.arguments["gamma"] == 0.9
+    assert settings.net == (32,)
+    assert settings.policy == {"log_std_init": -1}
+    assert settings.environment == {"g": 5}
+    assert settings.activation == "relu"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("algorithm = 'ppo'\nsteps = 3", "no key 'steps'; there are: algorithm, environment"),
+        ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_env = 3", "no key 'num_env'"),
+        ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 3", "num_envs must be given"),
+        ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 1.5\nnum_envs = 1", "whole number of at least 1"),
+        ("algorithm = 'dqn'\n[ppo]\ntotal_steps = 3\nnum_envs = 1", "no algorithm 'dqn'"),
+        ("algorithm = 'sac'\n[ppo]\ntotal_steps = 3\nnum_envs = 1", "has no table"),
+        ("algorithm = ", "is not TOML"),
+        ("algorithm = 'ppo'\nppo = 3", "must be a table"),
+        ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_envs = 1\nnet = 'x'", "net must be"),
+        (
+            "algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_envs = 1\n[ppo.arguments]\ngama = 1",
+            "ppo has no argument 'gama'; it has: learning_rate",
+        ),
+        (
+            "algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_envs = 1\n[ppo.arguments]\ngamma = 'x'",
+            "gamma must be a number, not 'x'",
+        ),
+        (
+            "algorithm='ppo'\n[ppo]\ntotal_steps=3\nnum_envs=1\n[ppo.arguments]\nbatch_size=100",
+            "batch_size 100 does not divide the 2048 steps",
+        ),
+    ],
+)
+def test_mistakes_in_settings_are_told(text, message, tmp_path):
+    file = tmp_path / "my.toml"
+    file.write_text(text)
+    with pytest.raises((InputError, UnknownNameError)) as caught:
+        read_settings(file)
+    assert message in str(caught.value)
+
+
+# The command line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "Pendulm-v1"], "no environment 'Pendulm-v1'; there are:"),
+        (["train"], "train needs an environment"),
+        (["train", ID, "--algorithm", "dqn"], "no algorithm 'dqn'; there are: ppo, sac, td3"),
+        (["train", ID, "--settings", "none.toml"], "cannot read the settings none.toml"),
+        (["train", ID, "--set", "gamma"], "NAME=VALUE"),
+        (["train", ID, "--set", "environment.foo=3"], "cannot be made"),
+        (["train", ID, "--set", "learning_rate=-1"], "ppo: "),
+        (["train", ID, "--seed", "-1"], "a seed is a whole number"),
+        (["train", "CartPole-v1", "--algorithm", "sac"], "sac needs actions that are vectors"),
+        (["train", "--resume", "nowhere"], "nowhere holds no training run"),
+        (["train", ID, "--resume", "x"], "leave ENV away"),
+        (["evaluate", "nowhere"], "no run folder or policy 'nowhere'"),
+        (["evaluate", ID], "say who acts in it, with --agent zero|random|gait"),
+        (["evaluate", ID, "--agent", "nobody"], "no agent 'nobody'; there are: policy, zero"),
+        (["evaluate", ID, "--agent", "gait"], "no scripted gait for Pendulum-v1"),
+        (["evaluate", ID, "--agent", "zero", "--on", "g"], "NAME=VALUE,NAME=VALUE"),
+        (["evaluate", ID, "--agent", "zero", "--seeds", "1"], "at least 2 seeds, not 1"),
+    ],
+)
+def test_mistakes_are_told_in_one_sentence(arguments, message, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    captured = capfd.readouterr()
+    assert message in captured.err
+    assert "Traceback" not in captured.err
+    assert captured.out == ""
+    assert not list(tmp_path.glob("runs/*"))
+
+
+def test_a_folder_with_something_in_it_is_left_alone(trained, tmp_path, capfd):
+    (tmp_path / "diary.txt").write_text("mine")
+    assert main(["train", ID, "--out", str(tmp_path)]) == 2
+    assert "holds something already" in capfd.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["diary.txt"]
+    before = weights(trained)
+    assert main(["train", ID, "--out", str(trained.path)]) == 2
+    assert f"--resume {trained.path}" in capfd.readouterr().err
+    np.testing.assert_array_equal(weights(trained), before)
+
+
+def test_evaluate_prints_means_and_writes_them(trained, tmp_path, capfd):
+    out = tmp_path / "scores"
+    arguments = ["evaluate", str(trained.path), "--on", "g=5.0", "--seeds", "3", "--json"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    rows = json.loads(capfd.readouterr().out)
+    assert [row["variant"] for row in rows] == ["", "g=5.0"]
+    for row in rows:
+        assert row["return"]["low"] <= row["return"]["mean"] <= row["return"]["high"]
+        assert row["length"]["mean"] == 200
+    assert rows == json.loads((out / "summary.json").read_text())
+    assert main([*arguments, "--out", str(out)]) == 2  # not twice
+    assert "holds a result already" in capfd.readouterr().err
+    assert main(["evaluate", ID, "--agent", "zero", "--seeds", "2"]) == 0
+    assert ID in capfd.readouterr().out
+
+
+def test_a_policy_for_another_environment_is_refused(trained, capfd):
+    assert main(["evaluate", str(trained.path), "--env", "Swimmer-v5"]) == 2
+    said = capfd.readouterr().err
+    assert "is for Pendulum-v1: its observations are 3 numbers" in said
+    assert "those of Swimmer-v5 8 numbers" in said
+
+
+def test_a_policy_file_that_cannot_be_read_says_what_wrote_it(trained, tmp_path):
+    folder = tmp_path / "policy"
+    folder.mkdir()
+    for name in ("config.json", "normalizer.json"):
+        (folder / name).write_bytes((trained.path / name).read_bytes())
+    with pytest.raises(OutputError, match="has no policy yet"):
+        load_policy(folder)
+    (folder / "policy.zip").write_bytes(b"not a zip")
+    with pytest.raises(OutputError, match="it was written with stable-baselines3"):
+        load_policy(folder)
+
+
+def test_without_the_extra_the_install_line_is_given():
+    code = (
+        "import sys\n"
+        "for name in ('gymnasium', 'stable_baselines3'): sys.modules[name] = None\n"
+        "from mjgranular.cli import main; sys.exit(main(['train', 'Pendulum-v1']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "pip install 'mjgranular[train]'" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert MissingExtraError.__doc__
+
+
+def test_policies_that_come_with_the_package_go_by_name(trained, tmp_path, monkeypatch, capfd):
+    folder = tmp_path / "policies" / "Pendulum-v1" / "ppo-3"
+    folder.mkdir(parents=True)
+    for name in POLICY_FILES:
+        (folder / name).write_bytes((trained.path / name).read_bytes())
+    monkeypatch.setattr("mjgranular.learn.policies.SHIPPED", tmp_path / "policies")
+    assert main(["policies", "--json"]) == 0
+    (row,) = json.loads(capfd.readouterr().out)
+    assert (row["name"], row["environment"], row["seed"]) == ("Pendulum-v1/ppo-3", ID, 3)
+    assert main(["policies"]) == 0
+    assert "Pendulum-v1/ppo-3" in capfd.readouterr().out
+    np.testing.assert_array_equal(
+        load_policy("Pendulum-v1/ppo-3").act(np.ones((2, 3)), np.zeros(2)),
+        load_policy(trained.path).act(np.ones((2, 3)), np.zeros(2)),
+    )
+    assert main(["evaluate", "Pendulum-v1/ppo-3", "--seeds", "2"]) == 0
+    capfd.readouterr()
+    assert main(["render", "Pendulum-v1/ppo-3"]) == 2
+    assert "add --out FILE" in capfd.readouterr().err
+    with pytest.raises(UnknownNameError, match="there are: Pendulum-v1/ppo-3"):
+        load_policy("Pendulum-v1/ppo-4")
+
+
+def test_a_training_run_is_filmed(tmp_path):
+    settings = change(find_settings("Swimmer-v5"), ["num_envs=1", "total_steps=64", *QUICK["ppo"]])
+    run = begin_run(tmp_path / "run", "Swimmer-v5", settings, seed=0)
+    train(run)
+    small = ["--seconds", "0.4", "--width", "64", "--height", "48"]
+    assert main(["render", str(run.path), *small]) == 0
+    assert (run.path / "policy.mp4").stat().st_size > 500
+    assert main(["render", str(run.path), *small, "--out", str(tmp_path / "a.gif")]) == 0
+    assert (tmp_path / "a.gif").read_bytes()[:4] == b"GIF8"
+    assert main(["render", str(run.path), *small]) == 2  # not twice
+
+
+def test_variants_are_read_as_toml():
+    assert parse_variant("medium=glass_beads, a=[1, 2],b=3") == {
+        "medium": "glass_beads",
+        "a": [1, 2],
+        "b": 3,
+    }
+
+
+# Gaits and grounds
+
+
+def test_a_grid_has_the_ends_of_its_ranges_and_as_many_points_as_were_asked_for():
+    points = grid({"a": (0.0, 1.0), "b": (-1.0, 2.0), "c": (3.0, 4.0)}, 200)
+    assert len(points) == 216
+    assert {point["b"] for point in points} >= {-1.0, 2.0}
+    assert len(grid({"a": (0.0, 1.0)}, 7)) == 7
+
+
+def test_the_search_finds_the_gait_that_goes_farthest(capfd):
+    wide = ["--range", "amplitude=0.2:1.0", "frequency=0.5:2", "waves=-1:1"]
+    command = ["gait", "mjgranular/ChainCrawl-v0", "--search", "8", "--json", *wide]
+    quickly = ["--on", "frame_skip=2"]
+    assert main([*command, "--by", "x_velocity", *quickly]) == 0
+    captured = capfd.readouterr()
+    found = json.loads(captured.out)
+    values = [row["value"] for row in found["tried"]]
+    assert len(values) == 16  # two of each of four parameters
+    assert values == sorted(values, reverse=True)
+    best = found["best"]
+    assert best["gait"] == found["tried"][0]["gait"]
+    assert len(best["seeds"]) == 10
+    # The start is drawn anew for each seed, and matters little to a gait.
+    assert best["figures"]["x_velocity"]["mean"] == pytest.approx(values[0], rel=0.2)
+    assert "at the end of the range of" in " ".join(captured.err.split())
+    assert main(["gait", "mjgranular/ChainCrawl-v0", "--range", "hop=1:2"]) == 2
+    assert "has no 'hop'; it has: amplitude" in capfd.readouterr().err
+    assert main(["gait", "mjgranular/ChainCrawl-v0", "--range", "hop"]) == 2
+    assert "NAME=LOW:HIGH" in capfd.readouterr().err
+
+
+def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
+    small = ["num_envs=2", "n_steps=32", "batch_size=64", "n_epochs=1", "checkpoint_every=1000"]
+    command = ["compare", "Hopper", "--policies", "1", "--seeds", "2", "--total-steps", "64"]
+    command += ["--json", "--out", str(tmp_path), "--set", *small]
+    assert main(command) == 0
+    cells = json.loads(capfd.readouterr().out)
+    grounds = ["rigid", "sand", "randomised sand"]
+    assert [(cell["trained_on"], cell["on"]) for cell in cells] == [
+        (a, b) for a in grounds for b in grounds
+    ]
+    assert (tmp_path / "compare.png").stat().st_size > 1000
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("policy.zip")}
+    assert main(command) == 0
+    assert json.loads(capfd.readouterr().out) == cells
+    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("policy.zip")}
+    assert main([*command, "gamma=0.5"]) == 2
+    assert "other settings" in capfd.readouterr().err
+    assert main(["compare", "Snake"]) == 2
+    assert "there are: Hopper, Hexapod" in capfd.readouterr().err
+
+
+def test_a_batch_trains_as_its_copy_does(tmp_path):
+    settings = change(
+        find_settings("mjgranular/ChainCrawl-v0", algorithm="ppo"),
+        [
+            *("num_envs=2", "total_steps=256", "checkpoint_every=128"),
+            *("n_steps=32", "batch_size=64", "n_epochs=1"),
+            *("environment.randomise={strength=[0.5, 2]}", "use_sde=true", "sde_sample_freq=4"),
+            "environment.refine=2",
+        ],
+    )
+    whole = begin_run(tmp_path / "whole", "mjgranular/ChainCrawl-v0", settings, seed=1)
+    train(whole)
+    broken = begin_run(tmp_path / "broken", "mjgranular/ChainCrawl-v0", settings, seed=1)
+    with pytest.raises(Killed):
+        train(broken, report=kill_after(200))
+    train(open_run(broken.path))
+    np.testing.assert_array_equal(weights(broken), weights(whole))
+
+
+# Finer steps
+
+
+@pytest.mark.parametrize("name", ["Swimmer-v5", "mjgranular/ChainCrawl-v0"])
+def test_refined_environments_have_shorter_substeps_and_the_same_steps(name):
+    coarse, fine = environments.one(name, {}), environments.one(name, {"refine": 4})
+    a, b = coarse.unwrapped, fine.unwrapped
+    assert b.model.opt.timestep == a.model.opt.timestep / 4
+    assert b.dt == pytest.approx(a.dt)
+    fine.reset(seed=0)
+    for _ in range(3):
+        x = fine.step(fine.action_space.sample())[-1]["x_position"]
+    before = x
+    *_, info = fine.step(fine.action_space.sample())
+    assert b.data.time == pytest.approx(4 * a.dt)
+    assert info["x_velocity"] * a.dt == pytest.approx(info["x_position"] - before)
+    coarse.close()
+    fine.close()
+
+
+def test_a_refined_batch_is_the_refined_environment():
+    name = "mjgranular/ChainCrawl-v0"
+    one = environments.one(name, {"refine": 2})
+    many = environments.several(name, {"refine": 2}, num_envs=2)
+    first, _ = one.reset(seed=3)
+    both, _ = many.reset(seed=[3, 4])
+    np.testing.assert_array_equal(first, both[0])
+    for k in range(5):
+        action = np.full(6, np.sin(k), np.float32)
+        seen, reward, *_ = one.step(action)
+        all_seen, rewards, *_ = many.step(np.array([action, -action]))
+        np.testing.assert_array_equal(seen, all_seen[0])
+        assert reward == rewards[0]
+
+
+def test_what_cannot_be_refined_says_so():
+    with pytest.raises(InputError, match="refine is for environments of MuJoCo's"):
+        environments.one("CartPole-v1", {"refine": 2})
+    with pytest.raises(InputError, match="refine must be a whole number of at least 1"):
+        environments.one("Swimmer-v5", {"refine": 0.5})
