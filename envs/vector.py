@@ -257,7 +257,7 @@ def _batch_class() -> Any:
         from mujoco.batch import Batch
     except ImportError:
         raise InputError(
-            f"a batch needs MuJoCo 4.0 or later, this is {mujoco.__version__}: "
+            f"a batch needs a MuJoCo with mujoco.batch (3.17, 4.0), this is {mujoco.__version__}: "
             "vectorization_mode='sync' or 'async' does without"
         ) from None
     return Batch

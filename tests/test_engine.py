@@ -194,7 +194,8 @@ def test_runge_kutta_is_of_fourth_order() -> None:
     # Drag alone is smooth; deep down, so that the surface is never crossed.
     spec = Link().spec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    add_sand(spec, law=DepthVelocityLaw(quadratic=1.0), surface=Plane(10.0))
+    law = DepthVelocityLaw(quadratic=1.0)
+    add_sand(spec, law=law, surface=Plane(10.0), scheme="explicit")
     ends = []
     for steps in (10, 20, 40):
         spec.option.timestep = 0.02 / steps
@@ -203,6 +204,16 @@ def test_runge_kutta_is_of_fourth_order() -> None:
         mujoco.mj_step(model, data, steps)
         ends.append(data.qvel[1])
     assert (ends[0] - ends[1]) / (ends[1] - ends[2]) == pytest.approx(16, rel=0.2)
+
+
+@pytest.mark.parametrize("scheme", ["auto", "implicit"])
+def test_runge_kutta_is_refused_by_what_acts_at_the_end_of_the_step(scheme: str) -> None:
+    spec = Link().spec()
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.timestep = 2e-3
+    add_sand(spec, scheme=scheme)
+    with pytest.raises(ValueError, match="set the model's integrator to implicitfast"):
+        mujoco.MjData(spec.compile())
 
 
 def test_two_media_in_two_beds() -> None:

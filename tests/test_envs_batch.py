@@ -14,7 +14,7 @@ from mjgranular.envs import SandVectorEnv, tasks
 from mjgranular.envs.ids import id_of
 from mjgranular.envs.sb3 import SandVecEnv, make_vec_env
 
-pytest.importorskip("mujoco.batch", reason="batches need MuJoCo 4.0")
+pytest.importorskip("mujoco.batch", reason="a MuJoCo without batches")
 
 NUM = 3
 

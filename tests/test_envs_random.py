@@ -15,7 +15,7 @@ from mjgranular.envs.dunes import DUNES, Dunes
 from mjgranular.envs.ids import id_of
 
 batches = pytest.mark.skipif(
-    importlib.util.find_spec("mujoco.batch") is None, reason="batches need MuJoCo 4.0"
+    importlib.util.find_spec("mujoco.batch") is None, reason="a MuJoCo without batches"
 )
 
 EVERYTHING = SandRanges(

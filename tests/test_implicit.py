@@ -1,6 +1,7 @@
 """The implicit scheme: what laws answer it, what it foresees of a step, its order, its state."""
 
 import copy
+import itertools
 import math
 import pickle
 import threading
@@ -22,7 +23,8 @@ from mjgranular import (
     UnstableError,
     media,
 )
-from mjgranular.law.kernel import Pose, grip, new_share
+from mjgranular.law.depth_velocity import DEPTH_VELOCITY_DTYPE, depth_velocity_respond
+from mjgranular.law.kernel import Pose, next_grip
 from mjgranular.models import Link
 from mjgranular.scheme import Implicit
 
@@ -85,6 +87,7 @@ class Drawn:
     """Elements in the sand, in drawn poses, and the kernels of their law."""
 
     def __init__(self, name, seed, geoms=None):
+        self.name = name
         rods = name.startswith("link")
         model = mujoco.MjModel.from_xml_string(
             BODY.format(geoms=geoms or (RODS if rods else SKINS))
@@ -126,11 +129,45 @@ class Drawn:
     def resist(self, immersed, v):
         return np.array(self.kernel.resist(immersed, self.law, G, tuple(v), tuple(v)))
 
-    def respond(self, immersed, v, eps, reach=None, shares=(-1.0, -1.0)):
-        """Force, and minus its derivative."""
-        reach = eps if reach is None else reach
-        answer = self.kernel.respond(immersed, self.law, G, tuple(v), eps, reach, shares)
-        return np.array(answer[:3]), np.array(answer[3:]).reshape(3, 3)
+    def parts(self, immersed, v):
+        """What one limit each opposes: along the normal and the surface for rods, else all."""
+        if not self.name.startswith("link"):
+            return [np.asarray(v)]
+        normal = np.array(immersed[8:11])
+        return [(v @ normal) * normal, v - (v @ normal) * normal]
+
+    def grip(self, immersed, v, eps):
+        """That of a velocity itself, v / sqrt(v^2 + eps^2) for each limit."""
+        return sum(part / math.hypot(*part, eps) for part in self.parts(immersed, v))
+
+    def velocity_of(self, immersed, p, eps):
+        """The other way round."""
+        return sum(
+            eps * part / math.sqrt(1 - part @ part) for part in self.parts(immersed, np.asarray(p))
+        )
+
+    def respond(self, immersed, v, eps, p=None):
+        """Force, minus its derivative, and the bend, by default with the velocity's own grip."""
+        p = self.grip(immersed, v, eps) if p is None else p
+        answer = self.kernel.respond(immersed, self.law, G, tuple(v), tuple(p), eps)
+        return np.array(answer[:3]), np.array(answer[3:12]).reshape(3, 3), answer[12]
+
+    def next_grip(self, immersed, v, p, c, eps):
+        return np.array(self.kernel.grip(immersed, tuple(v), tuple(p), tuple(c), eps))
+
+    def without_drag(self):
+        """Leaves static resistance alone."""
+        self.law = self.law.copy()
+        if self.name == "depth_velocity":
+            self.law["linear"] = self.law["quadratic"] = 0.0
+        if self.name.startswith("link") or self.name == "rft3d_inertia":
+            self.immersed = [(*found[:-1], 0.0) for found in self.immersed]  # drag, inertial push
+        return self
+
+    def inside(self):
+        """Some grip, of any size below one."""
+        p = self.rng.normal(size=3)
+        return p / np.linalg.norm(p) * self.rng.uniform(0.05, 0.95)
 
 
 @pytest.mark.parametrize("name", SANDS)
@@ -143,51 +180,88 @@ def test_in_motion_a_law_answers_both_schemes_alike(name):
         if name in OF_FACETS and abs(normal @ v) < RAMP * np.linalg.norm(v):
             continue
         compared += 1
-        force, _ = drawn.respond(immersed, v, 1e-15)
+        force, _, bend = drawn.respond(immersed, v, 1e-15)
         assert force == pytest.approx(drawn.resist(immersed, v), rel=1e-9, abs=1e-15)
+        assert bend < 1e-25
     assert compared > 40
 
 
+def difference(function, at, step):
+    """Derivative of a function of three numbers by central differences; None at an edge of it."""
+    ahead, back = (
+        np.array([function(at + side * step * axis) for axis in np.eye(3)]) for side in (1, -1)
+    )
+    found = (ahead - back).T / (2 * step)
+    # Stresses have edges: capped friction, facets that begin to lead.
+    bent = abs(ahead + back - 2 * function(at)).max() / step
+    return None if bent > 1e-3 * abs(found).max() else found
+
+
 @pytest.mark.parametrize("name", SANDS)
-def test_derivative_is_that_of_the_force(name):
+def test_with_the_velocitys_own_grip_the_derivative_is_that_of_the_force(name):
     drawn = Drawn(name, 1)
     compared = 0
     for immersed in drawn.immersed:
         v = drawn.velocity()
         speed = np.linalg.norm(v)
         eps = speed * 10 ** drawn.rng.uniform(-2, 1)
-        force, stiffness = drawn.respond(immersed, v, eps)
-        step = 1e-5 * speed
-        ahead, back = (
-            np.array(
-                [drawn.respond(immersed, v + side * step * axis, eps)[0] for axis in np.eye(3)]
-            )
-            for side in (1, -1)
-        )
-        size = abs(stiffness).max()
-        # Stresses have edges: capped friction, facets that begin to lead.
-        if abs(ahead + back - 2 * force).max() > 1e-3 * size * step:
+        _, stiffness, _ = drawn.respond(immersed, v, eps)
+
+        def force(v, immersed=immersed, eps=eps):
+            return drawn.respond(immersed, v, eps)[0]
+
+        found = difference(force, v, 1e-5 * speed)
+        if found is None:
             continue
         compared += 1
-        found = -(ahead - back).T / (2 * step)
         # Measured: 1e-9 for rods and blobs. A facet's derivative by direction is a difference too.
         close = 1e-3 if name in OF_FACETS else 1e-7
-        assert stiffness == pytest.approx(found, rel=0, abs=close * size + 1e-15)
+        size = abs(stiffness).max()
+        assert stiffness == pytest.approx(-found, rel=0, abs=close * size + 1e-15)
     assert compared > 40
+
+
+@pytest.mark.parametrize("name", SANDS)
+def test_with_any_grip_it_is_linear_in_the_next_one(name):
+    # The force F is a function of the grip alone, known from velocities that have it for their own.
+    # After a change c of the velocity the grip is to be q, with sqrt(v^2 + eps^2) p = v linearized:
+    # respond says F(p) + F'(p) (q - p) = force - stiffness c.
+    drawn = Drawn(name, 5).without_drag()
+    compared = 0
+    for immersed in drawn.immersed:
+        v, c, p = drawn.velocity(), drawn.velocity(), drawn.inside()
+        eps = np.linalg.norm(v) * 10 ** drawn.rng.uniform(-2, 1)
+
+        def of_grip(p, immersed=immersed, eps=eps):
+            return drawn.respond(immersed, drawn.velocity_of(immersed, p, eps), eps)[0]
+
+        found = difference(of_grip, p, 1e-6)
+        if found is None:
+            continue
+        compared += 1
+        q = np.zeros(3)
+        for v_part, c_part, p_part in zip(
+            *(drawn.parts(immersed, each) for each in (v, c, p)), strict=True
+        ):
+            size = math.hypot(*v_part, eps)
+            q += (v_part + c_part - p_part * (v_part @ c_part) / size) / size
+        force, stiffness, bend = drawn.respond(immersed, v, eps, p)
+        expected = of_grip(p) + found @ (q - p)
+        scale = abs(found).max() * (1 + np.linalg.norm(q - p))
+        assert force - stiffness @ c == pytest.approx(expected, rel=0, abs=1e-4 * scale + 1e-15)
+        off = p - drawn.grip(immersed, v, eps)
+        assert bend == pytest.approx(off @ off, rel=1e-9, abs=1e-15)
+    assert compared > 30
 
 
 @pytest.mark.parametrize("name", ["rft2d", "rft3d", "depth_velocity"])
 def test_softness_scales_static_resistance(name):
     # limit v / sqrt(v^2 + eps^2), whatever the direction
-    drawn = Drawn(name, 2)
-    if name == "depth_velocity":
-        drawn.law = drawn.law.copy()
-        drawn.law["linear"] = drawn.law["quadratic"] = 0.0
+    drawn = Drawn(name, 2).without_drag()
     for immersed in drawn.immersed:
         v = drawn.velocity()
         eps = np.linalg.norm(v) * 10 ** drawn.rng.uniform(-2, 2)
-        full, _ = drawn.respond(immersed, v, 1e-15)
-        soft, _ = drawn.respond(immersed, v, eps)
+        full, soft = (drawn.respond(immersed, v, e)[0] for e in (1e-15, eps))
         assert soft == pytest.approx(full / math.hypot(1, eps / np.linalg.norm(v)), rel=1e-9)
 
 
@@ -197,68 +271,77 @@ def test_a_soft_force_never_pushes_on(name):
     for immersed in drawn.immersed:
         for eps in (1e-12, 1e-2, 1e2):
             v = drawn.velocity()
-            force, _ = drawn.respond(immersed, v, eps)
+            force, _, _ = drawn.respond(immersed, v, eps)
             assert force @ v <= 1e-12 * np.linalg.norm(force) * np.linalg.norm(v)
 
 
 @pytest.mark.parametrize("name", SANDS)
-def test_speeds_change_as_they_say(name):
+def test_at_rest_all_numbers_are_finite(name):
+    drawn = Drawn(name, 6)
+    for immersed in drawn.immersed:
+        for v, p in itertools.product((np.zeros(3), drawn.velocity()), (np.zeros(3), np.eye(3)[2])):
+            for eps in (1e-12, 1.0):
+                force, stiffness, bend = drawn.respond(immersed, v, eps, p)
+                assert np.isfinite([*force, *stiffness.ravel(), bend]).all()
+                if not v.any():
+                    assert not force.any()
+                c = drawn.velocity()
+                for change in (np.zeros(3), c, -v):
+                    assert np.isfinite(drawn.next_grip(immersed, v, p, change, eps)).all()
+
+
+@pytest.mark.parametrize("name", SANDS)
+def test_a_grip_follows_its_velocity(name):
     drawn = Drawn(name, 4)
     for immersed in drawn.immersed:
-        v, c = drawn.velocity(), drawn.velocity()
-        step = 1e-6 * np.linalg.norm(v) / np.linalg.norm(c)
-        ahead, back = (
-            np.array(drawn.kernel.speeds(immersed, tuple(v + side * step * c), tuple(c))[:2])
-            for side in (1, -1)
-        )
-        change = drawn.kernel.speeds(immersed, tuple(v), tuple(c))[2:]
-        scale = np.linalg.norm(c)
-        assert (ahead - back) / (2 * step) == pytest.approx(change, rel=1e-4, abs=1e-6 * scale)
+        v, c, p = drawn.velocity(), drawn.velocity(), drawn.inside()
+        eps = np.linalg.norm(v) * 10 ** drawn.rng.uniform(-2, 1)
+        # Where nothing changes it is the velocity's own at once; small changes it follows.
+        own = drawn.grip(immersed, v, eps)
+        still = drawn.next_grip(immersed, v, p, np.zeros(3), eps)
+        assert still == pytest.approx(own, rel=1e-12, abs=1e-15)
+        c *= 1e-5 * min(eps, np.linalg.norm(v)) / np.linalg.norm(c)
+        followed = drawn.next_grip(immersed, v, own, c, eps)
+        assert followed == pytest.approx(drawn.grip(immersed, v + c, eps), abs=1e-9)
+        # And no limit is called on for more than there is.
+        q = drawn.next_grip(immersed, v, p, 1e3 * drawn.velocity(), eps)
+        assert all(np.linalg.norm(part) <= 1 + 1e-12 for part in drawn.parts(immersed, q))
 
 
-SPEEDS = st.floats(1e-14, 1e3)
+VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
+GRIPS = st.tuples(*[st.floats(-0.577, 0.577)] * 3)
 
 
-@given(speed=SPEEDS, limit=st.floats(1e-9, 1e4), eps=st.floats(1e-12, 1.0))
-def test_grip_is_a_limit_and_its_derivative(speed, limit, eps):
-    gain, along, across = grip(speed, limit, eps, eps, -1.0)
-    size = math.hypot(speed, eps)
-    assert gain * speed == pytest.approx(limit * speed / size, rel=1e-12)
-    assert gain * speed <= limit * (1 + 1e-15)
-    assert across == gain
-    assert along == pytest.approx(limit * eps**2 / size**3, rel=1e-9)
+@given(v=VECTORS, p=GRIPS, c=VECTORS, eps=st.floats(1e-12, 1.0))
+def test_a_grip_is_never_more_than_one(v, p, c, eps):
+    assert np.linalg.norm(next_grip(v, p, c, eps)) <= 1 + 1e-12
 
 
-@given(speed=SPEEDS, eps=st.floats(1e-12, 1.0))
-def test_the_right_share_gives_the_true_derivative(speed, eps):
-    share = speed / math.hypot(speed, eps)
-    _, true, _ = grip(speed, 1.0, eps, eps, -1.0)
-    _, along, _ = grip(speed, 1.0, eps, eps, share)
-    # 1 - share^2: what is left of the digits of 1
-    assert along == pytest.approx(true, rel=1e-6, abs=1e-15 / math.hypot(speed, eps))
+@given(seed=st.integers(0, 10**6), load=st.floats(0.1, 3.0), softer=st.floats(-6, 2))
+def test_a_step_is_newtons_for_velocity_and_grip(seed, load, softer):
+    # A body of mass m that meets a limit L: m (v - v0) + h L p = h P and sqrt(v^2 + eps^2) p = v,
+    # six equations for v and p, solved without anything being eliminated.
+    rng = np.random.default_rng(seed)
+    m, h, limit = 0.3, 0.01, 2.0
+    push, v0, v = load * limit * rng.normal(size=3), rng.normal(size=3), rng.normal(size=3)
+    p = rng.normal(size=3)
+    p *= rng.uniform() / np.linalg.norm(p)
+    eps = 10**softer
+    size = math.hypot(*v, eps)
+    residual = np.concatenate([m * (v - v0) + h * limit * p - h * push, size * p - v])
+    one = np.eye(3)
+    jacobian = np.block([[m * one, h * limit * one], [np.outer(p, v) / size - one, size * one]])
+    dv, dp = np.split(np.linalg.solve(jacobian, -residual), 2)
 
-
-@given(speed=st.floats(0, 1.0), reach=st.floats(1e-6, 1.0), eps=st.floats(1e-12, 1e-7))
-def test_what_held_is_looked_at_with_the_force_it_had(speed, reach, eps):
-    if speed >= reach:
-        return
-    gain, along, _ = grip(speed, 2.0, eps, reach, -1.0)
-    held = (
-        speed * eps / reach
-    )  # the speed at which the finer softness gives the coarser one's force
-    had = 2.0 * speed / math.hypot(speed, reach)
-    assert 2.0 * held / math.hypot(held, eps) == pytest.approx(had, rel=1e-9)
-    assert gain * speed == pytest.approx(had + along * (speed - held), rel=1e-9, abs=1e-300)
-
-
-@given(
-    speed=SPEEDS,
-    change=st.floats(-1e3, 1e3),
-    eps=st.floats(1e-12, 1.0),
-    share=st.floats(-1.0, 1.0),
-)
-def test_a_share_is_one(speed, change, eps, share):
-    assert 0.0 <= new_share(speed, change, eps, share) <= 1.0
+    law = np.zeros(1, DEPTH_VELOCITY_DTYPE)[0]
+    blob = (1.0, 0.0, 0.0, 0.0, 0.0, limit)
+    answer = depth_velocity_respond(blob, law, G, tuple(v), tuple(p), eps)
+    force, stiffness = np.array(answer[:3]), np.array(answer[3:12]).reshape(3, 3)
+    change = np.linalg.solve(m * one + h * stiffness, h * (push + force) - m * (v - v0))
+    assert change == pytest.approx(dv, rel=1e-9, abs=1e-12)
+    expected = p + dp
+    expected /= max(1.0, np.linalg.norm(expected))
+    assert next_grip(tuple(v), tuple(p), tuple(dv), eps) == pytest.approx(expected, abs=1e-9)
 
 
 # What it foresees: `qvel` after the step is what the solver has found
@@ -358,7 +441,10 @@ def tree(integrator="Euler", root=FREE, joint="", world="", more="", option=""):
 
 
 def surprise(model, steps=40, **options):
-    """Greatest difference between `qvel` and what was foreseen, in parts of the speeds at hand."""
+    """Greatest difference between `qvel` and what was foreseen, in parts of the speeds at hand.
+
+    Beyond what the solver says it has left, which moves the lightest parts most.
+    """
     sand = Sand(model, law=QUADRATIC, scheme="implicit", **options)
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     data.qvel[:] = rng.normal(size=model.nv)
@@ -370,9 +456,10 @@ def surprise(model, steps=40, **options):
         before = data.qvel.copy()
         sand.step(data)
         speed = max(abs(data.qvel).max(), abs(data.qvel - before).max())
-        worst = max(worst, abs(data.qvel - foreseen(sand, data)).max() / speed)
+        left = 100 * account(sand, data)["residual"]  # measured: at most 54
+        worst = max(worst, abs(data.qvel - foreseen(sand, data)).max() / speed - left)
     assert account(sand, data)["steps"] > steps / 2
-    assert account(sand, data)["unfinished"] == 0
+    assert account(sand, data)["worst"] <= 1e-8
     return worst
 
 
@@ -394,11 +481,15 @@ def test_the_step_is_foreseen_with_constraints(case, integrator):
     assert surprise(model) < 1e-8
 
 
+@pytest.mark.parametrize("loss", [0.005, 0.05, 0.5])
+def test_the_step_is_foreseen_at_any_friction_loss(loss):
+    # From one way of sliding to the other: Newton's method alone leaps there for ever.
+    model = tree(joint=f'frictionloss="{loss}"')
+    assert surprise(model, steps=200) < 1e-8
+
+
 @pytest.mark.parametrize("case", CONTACTS)
-def test_the_step_is_foreseen_on_a_floor(case, request):
-    if case == "pyramidal, condim 6":
-        reason = "one step in forty: Newton's method circles among the many rows of the cones"
-        request.applymarker(pytest.mark.xfail(reason=reason))
+def test_the_step_is_foreseen_on_a_floor(case):
     assert surprise(tree(**CONTACTS[case])) < 1e-8
 
 
@@ -429,6 +520,35 @@ def test_eulers_damping_may_be_off():
     model = tree(joint=DAMPED)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
     assert surprise(model) < 1e-9
+
+
+@pytest.mark.parametrize("speed", [0.005, 0.015, 0.0185, 0.0196, 0.03])
+@pytest.mark.parametrize("name", OF_FACETS)
+def test_what_leaves_the_sand_and_turns_back_within_a_step_meets_it(name, speed):
+    # A ball that goes up feels nothing of RFT; gravity would turn it round within the step, and
+    # then the sand holds it.
+    model = world('<body pos="0 0 .04"><freejoint/><geom size=".05" density="100"/></body>')
+    sand, data = sand_of(name, model), mujoco.MjData(model)
+    data.qvel[2] = speed
+    sand.step(data)
+    assert data.qvel[2] == pytest.approx(max(speed - G * model.opt.timestep, 0.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("guess", [1e2, 1e6, 1e30, 1e308, math.nan])
+def test_a_bad_guess_leads_to_the_same_velocity(guess):
+    # The solver starts from the acceleration of the step before, whoever may have written there.
+    model, rng = tree(joint=DAMPED), np.random.default_rng(0)
+    sand = Sand(model, law=QUADRATIC, scheme="implicit")
+    for _ in range(10):
+        found = []
+        qvel = rng.normal(size=model.nv)
+        for number in (0.0, guess):
+            data = mujoco.MjData(model)
+            data.qvel[:], data.qacc_warmstart[:] = qvel, number
+            sand.step(data)
+            assert account(sand, data)["unfinished"] == 0
+            found.append(data.qvel.copy())
+        assert found[0] == pytest.approx(found[1], abs=1e-6)
 
 
 # Order of convergence
@@ -685,7 +805,7 @@ def test_nan_in_a_force_is_named(field):
         sand.step(data)
     kept = data.qpos.copy(), data.qvel.copy()
     getattr(data, field)[...] = math.nan
-    with pytest.raises(UnstableError, match="not finite at t = "):
+    with pytest.raises(UnstableError, match="'blob' at t = 0"):
         sand.step(data)
     assert np.array_equal(data.qpos, kept[0])
     assert np.array_equal(data.qvel, kept[1])

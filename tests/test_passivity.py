@@ -137,20 +137,7 @@ def test_a_step_in_sand_ends_with_less_than_one_without(seed):
         assert with_sand <= without * (1 + 1e-9) + 1e-12
 
 
-UNFORESEEN = {
-    222: "Newton's method stops short in one step of eight of a fast tumble",
-}
-
-
-@pytest.mark.parametrize(
-    "seed",
-    [
-        pytest.param(seed, marks=pytest.mark.xfail(reason=UNFORESEEN[seed]))
-        if seed in UNFORESEEN
-        else seed
-        for seed in range(200, 230)
-    ],
-)
+@pytest.mark.parametrize("seed", range(200, 230))
 def test_random_steps_are_foreseen(seed):
     drawn = Drawn(seed, contacts=False)
     drawn.model.opt.tolerance, drawn.model.opt.iterations = 0, 200

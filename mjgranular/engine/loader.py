@@ -38,6 +38,7 @@ from mjgranular.law import get_law, make_scene
 from mjgranular.medium import media
 from mjgranular.medium.medium import get_medium
 from mjgranular.scheme import Auto, Explicit, get_scheme
+from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Plane
 
@@ -266,7 +267,14 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     law = get_law(given.get("law"), medium)
     surface = given.get("surface") or Plane()
     scheme = get_scheme(given.get("scheme", "auto"))
-    if isinstance(scheme, Auto) and model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+    four_stages = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    if four_stages and not isinstance(scheme, Explicit):
+        if not (isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP):
+            raise InputError(
+                "a force that belongs to the end of the step has no place in the four stages of "
+                "the integrator RK4: set the model's integrator to implicitfast, implicit or "
+                "Euler, or scheme='explicit' with steps of microseconds"
+            )
         scheme = Explicit()
     if isinstance(scheme, Explicit):
         # Between mj_step1 and mj_step2 RK4 is Euler and refused; within mj_step it is itself.

@@ -202,8 +202,13 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
         nx, ny, nz, push = facet[5], facet[6], facet[7], facet[22]
         vx, vy, vz = v
         px, py, pz = p
-        fx, fy, fz, bend = 0.0, 0.0, 0.0, 0.0
+        fx, fy, fz = 0.0, 0.0, 0.0
         k0, k1, k2, k3, k4, k5, k6, k7, k8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        scale = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz + eps * eps)
+        wx, wy, wz = scale * vx, scale * vy, scale * vz
+        # Also where p feels nothing: what trails by its grip may lead by its velocity.
+        dx, dy, dz = wx - px, wy - py, wz - pz
+        bend = dx * dx + dy * dy + dz * dz
         size = math.sqrt(px * px + py * py + pz * pz)
         if size > _STILL:
             ux, uy, uz = px / size, py / size, pz / size
@@ -212,13 +217,9 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
             )
             if sx != 0.0 or sy != 0.0 or sz != 0.0:
                 # p is to become v / sqrt(v^2 + eps^2): the force then, and its derivative.
-                scale = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz + eps * eps)
-                wx, wy, wz = scale * vx, scale * vy, scale * vz
                 fx = k0 * wx + k1 * wy + k2 * wz
                 fy = k3 * wx + k4 * wy + k5 * wz
                 fz = k6 * wx + k7 * wy + k8 * wz
-                dx, dy, dz = wx - px, wy - py, wz - pz
-                bend = dx * dx + dy * dy + dz * dz
                 sx, sy, sz = size * sx, size * sy, size * sz
                 k0, k1, k2 = scale * (sx * wx - k0), scale * (sx * wy - k1), scale * (sx * wz - k2)
                 k3, k4, k5 = scale * (sy * wx - k3), scale * (sy * wy - k4), scale * (sy * wz - k5)

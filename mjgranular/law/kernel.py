@@ -1,10 +1,11 @@
 """What a law computes at every step, and where it is told to compute it.
 
-A law is three scalar kernels over its elements. `immerse` looks at where an element is: depth, the
+A law is four scalar kernels over its elements. `immerse` looks at where an element is: depth, the
 point where force acts, and whatever of the geometry the forces need, as numbers. `resist` gives the
 force at a velocity, for a scheme that takes forces as they come. `respond` gives the force and its
 derivative with rest made soft over a small speed, for a scheme that solves for the velocity at the
-end of the step. The loops over elements belong to the schemes.
+end of the step; `grip` is what that scheme keeps of static resistance on the way. The loops over
+elements belong to the schemes.
 """
 
 from __future__ import annotations
@@ -46,13 +47,16 @@ class LawKernel:
             that `immerse` described, from the velocity of its point [m/s] for what depends on the
             direction of motion (`v`) and for what grows with speed (`d`, which may lead).
         respond: kernel `respond(immersed, law, g, v, p, eps)`, with the numbers of `immersed` in an
-            array, to be taken one by one: force (3), minus its derivative by velocity, row by row
-            (9) [N s/m], and how far `p` is from the velocity's own, squared. Static resistance, which jumps where the motion turns round,
-            is a function of the element's *grip* p = v / sqrt(v^2 + eps^2), which is unknown
-            beside v (see `next_grip`).
+            array, to be taken one by one. Static resistance, which jumps where the motion turns
+            round, is a function of the element's *grip* p = v / sqrt(v^2 + eps^2), which is
+            unknown beside v (see `next_grip`). It gives the force at `v` [N] (3), as it is where
+            the linearized equation for p holds; minus its derivative by velocity, row by row
+            (9) [N s/m]; and the bend, the square of the difference between `p` and the
+            velocity's own grip. Where that is nothing both are the law's.
         grip: kernel `grip(immersed, v, p, c, eps)`: the grip after a step of Newton's method that
             changes the velocity `v` by `c`; `grip_of_all` where one limit holds against motion in
             all directions.
+        numbers: how many `immerse` gives of the geometry, behind the point.
     """
 
     elements: Any

@@ -114,9 +114,15 @@ def link_respond(rod, law, g, v, p, eps):
     ax, ay, az = level * nx, level * ny, level * nz
     return (
         -same * vx - along_n * nx, -same * vy - along_n * ny, -same * vz - along_n * nz,
-        same + ax * nx - px * tx + vx * dx, ax * ny - px * ty + vx * dy, ax * nz - px * tz + vx * dz,
-        ay * nx - py * tx + vy * dx, same + ay * ny - py * ty + vy * dy, ay * nz - py * tz + vy * dz,
-        az * nx - pz * tx + vz * dx, az * ny - pz * ty + vz * dy, same + az * nz - pz * tz + vz * dz,
+        same + ax * nx - px * tx + vx * dx,
+        ax * ny - px * ty + vx * dy,
+        ax * nz - px * tz + vx * dz,
+        ay * nx - py * tx + vy * dx,
+        same + ay * ny - py * ty + vy * dy,
+        ay * nz - py * tz + vy * dz,
+        az * nx - pz * tx + vz * dx,
+        az * ny - pz * ty + vz * dy,
+        same + az * nz - pz * tz + vz * dz,
         bend,
     )  # fmt: skip
 

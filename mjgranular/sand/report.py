@@ -114,9 +114,10 @@ class Solver:
         evaluations: of all forces, in these steps together.
         most: in one step.
         softened: steps that had to make do with a softer rest.
-        unfinished: steps that did not reach the tolerance with that either; their forces are
-            scaled down until they give no energy.
-        residual: of the last step, in parts of the momentum that it moved.
+        unfinished: steps that left more than a millionth of the momentum at hand unbalanced; their
+            forces are scaled down until they give no energy.
+        residual: what the last step left, in parts of the momentum that it moved; infinite where
+            it was not known by the end what holds and what slides.
         worst: of all steps.
     """
 

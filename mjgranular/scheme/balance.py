@@ -27,6 +27,8 @@ rows_of = records(ROWS_DTYPE)
 # Not literals, for each of which numba would compile a function anew.
 _ALL, _LOWER = np.bool_(True), np.bool_(False)
 _ANEW, _MORE = np.bool_(True), np.bool_(False)
+FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
+"""Where grips come from: the velocity itself, a step of Newton's method to it, what is there."""
 
 
 @compiled
@@ -360,13 +362,16 @@ def row_value(desk, room, rows, i, rate):
 
 
 @compiled
-def bound_forces(desk, room, velocity, h):
+def bound_forces(desk, room, velocity, h, grips):
     """Momentum of MuJoCo's constraints at a velocity, and its derivative, added to the matrix.
 
     MuJoCo's constraints are soft: a row's force is a function of the acceleration along it, which
     is, up to damping that the integrator takes implicitly, the change of velocity over the step.
     Equalities, friction losses, limits, and contacts with pyramidal and elliptic cones, as in the
     engine's documentation.
+
+    Returns:
+        The greatest bend of a friction loss (`hold`).
     """
     nv = desk[d.NV]
     bound = floats(room.bound, nv)
@@ -377,8 +382,9 @@ def bound_forces(desk, room, velocity, h):
     count = ints(data + rows.count, 1)[0]
     for j in range(nv):
         bound[j] = 0.0
+    bend = 0.0
     if count == 0:
-        return
+        return bend
     for j in range(nv):
         rate[j] = (velocity[j] - start[j]) / h
     kind = ints(longs(data + rows.kind, 1)[0], count)
@@ -386,6 +392,7 @@ def bound_forces(desk, room, velocity, h):
     mass = floats(longs(data + rows.mass, 1)[0], count)
     reference = floats(longs(data + rows.reference, 1)[0], count)
     owner = ints(longs(data + rows.owner, 1)[0], count)
+    address = room.holds
     i = np.int64(0)  # a literal would be compiled for on its own
     while i < count:
         if kind[i] == _ELLIPTIC:
@@ -399,15 +406,49 @@ def bound_forces(desk, room, velocity, h):
         if kind[i] == _EQUALITY:
             pass
         elif kind[i] <= _FRICTION:
-            if abs(force) > loss[i]:
-                force = math.copysign(loss[i], force)
-                stiff = 0.0
+            force, stiff, turn = hold(floats(address, 2), x, loss[i], mass[i], grips)
+            address += 16
+            bend = max(bend, turn)
         elif x >= 0.0:
             force, stiff = 0.0, 0.0
         if force != 0.0 or stiff != 0.0:
             row, firm = row_at(desk, room, rows, i)
             push(desk, room, row, firm, force, stiff, h)
         i += 1
+    return bend
+
+
+@compiled
+def hold(kept, x, limit, mass, grips):
+    """Friction with a limit, -limit x / max(|x|, limit / mass), and minus its derivative.
+
+    From one side of rest to the other Newton's method could leap for ever, as it could with the
+    sand's: the grip q = -x / max(|x|, limit / mass) is unknown beside x (`law.kernel.next_grip`;
+    for this function M. Hintermueller, G. Stadler, SIAM J. Sci. Comput. 28 (2006)).
+
+    Args:
+        kept: x and q that were last looked at; will be those of now.
+        x: acceleration along the row, less its reference.
+        limit: of the force.
+        mass: that of the row while it holds.
+        grips: `FRESH`, `NEXT`, `SAME`.
+
+    Returns:
+        (force, stiffness, square of the difference of q and the one of x itself).
+    """
+    edge = limit / mass
+    size = max(abs(x), edge)
+    own = -x / size
+    q = own
+    if grips == NEXT:
+        old, q = kept[0], kept[1]
+        growth = math.copysign(x - old, old * (x - old)) if abs(old) > edge else 0.0
+        q = min(max(-(x + growth * q) / max(abs(old), edge), -1.0), 1.0)
+    elif grips == SAME:
+        q = kept[1]
+    kept[0], kept[1] = x, q
+    along = math.copysign(q, q * x) if abs(x) > edge else 0.0
+    return limit * own, limit * (1.0 + along) / size, (q - own) ** 2
 
 
 @compiled

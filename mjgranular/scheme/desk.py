@@ -35,16 +35,16 @@ ACCOUNT_DTYPE = np.dtype(
         ("evaluations", np.int64),  # of forces and derivatives, in all of them
         ("most", np.int64),  # in one step
         ("softened", np.int64),  # steps that made do with a softer rest
-        ("unfinished", np.int64),  # steps that did not reach the tolerance with it either
-        ("residual", np.float64),  # of the last, in parts of the momentum that it moves
+        ("unfinished", np.int64),  # steps that left too much unbalanced
+        ("residual", np.float64),  # of the last, in parts of the momentum that it moves; or inf
         ("worst", np.float64),  # of all
     ]
 )
 account_records = records(ACCOUNT_DTYPE)
 
-# The desk's table: sizes and switches, then addresses. The order is that of `make_desk`. WITHIN is 1
-# where the sand is asked for its forces among MuJoCo's passive ones: those that come after them in
-# the step are not there yet.
+# The desk's table: sizes and switches, then addresses, in the order of `make_desk`. WITHIN is 1
+# where the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the
+# step is not there yet.
 NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN = range(8)
 OF_MODEL = (
     "M_rownnz",
@@ -121,6 +121,7 @@ Room = namedtuple(
         "wet",  # whether a body or one that it carries has an element in the sand
         "rows",  # rows of the constraints, nv numbers each, of the first ROWS_KEPT
         "firms",  # the same as `firm`
+        "holds",  # of friction losses: acceleration last looked at, and the grip there
     ],
 )
 
@@ -129,9 +130,10 @@ ROWS_KEPT = 64
 """Constraint rows that are prepared once a step; more are worked out whenever they are read."""
 
 
-def room_size(nv: int, nbody: int) -> int:
+def room_size(nv: int, nbody: int, ntendon: int) -> int:
     """How many numbers `open_room` divides."""
-    return (15 + 2 * ROWS_KEPT) * nv + 3 * nv * nv + (6 + 6 + 6 + 36 + 1) * nbody
+    of_bodies = (6 + 6 + 6 + 36 + 1) * nbody
+    return (15 + 2 * ROWS_KEPT) * nv + 3 * nv * nv + of_bodies + 2 * (nv + ntendon)
 
 
 @compiled
@@ -152,7 +154,7 @@ def open_room(desk):
         a + 9 * v, a + 10 * v, a + 11 * v, a + 12 * v, a + 13 * v, a + 14 * v,
         b, b + m, b + 2 * m,
         c, c + w, c + 2 * w, c + 3 * w, c + 9 * w,
-        e, e + ROWS_KEPT * v,
+        e, e + ROWS_KEPT * v, e + 2 * ROWS_KEPT * v,
     )  # fmt: skip
 
 
@@ -184,7 +186,7 @@ def make_desk(
         of_data: address of an array of the data by its name.
     """
     wet = np.zeros(elements, WET_DTYPE)
-    numbers = np.zeros(room_size(model.nv, model.nbody))
+    numbers = np.zeros(room_size(model.nv, model.nbody, model.ntendon))
     account = np.zeros(1, ACCOUNT_DTYPE)
     rows = np.array([constraint_rows()], ROWS_DTYPE)
     lone = lone_free_joints(model)

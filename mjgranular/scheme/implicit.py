@@ -12,9 +12,11 @@ v' by Newton's method: nv equations, whatever the number of elements, since what
 body add to the derivative is one 6 x 6 matrix, as if it were inertia.
 
 Rest is made soft over a speed eps far below anything visible: a static force grows to its limit
-over speeds of that size. The solver goes from a coarse eps to the fine one, and what holds keeps
-its force from one to the next. Nothing is carried from step to step: the force is a function of
-MuJoCo's own state, so that what is copied, saved or reset goes on alike, to the last bit.
+over speeds of that size. What part of the limit is called on, the element's grip, is unknown beside
+the velocity, and Newton's method finds both (`law.kernel.next_grip`). It starts from the velocity
+that MuJoCo's last acceleration leads to. Nothing of our own is carried from step to step: the force
+is a function of MuJoCo's state, so that what is copied, saved or reset goes on alike, to the last
+bit.
 """
 
 # What belongs to a body is read when its first element comes, which a type checker cannot follow.
@@ -59,6 +61,9 @@ from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
+    FRESH,
+    NEXT,
+    SAME,
     add_bodies,
     body_motions,
     bound_forces,
@@ -81,15 +86,15 @@ from mjgranular.scheme.wrenches import (
     withdraw_wrenches,
 )
 
-# Speed up to which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at
-# its limit. Beside it, a share of the speeds that cancel in the element's own: a hold finer than
-# their rounding would drown in it, and a coarser one is found in fewer steps. Both chosen, the
-# share by counting evaluations: 1e-7 needs a quarter more.
+# Speed at which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at 0.7
+# of its limit. Beside it, a share of the speeds that cancel in an element's own, the largest of all
+# elements: a hold finer than their rounding would drown in it, and a coarser one is found in fewer
+# steps. Both chosen, the share by counting evaluations: 1e-7 needs a quarter more.
 _SOFT = 1e-12
 _SOFT_SHARE = 1e-5
-# Residuals, in parts of the momentum at hand: at rest, in motion (where rounding in what holds is
-# larger), between two softnesses, where what is left may be one of the law's own jumps, and where
-# not even that. Chosen.
+# Residuals, in parts of the momentum at hand. To be reached: at rest, in motion (where rounding in
+# what holds is larger), between two softnesses. Above them a step is counted as unfinished, and the
+# direct way as lost: what is left between may be one of the law's own jumps. Chosen.
 _AT_REST, _IN_MOTION, _COARSE, _ROUNDED, _LOST = 1e-12, 1e-8, 1e-3, 1e-6, 1e-3
 # Square of the difference of a grip and its velocity's: where the force may be taken for the law's,
 # and where the residual may be trusted to fall along a step. Chosen.
@@ -101,7 +106,6 @@ _STUCK = 4  # steps that do not halve the residual
 _SHORTEST = 0.1  # of a step
 # Of Newton's method; not literals, for each of which numba would compile anew.
 _STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (4, 40, 6))
-_FRESH, _NEXT, _SAME = (np.int64(n) for n in (0, 1, 2))  # where grips come from
 _NO_ENERGY = 1e-14  # [J]
 _NOTHING = 1e-150  # a momentum that may be divided by
 _TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
@@ -113,8 +117,8 @@ class Implicit(Scheme):
     """Forces at the end of the step: holds still, for steps of any size.
 
     Attributes:
-        evaluations: of all forces in one step, after which it makes do with a softer rest for this
-            step, and counts it (`Sand.account`).
+        evaluations: of all forces in one step, after which no finer softness is begun: it makes do
+            with a softer rest for this step, and counts it (`Report.solver`).
     """
 
     name: ClassVar[str] = "implicit"
@@ -172,7 +176,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
     Args:
         kernel: of the law.
         scene_dtype: record of law and surface.
-        most: evaluations in one step.
+        most: evaluations after which no finer softness is begun.
     """
     element_records, immerse = kernel.elements, kernel.immerse
     respond, next_grip = kernel.respond, kernel.grip
@@ -232,8 +236,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             count: of elements in the sand.
             h: time step [s].
             eps: softness [m/s].
-            grips: `_NEXT` those after a step of Newton's method to this velocity, `_SAME` those
-                that are there, `_FRESH` those of the velocity itself with the softness `loose`.
+            grips: `NEXT` those after a step of Newton's method to this velocity, `SAME` those
+                that are there, `FRESH` those of the velocity itself with the softness `loose`.
             loose: see there [m/s].
 
         Returns:
@@ -265,11 +269,11 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
             v = velocity_at(w, x, y, z)
             p = (entry.grip[0], entry.grip[1], entry.grip[2])
-            if grips == _NEXT:
+            if grips == NEXT:
                 u = (entry.velocity[0], entry.velocity[1], entry.velocity[2])
                 c = (v[0] - u[0], v[1] - u[1], v[2] - u[2])
                 p = next_grip(entry.immersed, u, p, c, eps)
-            elif grips == _FRESH:
+            elif grips == FRESH:
                 size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + loose * loose)
                 p = (v[0] / size, v[1] / size, v[2] / size)
             entry.velocity[0], entry.velocity[1], entry.velocity[2] = v[0], v[1], v[2]
@@ -299,7 +303,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             add_row(s, 30, k6, k7, k8, x, y, z)
         weigh(desk, room, velocity, h)
         add_bodies(desk, room, h)
-        bound_forces(desk, room, velocity, h)
+        bend = max(bend, bound_forces(desk, room, velocity, h, grips))
         for j in range(nv):
             residual[j] -= sand[j] + bound[j]
         return norm(residual, room, nv), bend
@@ -340,14 +344,14 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 break
             for j in range(nv):
                 velocity[j] -= change[j]
-            found, bend = evaluate(table, desk, room, velocity, count, h, eps, _NEXT, 0.0)
+            found, bend = evaluate(table, desk, room, velocity, count, h, eps, NEXT, 0.0)
             done += 1
             back = 0.5
             while not found < error and bend < _STRAIGHT and back > _SHORTEST and done <= steps:
                 for j in range(nv):
                     velocity[j] += back * change[j]
                 back *= 0.5
-                found, bend = evaluate(table, desk, room, velocity, count, h, eps, _NEXT, 0.0)
+                found, bend = evaluate(table, desk, room, velocity, count, h, eps, NEXT, 0.0)
                 done += 1
             stuck += bend < _STRAIGHT and not found < 0.5 * error
             error = found
@@ -373,7 +377,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             fastest = max(fastest, v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
         if math.sqrt(fastest) < _SLOW * coarse:
             # At rest what was is what will be.
-            done, error = newton(table, desk, room, count, h, fine, _FRESH, fine, goal, _STEPS_NEAR)
+            done, error = newton(table, desk, room, count, h, fine, FRESH, fine, goal, _STEPS_NEAR)
             if error <= goal:
                 return done, error / scale, fine
 
@@ -385,7 +389,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for j in range(nv):
             velocity[j] = start[j] + h * before[j] if known else start[j]
         loose = max(coarse, fine)
-        more, error = newton(table, desk, room, count, h, fine, _FRESH, loose, goal, _STEPS)
+        more, error = newton(table, desk, room, count, h, fine, FRESH, loose, goal, _STEPS)
         done += more
         if error <= _LOST * scale:
             return done, error / scale, fine
@@ -393,13 +397,13 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         # Lost: from a coarse softness to the fine one. What holds keeps its grip.
         copy(velocity, start)
         eps = loose
-        grips = _FRESH
+        grips = FRESH
         while eps > fine and done < most:
             more, _ = newton(
                 table, desk, room, count, h, eps, grips, eps, _COARSE * scale, _STEPS_COARSE
             )
             done += more
-            grips = _SAME
+            grips = SAME
             eps = max(_FINER * eps, fine)
         more, error = newton(table, desk, room, count, h, eps, grips, eps, goal, _STEPS)
         return done + more, error / scale, eps
