@@ -382,7 +382,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         loose = max(coarse, fine)
         more, error = newton(table, desk, room, count, h, fine, FRESH, loose, goal, _STEPS)
         done += more
-        if goal < error < math.inf:
+        if goal < error <= _LOST * scale:
             # What begins to move in this step is rounded more than its velocity before can say.
             moved = softness(desk, wet, count, velocity)
             if moved > _BEGUN * fine:
