@@ -102,6 +102,7 @@ _BEND, _STRAIGHT = 1e-8, 1e-6
 # In parts of what the step would change without sand: speeds of which all elements may be at rest.
 _SLOW = 1e-3
 _FINER = 1e-2  # from one softness to the next, where the direct way is lost
+_BEGUN = 10.0  # how much softer a hold may be at the velocity found for that to be tried
 _STUCK = 4  # steps that do not halve the residual
 _SHORTEST = 0.1  # of a step
 # Of Newton's method; not literals, for each of which numba would compile anew.
@@ -362,14 +363,15 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         """Solves for the velocity at the end of the step.
 
         Returns:
-            (evaluations, residual in parts of `scale`, the softness that was reached).
+            (evaluations, residual in parts of `scale`, the softness that was reached, the one that
+            was sought).
         """
         nv = desk[d.NV]
         velocity = floats(room.velocity, nv)
         start = floats(room.start, nv)
         before = floats(desk[d.WARMSTART], nv)
         wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
-        goal = (_AT_REST + _IN_MOTION * (fine - _SOFT) / fine) * scale
+        goal = goal_of(fine) * scale
         done = 0
         fastest = 0.0
         for i in range(count):
@@ -379,7 +381,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             # At rest what was is what will be.
             done, error = newton(table, desk, room, count, h, fine, FRESH, fine, goal, _STEPS_NEAR)
             if error <= goal:
-                return done, error / scale, fine
+                return done, error / scale, fine, fine
 
         # In motion the last acceleration, which is part of MuJoCo's state, is a good guess. What is
         # slower than the step may change is not taken to slide.
@@ -391,8 +393,19 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         loose = max(coarse, fine)
         more, error = newton(table, desk, room, count, h, fine, FRESH, loose, goal, _STEPS)
         done += more
+        if goal < error <= _LOST * scale:
+            # What begins to move in this step is rounded more than its velocity before can say.
+            moved = softness(desk, wet, count, velocity)
+            if moved > _BEGUN * fine:
+                fine = moved
+                goal = goal_of(fine) * scale
+                loose = max(coarse, fine)
+                more, error = newton(
+                    table, desk, room, count, h, fine, SAME, fine, goal, _STEPS_COARSE
+                )
+                done += more
         if error <= _LOST * scale:
-            return done, error / scale, fine
+            return done, error / scale, fine, fine
 
         # Lost: from a coarse softness to the fine one. What holds keeps its grip.
         copy(velocity, start)
@@ -406,7 +419,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             grips = SAME
             eps = max(_FINER * eps, fine)
         more, error = newton(table, desk, room, count, h, eps, grips, eps, goal, _STEPS)
-        return done + more, error / scale, eps
+        return done + more, error / scale, eps, fine
 
     @compiled
     def program(address, lead):
@@ -426,7 +439,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
             coarse, fine, scale = begin(desk, room, wet, count, lead)
             scale = max(scale, _NOTHING)
-            done, error, soft = find_velocity(table, desk, room, count, lead, coarse, fine, scale)
+            done, error, soft, fine = find_velocity(
+                table, desk, room, count, lead, coarse, fine, scale
+            )
             share = 1.0
             if power_bound(desk, room, error, scale) > _NO_ENERGY:
                 share = passive_share(desk, room, lead)
@@ -447,6 +462,12 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         return add_wrenches(table)
 
     return program
+
+
+@compiled
+def goal_of(fine):
+    """Residual to be reached, in parts of the momentum at hand."""
+    return _AT_REST + _IN_MOTION * (fine - _SOFT) / fine
 
 
 @compiled
@@ -490,10 +511,7 @@ def begin(desk, room, wet, count, h):
     qvel = floats(desk[d.QVEL], nv)
     smooth = floats(desk[d.SMOOTH], nv)
     acceleration = floats(desk[d.ACCELERATION], nv)
-    cdof = floats(desk[d.CDOF], 6 * nv)
     parents = ints(desk[d.BODY_PARENT], nbody)
-    dof_parent = ints(desk[d.DOF_PARENT], nv)
-    first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
     prepare_inertia(desk, room, h)
     prepare_rows(desk, room)
     clear(room_wet)
@@ -514,8 +532,7 @@ def begin(desk, room, wet, count, h):
     # How much the elements' velocities would change in the step without sand: what is slower than
     # that may stop.
     body_motions(desk, room, trial)
-    coarse, large = 0.0, 0.0
-    last = -1
+    coarse = 0.0
     for i in range(count):
         entry = wet[i]
         b = 6 * entry.body
@@ -523,22 +540,40 @@ def begin(desk, room, wet, count, h):
         x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
         vx, vy, vz = velocity_at(w, x, y, z)
         coarse = max(coarse, vx * vx + vy * vy + vz * vz)
-        if entry.body != last:
-            # Velocities of joints that cancel in that of a body: the rounding of its rest.
-            last = entry.body
-            arm = abs(x) + abs(y) + abs(z)
-            body = last
-            while body > 0 and number[body] == 0:
-                body = parents[body]
-            dof = first[body] + number[body] - 1 if body > 0 else -1
-            total = 0.0
-            while dof >= 0:
-                c = cdof[6 * dof : 6 * dof + 6]
-                turning = abs(c[0]) + abs(c[1]) + abs(c[2])
-                total += abs(qvel[dof]) * (arm * turning + abs(c[3]) + abs(c[4]) + abs(c[5]))
-                dof = dof_parent[dof]
-            large = max(large, total)
-    return math.sqrt(coarse), _SOFT + _SOFT_SHARE * large, size
+    return math.sqrt(coarse), softness(desk, wet, count, qvel), size
+
+
+@compiled
+def softness(desk, wet, count, velocity):
+    """The fine softness at a velocity [m/s].
+
+    With it grow the velocities of joints that cancel in that of a body: the rounding of its rest.
+    """
+    nv, nbody = desk[d.NV], desk[d.NBODY]
+    cdof = floats(desk[d.CDOF], 6 * nv)
+    parents = ints(desk[d.BODY_PARENT], nbody)
+    dof_parent = ints(desk[d.DOF_PARENT], nv)
+    first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
+    large = 0.0
+    last = -1
+    for i in range(count):
+        entry = wet[i]
+        if entry.body == last:
+            continue
+        last = entry.body
+        arm = abs(entry.arm[0]) + abs(entry.arm[1]) + abs(entry.arm[2])
+        body = last
+        while body > 0 and number[body] == 0:
+            body = parents[body]
+        dof = first[body] + number[body] - 1 if body > 0 else -1
+        total = 0.0
+        while dof >= 0:
+            c = cdof[6 * dof : 6 * dof + 6]
+            turning = abs(c[0]) + abs(c[1]) + abs(c[2])
+            total += abs(velocity[dof]) * (arm * turning + abs(c[3]) + abs(c[4]) + abs(c[5]))
+            dof = dof_parent[dof]
+        large = max(large, total)
+    return _SOFT + _SOFT_SHARE * large
 
 
 @compiled
