@@ -89,13 +89,14 @@ from mjgranular.scheme.wrenches import (
 # Speed at which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at 0.7
 # of its limit. Beside it, a share of the speeds that cancel in an element's own, the largest of all
 # elements: a hold finer than their rounding would drown in it, and a coarser one is found in fewer
-# steps. Both chosen, the share by counting evaluations: 1e-7 needs a quarter more.
+# steps. Both chosen, the share by counting evaluations: 1e-5 needs a sixth less in motion, and twice
+# as many where robots come to rest, because it lets them creep.
 _SOFT = 1e-12
-_SOFT_SHARE = 1e-5
+_SOFT_SHARE = 1e-6
 # Residuals, in parts of the momentum at hand. To be reached: at rest, in motion (where rounding in
 # what holds is larger), between two softnesses. Above them a step is counted as unfinished, and the
 # direct way as lost: what is left between may be one of the law's own jumps. Chosen.
-_AT_REST, _IN_MOTION, _COARSE, _ROUNDED, _LOST = 1e-12, 1e-8, 1e-3, 1e-6, 1e-3
+_AT_REST, _IN_MOTION, _COARSE, _ROUNDED, _LOST = 1e-12, 1e-9, 1e-3, 1e-6, 1e-3
 # Square of the difference of a grip and its velocity's: where the force may be taken for the law's,
 # and where the residual may be trusted to fall along a step. Chosen.
 _BEND, _STRAIGHT = 1e-8, 1e-6
