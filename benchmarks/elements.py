@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 from measure import Case, Group
@@ -26,7 +27,9 @@ def _ball(scheme: str, resolution: int | None, height: float) -> Case:
     spec = mujoco.MjSpec.from_string(_BALL)
     bare = spec.compile()
     law = mjgranular.DepthVelocityLaw(stiffness=100.0, quadratic=1.0)
-    arguments = {"law": law} if resolution is None else {"law": "rft3d", "resolution": resolution}
+    arguments: dict[str, Any] = (
+        {"law": law} if resolution is None else {"law": "rft3d", "resolution": resolution}
+    )
     arguments |= {"medium": _MEDIUM, "surface": Plane(height), "scheme": scheme}
     count = len(Sand(bare, **arguments).elements)
     mjgranular.add_sand(spec, **arguments)

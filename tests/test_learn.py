@@ -557,6 +557,7 @@ def test_refined_environments_have_shorter_substeps_and_the_same_steps(name):
     assert b.model.opt.timestep == a.model.opt.timestep / 4
     assert b.dt == pytest.approx(a.dt)
     fine.reset(seed=0)
+    x = 0.0
     for _ in range(3):
         x = fine.step(fine.action_space.sample())[-1]["x_position"]
     before = x
