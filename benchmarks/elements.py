@@ -27,9 +27,9 @@ def _ball(scheme: str, resolution: int | None, height: float) -> Case:
     spec = mujoco.MjSpec.from_string(_BALL)
     bare = spec.compile()
     law = mjgranular.DepthVelocityLaw(stiffness=100.0, quadratic=1.0)
-    arguments: dict[str, Any] = (
-        {"law": law} if resolution is None else {"law": "rft3d", "resolution": resolution}
-    )
+    arguments: dict[str, Any] = {"law": law}
+    if resolution is not None:
+        arguments = {"law": "rft3d", "resolution": resolution}
     arguments |= {"medium": _MEDIUM, "surface": Plane(height), "scheme": scheme}
     count = len(Sand(bare, **arguments).elements)
     mjgranular.add_sand(spec, **arguments)
