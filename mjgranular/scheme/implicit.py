@@ -86,11 +86,11 @@ from mjgranular.scheme.wrenches import (
     withdraw_wrenches,
 )
 
-# Speed at which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at 0.7
-# of its limit. Beside it, a share of the speeds that cancel in an element's own, the largest of all
-# elements: a hold finer than their rounding would drown in it, and a coarser one is found in fewer
-# steps. Both chosen, the share by counting evaluations: 1e-5 needs a sixth less in motion, and twice
-# as many where robots come to rest, because it lets them creep.
+# Speed at which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at
+# 0.7 of its limit. Beside it, a share of the speeds that cancel in an element's own, the largest
+# of all elements: a hold finer than their rounding would drown in it, and a coarser one is found
+# in fewer steps. Both chosen, the share by counting evaluations: 1e-5 needs a sixth less in
+# motion, and twice as many where robots come to rest, because it lets them creep.
 _SOFT = 1e-12
 _SOFT_SHARE = 1e-6
 # Residuals, in parts of the momentum at hand. To be reached: at rest, in motion (where rounding in
