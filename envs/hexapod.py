@@ -28,7 +28,8 @@ class Hexapod(Task):
     ## Action Space
     `Box(-1, 1, (12,), float32)`: angles that the servos go to, in units of 0.6 rad; for each leg
     (front, middle, rear on the left, then on the right) its hip, positive with the foot going
-    ahead, and its knee, positive with the foot going up.
+    ahead, and its knee, positive with the foot going up. A servo gives 12 N m for each rad that it
+    is off, up to 1.5 N m at rest and nothing at 6 rad/s: chosen, as robot servos of 50 g do.
 
     ## Observation Space
     `Box(-inf, inf, (35,), float64)`: height of the torso over the level ground [m], its orientation
