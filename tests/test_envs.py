@@ -19,6 +19,7 @@ from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
 from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ids import id_of
+from mjgranular.learn import environments
 from mjgranular.models import Link
 
 ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid")
@@ -236,11 +237,11 @@ def test_a_wave_from_the_tail_swims_backwards_as_fast(frequency):
      ("Hexapod", 1.5), ("Hexapod", 3.0)],
 )  # fmt: skip
 def test_gaits_are_as_fast_in_steps_half_as_long(name, frequency):
-    given = {} if name == "Hexapod" else {"reset_noise_scale": 0}
-    coarse = SandEnv(name, **given)
-    fine = SandEnv(name, frame_skip=2 * coarse.task.frame_skip, **given)
-    fine.model.opt.timestep /= 2
-    assert fine.dt == pytest.approx(coarse.dt)
+    coarse, fine = (
+        environments.one(id_of(name), {"refine": times, "reset_noise_scale": 0.0}).unwrapped
+        for times in (1, 2)
+    )
+    assert fine.model.opt.timestep == coarse.model.opt.timestep / 2
     first, second = (speed(env, gait(env.task, frequency=frequency)) for env in (coarse, fine))
     assert first == pytest.approx(second, rel=0.08)
 
