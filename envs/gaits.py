@@ -46,7 +46,7 @@ class TravellingWave(Gait):
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "amplitude": (0.2, 1.0),
-        "frequency": (0.5, 10.0),
+        "frequency": (0.5, 6.0),
         "waves": (0.5, 2.0),
     }
 
