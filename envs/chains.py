@@ -119,7 +119,7 @@ class ChainSwim(_Chain):
     `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `reset_noise_scale=0.1`,
     `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here Quikrete medium sand
     under three-dimensional resistive force theory, randomised sand and so on. The default
-    resolution is 3; at a fine one a wave gets 12 % less far (docs/environments.md).
+    resolution is 3; at a fine one a wave gets 13 % less far (docs/environments.md).
 
     ## Version History
     v0: first.
@@ -189,7 +189,7 @@ class ChainCrawl(_Chain):
     ## Arguments
     `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `reset_noise_scale=0.05`,
     `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here loosely packed poppy
-    seed, randomised sand and so on. At a finer resolution than the default of 4 a wave gets 10 %
+    seed, randomised sand and so on. At a finer resolution than the default of 4 a wave gets 16 %
     less far.
 
     ## Version History
