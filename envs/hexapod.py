@@ -51,7 +51,7 @@ class Hexapod(Task):
 
     ## Arguments
     `forward_reward_weight=5`, `ctrl_cost_weight=0.005`, `healthy_reward=0.1`,
-    `reset_noise_scale=0.05`, `frame_skip=4` substeps of 10 ms, and those of `Task`: the medium,
+    `reset_noise_scale=0.05`, `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium,
     here loosely packed poppy seed, randomised sand and so on. The default resolution is 2: the way
     of a tripod gait is 3 % off that at a fine one.
 
@@ -72,7 +72,7 @@ class Hexapod(Task):
     healthy_reward: float = 0.1
     reset_noise_scale: float = 0.05
     resolution: int | None = 2
-    frame_skip: int = 4
+    frame_skip: int = 8
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -92,7 +92,7 @@ class Hexapod(Task):
         return np.array([self.body.swing, self.body.lift] * 6)
 
     def robot(self) -> mujoco.MjSpec:
-        return self.body.spec(0.01)
+        return self.body.spec(0.005)
 
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         noise, body = self.reset_noise_scale, self.body

@@ -82,7 +82,7 @@ def robots():
     return [
         pytest.param(level.spec(0.005), level.straight(), 1.0, id="level worm"),
         pytest.param(upright.spec(0.005), upright.straight(), 1.0, id="upright worm"),
-        pytest.param(robot.spec(0.01), robot.start(), 0.6, id="hexapod"),
+        pytest.param(robot.spec(0.005), robot.start(), 0.6, id="hexapod"),
     ]
 
 
