@@ -27,7 +27,7 @@ class _Chain(Task):
     forward_reward_weight: float = 1.0
     ctrl_cost_weight: float = 0.005
     reset_noise_scale: float = 0.1
-    frame_skip: int = 4
+    frame_skip: int = 8
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,6 +60,15 @@ class _Chain(Task):
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return {"x_velocity": (state.subtree_com[:, 1, 0] - before[:, 0]) / self.dt}
 
+    def _seen(self, state: State, first: int) -> np.ndarray:
+        """Positions from the one of that number on, then velocities; joints from head to tail."""
+        order = [0, 1, 2, *self.worm.order]
+        # `take` lays rows one after another in memory; an index would not.
+        return np.concatenate(
+            [np.take(state.qpos, order[first:], axis=1), np.take(state.qvel, order, axis=1)],
+            axis=1,
+        )
+
     def _bent(self, random: np.random.Generator) -> Start:
         """The straight worm, its angles off by the noise, its joints turning as much."""
         noise = self.reset_noise_scale
@@ -84,12 +93,13 @@ class ChainSwim(_Chain):
     ## Action Space
     `Box(-1, 1, (links - 1,), float32)`: angles that servos at the joints go to, in units of 1 rad,
     from the head to the tail, anticlockwise seen from above. A servo gives 5 N m for each rad
-    that it is off.
+    that it is off, up to 1 N m at rest and nothing at 8 rad/s: chosen, as strong as sand asks for
+    at this depth, which is more than a servo of this size has.
 
     ## Observation Space
-    `Box(-inf, inf, (2 links + 2,), float64)`: the head link's heading against the x axis and the
-    joints' angles [rad]; velocities of the head link's centre along x and y [m/s], of its heading
-    and of the joints [rad/s].
+    `Box(-inf, inf, (2 links + 2,), float64)`: the middle link's heading against the x axis and the
+    joints' angles [rad], from the head to the tail; velocities of the middle link's centre along x
+    and y [m/s], of its heading and of the joints [rad/s].
 
     ## Rewards
     - `reward_forward`: way of the mass centre along x, in body lengths per second, times
@@ -107,9 +117,9 @@ class ChainSwim(_Chain):
 
     ## Arguments
     `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `reset_noise_scale=0.1`,
-    `frame_skip=4` substeps of 0.01 s, and those of `Task`: the medium, here Quikrete medium sand
+    `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here Quikrete medium sand
     under three-dimensional resistive force theory, randomised sand and so on. The default
-    resolution is 3; at a fine one a wave gets 12 % less far (docs/environments.md).
+    resolution is 3; at a fine one a wave gets 13 % less far (docs/environments.md).
 
     ## Version History
     v0: first.
@@ -121,7 +131,7 @@ class ChainSwim(_Chain):
     tile: ClassVar[float] = 0.1
     dunes: ClassVar[Dunes] = Dunes(wavelength=1.0, extent=5.0)
     camera: ClassVar[dict[str, Any]] = {
-        "trackbodyid": 4, "distance": 0.35, "azimuth": 90.0, "elevation": -55.0,
+        "trackbodyid": 1, "distance": 0.35, "azimuth": 90.0, "elevation": -55.0,
     }  # fmt: skip
 
     resolution: int | None = 3
@@ -131,13 +141,13 @@ class ChainSwim(_Chain):
         return Worm(self.links)
 
     def robot(self) -> mujoco.MjSpec:
-        return self.worm.spec(0.01)
+        return self.worm.spec(0.005)
 
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         return self._bent(random)
 
     def observe(self, state: State) -> np.ndarray:
-        return np.concatenate([state.qpos[:, 2:], state.qvel], axis=1)
+        return self._seen(state, 2)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
         centre = state.subtree_com[:, 1]
@@ -155,13 +165,14 @@ class ChainCrawl(_Chain):
 
     ## Action Space
     `Box(-1, 1, (links - 1,), float32)`: angles that servos at the joints go to, in units of 1 rad,
-    from the head to the tail; positive ones lift the middle of the body. A servo gives 60 N m for
-    each rad that it is off.
+    from the head to the tail; positive ones lift the middle of the body. A servo gives 20 N m for
+    each rad that it is off, up to 4 N m at rest and nothing at 5 rad/s: chosen, about what robot
+    servos of 80 g do, one of which fits into each link.
 
     ## Observation Space
-    `Box(-inf, inf, (2 links + 3,), float64)`: height of the head link's centre [m]; its angle from
-    level, positive with the head up, and the joints' angles [rad]; its velocities along x and z
-    [m/s]; their angular velocities [rad/s].
+    `Box(-inf, inf, (2 links + 3,), float64)`: height of the middle link's centre [m]; its angle
+    from level, positive with the head up, and the joints' angles [rad], from the head to the tail;
+    its velocities along x and z [m/s]; their angular velocities [rad/s].
 
     ## Rewards
     - `reward_forward`: way of the mass centre along x, in body lengths per second, times
@@ -178,7 +189,7 @@ class ChainCrawl(_Chain):
     ## Arguments
     `links=7`, `forward_reward_weight=1`, `ctrl_cost_weight=0.005`, `reset_noise_scale=0.05`,
     `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium, here loosely packed poppy
-    seed, randomised sand and so on. At a finer resolution than the default of 4 a wave gets 10 %
+    seed, randomised sand and so on. At a finer resolution than the default of 4 a wave gets 16 %
     less far.
 
     ## Version History
@@ -189,12 +200,11 @@ class ChainCrawl(_Chain):
     episode: ClassVar[int] = 500
     dunes: ClassVar[Dunes] = Dunes(wavelength=2.0, extent=20.0)
     camera: ClassVar[dict[str, Any]] = {
-        "trackbodyid": 4, "distance": 1.4, "azimuth": 90.0, "elevation": -12.0,
+        "trackbodyid": 1, "distance": 1.4, "azimuth": 90.0, "elevation": -12.0,
     }  # fmt: skip
 
     medium: str | Path | Medium = "poppy_seed_loose"
     reset_noise_scale: float = 0.05
-    frame_skip: int = 8
 
     @cached_property
     def worm(self) -> Worm:
@@ -203,8 +213,9 @@ class ChainCrawl(_Chain):
             length=0.6,
             width=0.04,
             posture="upright",
-            stiffness=60.0,
-            lag=0.03,
+            stiffness=20.0,
+            torque=4.0,
+            speed=5.0,
             armature=1e-3,
         )
 
@@ -213,12 +224,13 @@ class ChainCrawl(_Chain):
 
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         start = self._bent(random)
-        half = self.worm.step / 2
-        start.qpos[1] += max(height(half - i * self.worm.step, 0.0) for i in range(self.links + 1))
+        worm = self.worm
+        front = (worm.root + 0.5) * worm.step  # its root is at x = 0
+        start.qpos[1] += max(height(front - i * worm.step, 0.0) for i in range(self.links + 1))
         return start
 
     def observe(self, state: State) -> np.ndarray:
-        seen = np.concatenate([state.qpos[:, 1:], state.qvel], axis=1)
+        seen = self._seen(state, 1)
         seen[:, 1] += np.pi / 2
         return seen
 

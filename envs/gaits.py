@@ -46,7 +46,7 @@ class TravellingWave(Gait):
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "amplitude": (0.2, 1.0),
-        "frequency": (0.5, 3.0),
+        "frequency": (0.5, 6.0),
         "waves": (0.5, 2.0),
     }
 
@@ -67,7 +67,7 @@ class CrawlingWave(TravellingWave):
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "amplitude": (0.2, 1.0),
-        "frequency": (0.5, 3.0),
+        "frequency": (0.5, 6.0),
         "waves": (-2.0, 2.0),
         "offset": (-0.4, 0.4),
     }
@@ -94,7 +94,7 @@ class Tripod(Gait):
         "stride": (0.2, 1.0),
         "lift": (0.1, 1.0),
         "press": (0.0, 0.6),
-        "frequency": (0.5, 3.0),
+        "frequency": (0.5, 6.0),
         "duty": (0.4, 0.7),
     }
 

@@ -28,7 +28,8 @@ class Hexapod(Task):
     ## Action Space
     `Box(-1, 1, (12,), float32)`: angles that the servos go to, in units of 0.6 rad; for each leg
     (front, middle, rear on the left, then on the right) its hip, positive with the foot going
-    ahead, and its knee, positive with the foot going up.
+    ahead, and its knee, positive with the foot going up. A servo gives 12 N m for each rad that it
+    is off, up to 1.5 N m at rest and nothing at 6 rad/s: chosen, as robot servos of 50 g do.
 
     ## Observation Space
     `Box(-inf, inf, (35,), float64)`: height of the torso over the level ground [m], its orientation
@@ -50,7 +51,7 @@ class Hexapod(Task):
 
     ## Arguments
     `forward_reward_weight=5`, `ctrl_cost_weight=0.005`, `healthy_reward=0.1`,
-    `reset_noise_scale=0.05`, `frame_skip=4` substeps of 10 ms, and those of `Task`: the medium,
+    `reset_noise_scale=0.05`, `frame_skip=8` substeps of 5 ms, and those of `Task`: the medium,
     here loosely packed poppy seed, randomised sand and so on. The default resolution is 2: the way
     of a tripod gait is 3 % off that at a fine one.
 
@@ -71,7 +72,7 @@ class Hexapod(Task):
     healthy_reward: float = 0.1
     reset_noise_scale: float = 0.05
     resolution: int | None = 2
-    frame_skip: int = 4
+    frame_skip: int = 8
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,7 +92,7 @@ class Hexapod(Task):
         return np.array([self.body.swing, self.body.lift] * 6)
 
     def robot(self) -> mujoco.MjSpec:
-        return self.body.spec(0.01)
+        return self.body.spec(0.005)
 
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
         noise, body = self.reset_noise_scale, self.body

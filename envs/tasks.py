@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 from mjgranular.envs.task import Task
@@ -24,7 +25,7 @@ def get_task(task: str | Task, options: dict[str, Any]) -> Task:
             raise InputError(f"a task has its options already: {', '.join(options)}")
         return task
     cls = tasks[task]
-    known = list(cls.__dataclass_fields__)
+    known = [item.name for item in fields(cls)]
     for name in options:
         if name not in known:
             raise InputError(f"{task} has no option {name!r}; it has: {', '.join(known)}")

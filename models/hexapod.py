@@ -26,6 +26,10 @@ class Hexapod:
     going ahead on either side, and `<leg>_lift`, positive with the foot going up. Parts of the
     robot do not touch each other.
 
+    Torque is the servo's, up to its stall torque either way, less `torque / speed` times the
+    joint's speed: together the straight line from stall torque to no-load speed of a direct-current
+    motor.
+
     Attributes:
         length: of the torso [m].
         width: of the torso [m].
@@ -39,7 +43,8 @@ class Hexapod:
         swing: greatest angle that a hip is asked for, either way [rad].
         lift: greatest angle that a knee is asked for, either way [rad].
         stiffness: gain of a servo [N m/rad].
-        lag: time in which an unloaded servo comes closer by a factor e [s].
+        torque: stall torque of a servo [N m].
+        speed: of an unloaded servo [rad/s].
         armature: inertia of a servo's rotor, at the joint [kg m^2].
 
     Raises:
@@ -58,7 +63,8 @@ class Hexapod:
     swing: float = 0.6
     lift: float = 0.6
     stiffness: float = 12.0
-    lag: float = 0.03
+    torque: float = 1.5
+    speed: float = 6.0
     armature: float = 2e-3
 
     def __post_init__(self) -> None:
@@ -133,6 +139,7 @@ class Hexapod:
                 name=f"{leg}_{name}",
                 type=mujoco.mjtJoint.mjJNT_HINGE,
                 axis=axis,
+                damping=[self.torque / self.speed, 0, 0],
                 armature=self.armature,
             )
             geom = body.add_geom(
@@ -161,5 +168,6 @@ class Hexapod:
                 target=f"{leg}_{name}",
                 trntype=mujoco.mjtTrn.mjTRN_JOINT,
             )
-            servo.set_to_position(kp=self.stiffness, kv=self.stiffness * self.lag)
+            servo.set_to_position(kp=self.stiffness)
             servo.ctrllimited, servo.ctrlrange = True, [-limit, limit]
+            servo.forcelimited, servo.forcerange = True, [-self.torque, self.torque]

@@ -24,7 +24,16 @@ class Worm:
 
     A level worm is free in the level plane at a depth and nowhere else; its joints turn about z. An
     upright one is free in the plane y = 0, and its joints turn about -y. Both have their head
-    ahead, at +x; joints are named as `Chain` names them.
+    ahead, at +x. The tree of bodies begins at the middle link, whose centre moves on slides `x` and
+    `y` or `z` and turns by `q0`; a joint `qi` between links i - 1 and i, counted from the head, is
+    the angle of the latter to the former. A time step moves the root along a straight line and
+    all else about it: with the root in the middle the faults of both halves cancel, while from the
+    head they drive the whole worm one way.
+
+    Torque is the servo's, up to its stall torque either way, less `torque / speed` times the
+    joint's speed: together the straight line from stall torque to no-load speed of a direct-current
+    motor. All values are chosen, not measured; those of a level worm let one of a sandfish's size
+    swim, and are more than a servo of that size has.
 
     Attributes:
         count: number of links.
@@ -34,8 +43,9 @@ class Worm:
         posture: "level" or "upright".
         depth: of the axis of a level worm [m].
         bend: greatest angle that a servo is asked for, either way [rad].
-        stiffness: gain of a servo [N m/rad]; its torque has no other limit.
-        lag: time in which an unloaded servo comes closer by a factor e [s].
+        stiffness: gain of a servo [N m/rad].
+        torque: stall torque of a servo [N m].
+        speed: of an unloaded servo [rad/s].
         armature: inertia of a servo's rotor, at the joint [kg m^2].
 
     Raises:
@@ -50,8 +60,9 @@ class Worm:
     depth: float = 0.048
     bend: float = 1.0
     stiffness: float = 5.0
-    lag: float = 0.02
-    armature: float = 1e-5
+    torque: float = 1.0
+    speed: float = 8.0
+    armature: float = 1e-4
 
     def __post_init__(self) -> None:
         if not isinstance(self.count, int) or isinstance(self.count, bool) or self.count < 1:
@@ -61,7 +72,7 @@ class Worm:
                 f"the worm's posture must be one of {', '.join(get_args(Posture))}, "
                 f"not {self.posture!r}"
             )
-        for name in ("length", "width", "density", "bend", "stiffness", "lag"):
+        for name in ("length", "width", "density", "bend", "stiffness", "torque", "speed"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"the worm's {name} must be positive, not {value}")
@@ -76,8 +87,20 @@ class Worm:
         return self.length / self.count
 
     @property
+    def root(self) -> int:
+        """Number of the link that the tree of bodies begins with: the middle one."""
+        return self.count // 2
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Numbers of the joints `q1`, `q2`, ... in `qpos` and `qvel`, from the head to the tail."""
+        first = 3  # after the slides and q0; ahead of the root the tree goes to the head
+        behind = first + self.root
+        return (*reversed(range(first, behind)), *range(behind, self.count + 2))
+
+    @property
     def chain(self) -> Chain:
-        """The chain that gives joints and servos. Its own rods are thin; the worm's are put on."""
+        """A chain of as many thin rods, which has the scenery and the masses of the links."""
         level = self.posture == "level"
         thin = self.step / 2
         return Chain(
@@ -87,9 +110,6 @@ class Worm:
             density=self.density * (self.width / thin) ** 2,
             base="level" if level else "free",
             height=-self.depth if level else None,
-            actuators="position",
-            kp=self.stiffness,
-            kv=self.stiffness * self.lag,
         )
 
     @property
@@ -103,48 +123,94 @@ class Worm:
         Args:
             timestep: with the implicit-fast integrator.
         """
+        level = self.posture == "level"
         spec = self.chain.spec()
         spec.modelname = "worm"
         spec.comment = "A worm: mjgranular.models.Worm."
+        spec.delete(spec.body("link0"))
         for name in ("bed", "table"):
             spec.delete(spec.geom(name))
         spec.delete(spec.key("start"))
         spec.option.timestep = timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         for light in spec.lights:  # a level worm lies on what is drawn of the sand
-            light.castshadow = self.posture == "upright"
+            light.castshadow = not level
+        if level:  # the chain's first link is at x = 0, here it is the middle one
+            for camera in spec.cameras:
+                camera.pos[0] += self.length / 2
         spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         skin = spec.add_material(name="skin")
         skin.rgba, skin.specular, skin.shininess = [0.72, 0.36, 0.22, 1], 0.3, 0.4
         head = spec.add_material(name="head")
         head.rgba, head.specular, head.shininess = [0.25, 0.27, 0.31, 1], 0.3, 0.4
-        for index in range(self.count):
-            name = f"link{index}"
-            body = spec.body(name)
-            spec.delete(spec.geom(name))
-            # The thin rod's moment of inertia along its axis would be too small by far.
-            link = self.chain.link
-            across = link.mass * (3 * (self.width / 2) ** 2 + self.step**2) / 12
-            body.inertia = [across, across, link.mass * self.width**2 / 8]
-            body.add_geom(
-                name=name,
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                size=[self.width / 2, self.step / 2, 0],
-                material="skin" if index else "head",
-                contype=0,
-                conaffinity=1,
+        middle = self._add_root(spec)
+        parent = middle
+        for index in reversed(range(self.root)):
+            parent = self._add_link(parent, index, ahead=True)
+        parent = middle
+        for index in range(self.root + 1, self.count):
+            parent = self._add_link(parent, index, ahead=False)
+        for index in range(1, self.count):
+            servo = spec.add_actuator(
+                name=f"q{index}", target=f"q{index}", trntype=mujoco.mjtTrn.mjTRN_JOINT
             )
-            if index:
-                spec.joint(f"q{index}").armature = self.armature
-                servo = spec.actuator(f"q{index}")
-                servo.ctrllimited = True
-                servo.ctrlrange = [-self.bend, self.bend]
+            servo.set_to_position(kp=self.stiffness)
+            servo.ctrllimited, servo.ctrlrange = True, [-self.bend, self.bend]
+            servo.forcelimited, servo.forcerange = True, [-self.torque, self.torque]
         return spec
 
     def straight(self) -> np.ndarray:
         """`qpos` of the straight worm along x, head ahead; an upright one on the floor."""
-        if self.posture == "level":
-            return np.zeros(self.count + 2)
         qpos = np.zeros(self.count + 2)
-        qpos[1], qpos[2] = self.width / 2, -math.pi / 2
+        if self.posture == "upright":
+            qpos[1], qpos[2] = self.width / 2, -math.pi / 2
         return qpos
+
+    @property
+    def _axis(self) -> np.ndarray:
+        """Of the joints, in a link's frame, whose z points to the head."""
+        return np.array([0.0, 1.0 if self.posture == "level" else -1.0, 0.0])
+
+    def _add_root(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
+        body = spec.worldbody.add_body(name=f"link{self.root}")
+        if self.posture == "level":
+            # The body's x, y, z are the world's y, z, x: the links lie along x.
+            body.pos, body.quat = [0, 0, -self.depth], [0.5, 0.5, 0.5, 0.5]
+            slides = (("x", (0, 0, 1)), ("y", (1, 0, 0)))
+        else:
+            slides = (("x", (1, 0, 0)), ("z", (0, 0, 1)))
+        for name, axis in slides:
+            body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        body.add_joint(name="q0", type=mujoco.mjtJoint.mjJNT_HINGE, axis=self._axis)
+        self._fill(body, self.root)
+        return body
+
+    def _add_link(self, parent: mujoco.MjsBody, index: int, *, ahead: bool) -> mujoco.MjsBody:
+        side = 1 if ahead else -1
+        body = parent.add_body(name=f"link{index}", pos=[0, 0, side * self.step])
+        body.add_joint(
+            name=f"q{index + ahead}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            pos=[0, 0, -side * self.step / 2],
+            axis=-side * self._axis,  # the angle of the rear link to the one ahead
+            damping=[self.torque / self.speed, 0, 0],
+            armature=self.armature,
+        )
+        self._fill(body, index)
+        return body
+
+    def _fill(self, body: mujoco.MjsBody, index: int) -> None:
+        """Mass and skin."""
+        mass = self.chain.link.mass
+        across = mass * (3 * (self.width / 2) ** 2 + self.step**2) / 12
+        body.explicitinertial = True
+        body.ipos = [0, 0, 0]  # unset, it would be taken from the body's place
+        body.mass, body.inertia = mass, [across, across, mass * self.width**2 / 8]
+        body.add_geom(
+            name=f"link{index}",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=[self.width / 2, self.step / 2, 0],
+            material="skin" if index else "head",
+            contype=0,
+            conaffinity=1,
+        )

@@ -19,6 +19,7 @@ from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
 from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ids import id_of
+from mjgranular.learn import environments
 from mjgranular.models import Link
 
 ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid")
@@ -214,16 +215,35 @@ def test_scripted_gaits_go_ahead(name, steps, least):
     assert paid > 0
 
 
-def test_a_wave_from_the_tail_swims_backwards():
-    env = SandEnv("ChainSwim")
-    ways = []
-    for waves in (1.0, -1.0):
-        env.reset(seed=0)
-        script = gait(env.task, waves=waves)
-        first = env.step(script(0.0))[4]["x_position"]
-        ways.append([env.step(script(i * env.dt))[4]["x_position"] for i in range(50)][-1] - first)
-    assert ways[0] > 0.01
-    assert ways[1] < -0.01
+def speed(env, script, seconds=3.0):
+    """Mean of the mass centre's velocity along x [m/s], without the first second."""
+    env.reset(seed=0)
+    ways = [env.step(script(i * env.dt))[4]["x_velocity"] for i in range(round(seconds / env.dt))]
+    return np.mean(ways[round(1 / env.dt) :])
+
+
+@pytest.mark.parametrize("frequency", [1.0, 3.0])
+def test_a_wave_from_the_tail_swims_backwards_as_fast(frequency):
+    # One whole wave from the tail is that from the head, seen after half a turn about z.
+    env = SandEnv("ChainSwim", reset_noise_scale=0)
+    ahead, back = (speed(env, gait(env.task, waves=w, frequency=frequency)) for w in (1.0, -1.0))
+    assert ahead > 0.01
+    assert back == pytest.approx(-ahead, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "frequency"),
+    [("ChainSwim", 1.0), ("ChainSwim", 2.0), ("ChainCrawl", 1.5), ("ChainCrawl", 2.5),
+     ("Hexapod", 1.5), ("Hexapod", 3.0)],
+)  # fmt: skip
+def test_gaits_are_as_fast_in_steps_half_as_long(name, frequency):
+    coarse, fine = (
+        environments.one(id_of(name), {"refine": times, "reset_noise_scale": 0.0}).unwrapped
+        for times in (1, 2)
+    )
+    assert fine.model.opt.timestep == coarse.model.opt.timestep / 2
+    first, second = (speed(env, gait(env.task, frequency=frequency)) for env in (coarse, fine))
+    assert first == pytest.approx(second, rel=0.08)
 
 
 @pytest.mark.parametrize(("angle", "spin"), [(-0.6, 0.0), (0.2, 0.4)])
@@ -294,7 +314,9 @@ def test_wrong_input_is_told():
         gym.make(id_of("ChainSwim"), law="wet")
     with pytest.raises(UnknownNameError, match=r"no environment 'Chain'; there are: Ant, ChainC"):
         SandEnv("Chain")
-    with pytest.raises(InputError, match=r"ChainSwim has no option 'link'; it has: .*links"):
+    with pytest.raises(
+        InputError, match=r"ChainSwim has no option 'link'; it has: medium, .*links"
+    ):
         gym.make(id_of("ChainSwim"), link=3)
     with pytest.raises(InputError, match="links must be a whole number from 2 up"):
         SandEnv("ChainCrawl", links=1)

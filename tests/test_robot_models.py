@@ -1,6 +1,7 @@
 """Models of worms and hexapods: masses, poses, the sense of their joints."""
 
 import math
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -36,22 +37,83 @@ def test_a_worm_is_a_cylinder_of_its_length(posture):
         inertia += own[2, 2] + model.body_mass[body] * (arm[0] ** 2 + arm[1] ** 2)
     assert inertia == pytest.approx(mass * (3 * 0.025**2 + 0.5**2) / 12, rel=1e-9)
     # The head is ahead, and the body along x, at its depth or on the floor.
-    assert data.xpos[1, 0] > data.xpos[2, 0] > data.xpos[5, 0]
+    ahead = [data.body(f"link{i}").xpos[0] for i in range(5)]
+    assert ahead == pytest.approx([0.2, 0.1, 0.0, -0.1, -0.2], abs=1e-12)
     assert data.xpos[1:, 1] == pytest.approx(np.zeros(5), abs=1e-12)
     height = -worm.depth if posture == "level" else 0.025
     assert data.xpos[1:, 2] == pytest.approx(np.full(5, height), abs=1e-12)
-    assert not model.actuator_forcelimited.any()
+
+
+@pytest.mark.parametrize("posture", ["level", "upright"])
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 7])
+def test_a_joint_is_the_angle_of_the_link_behind_it(posture, count):
+    worm = Worm(count, length=0.1 * count, width=0.05, posture=posture)
+    qpos, bends = worm.straight(), np.linspace(0.1, 0.4, count - 1)
+    qpos[list(worm.order)] += bends
+    model, data = posed(worm.spec(0.01), qpos)
+    assert [model.joint(i).name for i in worm.order] == [f"q{i}" for i in range(1, count)]
+    links = [data.body(f"link{i}") for i in range(count)]
+    ways = [link.xmat.reshape(3, 3)[:, 2] for link in links]  # to the head
+    across = [0.0, 0.0, 1.0] if posture == "level" else [0.0, -1.0, 0.0]
+    turns = [np.cross(a, b) @ across for a, b in pairwise(ways)]
+    assert turns == pytest.approx(np.sin(bends), abs=1e-12)
+    for (ahead, a), (behind, b) in pairwise(zip(links, ways, strict=True)):
+        assert ahead.xpos - 0.05 * a == pytest.approx(behind.xpos + 0.05 * b, abs=1e-12)
+    assert ways[worm.root] == pytest.approx([1, 0, 0], abs=1e-12)
 
 
 def test_a_positive_bend_of_an_upright_worm_lifts_its_middle():
     worm = Worm(2, length=0.5, width=0.05, posture="upright")
     qpos = worm.straight()
-    qpos[2] -= 0.2  # the head down
+    qpos[2] += 0.2  # the rear link, which is the root, with its end down
     qpos[3] += 0.4
     _, data = posed(worm.spec(0.01), qpos)
-    middle, head, tail = (data.xpos[1] + data.xpos[2]) / 2, data.xpos[1], data.site("T1").xpos
-    joint = data.xanchor[3]
-    assert joint[2] > max(middle[2], head[2] - 1e-9, tail[2])
+    joint, links = data.joint("q1").xanchor, (data.body("link0"), data.body("link1"))
+    assert all(joint[2] > link.xpos[2] for link in links)
+
+
+# What no servo can change: the motion of the whole. Drawn angles, in empty space.
+
+
+def robots():
+    level = Worm()
+    upright = Worm(length=0.6, width=0.04, posture="upright", stiffness=20, torque=4, speed=5)
+    robot = Hexapod()
+    return [
+        pytest.param(level.spec(0.005), level.straight(), 1.0, id="level worm"),
+        pytest.param(upright.spec(0.005), upright.straight(), 1.0, id="upright worm"),
+        pytest.param(robot.spec(0.005), robot.start(), 0.6, id="hexapod"),
+    ]
+
+
+@pytest.mark.parametrize(("spec", "start", "reach"), robots())
+def test_in_empty_space_the_mass_centre_stays_where_it_is(spec, start, reach):
+    model, data = posed(spec, start)
+    model.opt.gravity[:] = 0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    random = np.random.default_rng(0)
+    speeds = []
+    for _ in range(500):  # an episode, with an action each 0.04 s
+        data.ctrl[:] = reach * random.uniform(-1, 1, model.nu)
+        mujoco.mj_step(model, data, round(0.04 / model.opt.timestep))
+        mujoco.mj_subtreeVel(model, data)
+        speeds.append(np.linalg.norm(data.subtree_linvel[1]))
+    assert max(speeds) < 0.03
+    assert np.abs(data.qvel).max() > 1.0  # the rest does move
+
+
+@pytest.mark.parametrize(("spec", "start", "reach"), robots())
+def test_a_servo_is_a_direct_current_motor(spec, start, reach):
+    model, data = posed(spec, start)
+    stall = model.actuator_forcerange[:, 1]
+    joints = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    fastest = stall / model.dof_damping[joints]
+    for share in (0.0, 0.5, 1.0):
+        data.ctrl[:] = reach  # far off
+        data.qvel[joints] = share * fastest
+        mujoco.mj_forward(model, data)
+        torque = data.qfrc_actuator[joints] + data.qfrc_passive[joints]
+        assert torque == pytest.approx((1 - share) * stall, abs=1e-12)
 
 
 def test_a_hexapod_stands_and_its_legs_go_where_they_say():
