@@ -50,9 +50,12 @@ def test_a_family_is_measured_saved_compared_and_reported(tmp_path: Path) -> Non
         first, *others = cases.values()
         assert first["ratio"] == 1.0
         assert all(case["cost"] > 0 and case["ratio"] > 0 for case in others)
-    head, _, rest = before.partition("Not measured yet for this version.")
-    assert page.read_text().startswith(head.rstrip("\n"))
-    assert page.read_text().endswith(rest.lstrip("\n"))
+    head, mark, _ = before.partition("<!-- figures: written by benchmarks/run.py -->\n")
+    end = before[before.index("<!-- end of figures -->") :]
+    assert mark
+    assert page.read_text().startswith(head + mark)
+    assert page.read_text().endswith(end)
+    assert page.read_text() != before
     assert "| the same law in NumPy | " in page.read_text()
     assert "before" in run(tmp_path, *options, "--compare", "figures.json")
 
