@@ -21,6 +21,16 @@ from mjgranular.envs.task import Start, State, Task
 ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
 
+def place_in_plane(state: State) -> dict[str, np.ndarray]:
+    """Where robots are that move over a plane, as Gymnasium tells it [m], each of shape (n,)."""
+    x, y = state.qpos[:, 0], state.qpos[:, 1]
+    return {
+        "x_position": x.copy(),
+        "y_position": y.copy(),
+        "distance_from_origin": np.sqrt(x * x + y * y),
+    }
+
+
 @dataclass(frozen=True, kw_only=True)
 class Robot(Task):
     """A robot of Gymnasium's: its model, its observation, its reward, its options.
@@ -312,12 +322,7 @@ class Swimmer(HalfCheetah):
         pass
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        x, y = state.qpos[:, 0], state.qpos[:, 1]
-        return {
-            "x_position": x.copy(),
-            "y_position": y.copy(),
-            "distance_from_origin": np.sqrt(x * x + y * y),
-        }
+        return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         return {

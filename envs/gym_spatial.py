@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.envs.figures import Wrenches
-from mjgranular.envs.gym_planar import Robot
+from mjgranular.envs.gym_planar import Robot, place_in_plane
 from mjgranular.envs.task import State
 
 
@@ -80,12 +80,7 @@ class _Spatial(Robot):
         return (self.here(state)[:, 0] - before[:, 0]) / self.dt
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        x, y = state.qpos[:, 0], state.qpos[:, 1]
-        return {
-            "x_position": x.copy(),
-            "y_position": y.copy(),
-            "distance_from_origin": np.sqrt(x * x + y * y),
-        }
+        return place_in_plane(state)
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
         x, y = ((self.here(state) - before) / self.dt).T
