@@ -25,6 +25,7 @@ from mjgranular.engine.layout import Struct
 from mjgranular.engine.library import library, memory_at
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
+from mjgranular.law.kernel import LawKernel
 from mjgranular.sand.binding import bind
 from mjgranular.scheme import Scheme
 
@@ -91,6 +92,7 @@ def make_image(
     elements: np.ndarray,
     scene: np.ndarray,
     scheme: Scheme,
+    kernel: LawKernel,
     tunings: np.ndarray,
     values: dict[str, Any],
 ) -> Image:
@@ -102,6 +104,7 @@ def make_image(
         elements: of the law.
         scene: parameters of law, medium and surface.
         scheme: how forces become a step.
+        kernel: of the law.
         tunings: what the sand's state changes (`engine.tuning`).
         values: those fields of the header that are no places: program, lead, drawing.
 
@@ -113,7 +116,7 @@ def make_image(
     share, (_, slots, elements, tunings, room) = _allocate(
         [np.ones(1, SHARE_DTYPE), slots, elements, tunings, room]
     )
-    binding = bind(model, data, elements, scene, scheme, within=True)
+    binding = bind(model, data, elements, scene, scheme, kernel, within=True)
     head = np.zeros(1, HEADER_DTYPE)
     table, desk = binding.table, binding.desk
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and nobody

@@ -300,7 +300,8 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         with named("tunable"):
             tunings = make_tunings(law, surface, scene, model)
     silent = np.flatnonzero(contacts & ~(model.geom_contype | model.geom_conaffinity))
-    program = scheme.program(law.kernel(surface), scene.dtype)
+    kernel = law.kernel(surface)
+    program = scheme.program(kernel, scene.dtype)
     values = {
         "program": c_address(program, types.int64, types.float64),
         "whole": scheme.whole_state,
@@ -315,6 +316,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         elements=elements,
         scene=scene,
         scheme=scheme,
+        kernel=kernel,
         tunings=tunings,
         values=values,
     )

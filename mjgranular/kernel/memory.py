@@ -8,15 +8,19 @@ which gets no NumPy arrays but only the `mjData*`, fills the same table.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import mujoco
 import numpy as np
+from llvmlite import ir
 from numba import (
     carray,  # pyright: ignore[reportPrivateImportUsage]
     from_dtype,
     types,
 )
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from mjgranular.kernel.compiled import compiled
@@ -95,6 +99,74 @@ def records(dtype: np.dtype) -> Any:
         return carray(pointer(address), (size,))
 
     return read
+
+
+@dataclass(frozen=True)
+class Column:
+    """A tuple of numbers that lie in an array of floats at equal distances.
+
+    Attributes:
+        read: kernel `read(array, first)`: the numbers, from index `first` on.
+        write: kernel `write(array, first, numbers)`.
+        add: kernel `add(array, first, numbers)`.
+    """
+
+    read: Any
+    write: Any
+    add: Any
+
+
+@cache
+def column(count: int, stride: int) -> Column:
+    """Makes the kernels for so many numbers and such a distance."""
+
+    def places(context: Any, builder: Any, array: Any, args: Any) -> list[Any]:
+        data = context.make_array(array)(context, builder, args[0]).data
+        indices = (builder.add(args[1], args[1].type(k * stride)) for k in range(count))
+        return [builder.gep(data, [index]) for index in indices]
+
+    def read(typingctx: Any, array: Any, first: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            numbers = [builder.load(place) for place in places(context, builder, array, args)]
+            return context.make_tuple(builder, signature.return_type, numbers)
+
+        return types.UniTuple(types.float64, count)(array, types.int64), codegen
+
+    def put(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            for k, place in enumerate(places(context, builder, array, args)):
+                builder.store(builder.extract_value(args[2], k), place)
+            return context.get_dummy_value()
+
+        return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
+
+    def add(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            for k, place in enumerate(places(context, builder, array, args)):
+                more = builder.extract_value(args[2], k)
+                builder.store(builder.fadd(builder.load(place), more), place)
+            return context.get_dummy_value()
+
+        return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
+
+    return Column(intrinsic(read), intrinsic(put), intrinsic(add))
+
+
+@intrinsic
+def held(typingctx: Any, record: Any) -> Any:
+    """Gives a copy of a record that nothing else can change.
+
+    A loop that writes elsewhere would read a record's fields again each time around, and could not
+    be vectorized: for all that the compiler knows it writes to them.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        room = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(8), record.size))
+        room.align = 8
+        cgutils.raw_memcpy(builder, room, args[0], ir.IntType(64)(record.size), 1)
+        return builder.bitcast(room, args[0].type)
+
+    return record(record), codegen
 
 
 floats = records(np.dtype(np.float64))

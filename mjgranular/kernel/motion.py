@@ -6,6 +6,8 @@ mass of the kinematic tree, world axes; sums of them need no Jacobian.
 
 from __future__ import annotations
 
+from functools import partial
+
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import CDOF, CVEL, DOF_PARENT, NBODY, NV, WARMSTART, floats, ints
 
@@ -61,7 +63,7 @@ def velocity_change(table, last_dof, lead):
     return wx, wy, wz, vx, vy, vz
 
 
-@compiled
+@partial(compiled, inline=True)
 def velocity_at(motion, x, y, z):
     """Linear velocity [m/s] at (x, y, z) from the centre of a spatial velocity."""
     wx, wy, wz, vx, vy, vz = motion

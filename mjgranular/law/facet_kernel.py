@@ -122,7 +122,7 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
                 fz -= push * vn * vn * nz
         return fx, fy, fz
 
-    @compiled
+    @partial(compiled, inline=True)
     def led_stress(facet, law, g, ux, uy, uz):
         """Force on a facet for a direction of motion, what leads growing over a ramp [N]."""
         nx, ny, nz = facet[5], facet[6], facet[7]
@@ -134,23 +134,20 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
         if abs(a) + abs(b) < _RAMP:
             a = math.copysign(_RAMP - abs(b), a)
         load, ls, lt = load_of(facet[17], facet[18], facet[19], facet[20], c, a, b)
-        if load <= 0.0:
-            return 0.0, 0.0, 0.0
         nx, ny, nz = turned(nx, ny, nz, ls, ax, ay, az, lt, bx, by, bz)
         sx, sy, sz = stress(law, g, nx, ny, nz, ux, uy, uz, facet[8], facet[9], facet[10])
         # The fit describes faces that lead; on the ramp it is asked for some that just do not.
         gain = load * facet[21]
-        power = sx * ux + sy * uy + sz * uz
-        if power > 0.0:
-            sx, sy, sz = sx - power * ux, sy - power * uy, sz - power * uz
-        return gain * sx, gain * sy, gain * sz
+        power = max(sx * ux + sy * uy + sz * uz, 0.0)
+        return gain * (sx - power * ux), gain * (sy - power * uy), gain * (sz - power * uz)
 
-    @compiled
-    def differences(facet, law, g, ux, uy, uz):
-        """`led_stress`, and its derivative as `turning_stress` gives it, from two small turns."""
+    @partial(compiled, inline=True)
+    def turning_stress(facet, law, g, ux, uy, uz):
+        """`led_stress` S(u), and the derivative of |p| S(p / |p|) by p: S along u, its turn across.
+
+        From two small turns.
+        """
         sx, sy, sz = led_stress(facet, law, g, ux, uy, uz)
-        if sx == 0.0 and sy == 0.0 and sz == 0.0:
-            return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         ax, ay, az = across(ux, uy, uz)
         bx, by, bz = uy * az - uz * ay, uz * ax - ux * az, ux * ay - uy * ax
         mx, my, mz = led_stress(facet, law, g, ux + _TURN * ax, uy + _TURN * ay, uz + _TURN * az)
@@ -165,25 +162,14 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
             sz * ux + mz * ax + tz * bx, sz * uy + mz * ay + tz * by, sz * uz + mz * az + tz * bz,
         )  # fmt: skip
 
-    @compiled
-    def turning_stress(facet, law, g, ux, uy, uz):
-        """`led_stress` S(u), and the derivative of |p| S(p / |p|) by p: S along u, its turn across.
-
-        Most facets lead as a whole, and what leads does not depend on small turns.
-        """
+    @partial(compiled, inline=True)
+    def simple_turning_stress(facet, law, g, ux, uy, uz):
+        """The same for a facet that leads as a whole or not at all, on small turns too."""
         nx, ny, nz = facet[5], facet[6], facet[7]
-        c = ux * nx + uy * ny + uz * nz
-        a = ux * facet[11] + uy * facet[12] + uz * facet[13]
-        b = ux * facet[14] + uy * facet[15] + uz * facet[16]
-        reach = max(abs(a) + abs(b), _RAMP)
-        if c <= -reach:
-            return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if c < reach:
-            return differences(facet, law, g, ux, uy, uz)
         sx, sy, sz, d0, d1, d2, d3, d4, d5, d6, d7, d8 = slope(
             law, g, nx, ny, nz, ux, uy, uz, facet[8], facet[9], facet[10]
         )
-        gain = facet[20] * facet[21]
+        gain = facet[20] * facet[21] if ux * nx + uy * ny + uz * nz > 0.0 else 0.0
         tx = sx - (d0 * ux + d1 * uy + d2 * uz)
         ty = sy - (d3 * ux + d4 * uy + d5 * uz)
         tz = sz - (d6 * ux + d7 * uy + d8 * uz)
@@ -194,60 +180,98 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
             gain * (d6 + tz * ux), gain * (d7 + tz * uy), gain * (d8 + tz * uz),
         )  # fmt: skip
 
-    if slope is None:
-        turning_stress = differences
-
-    @compiled
-    def facet_respond(facet, law, g, v, p, eps):
-        nx, ny, nz, push = facet[5], facet[6], facet[7], facet[22]
-        vx, vy, vz = v
+    @partial(compiled, inline=True)
+    def facet_simple(facet, p):
+        """Whether a facet leads as a whole or not at all; also where there is no grip at all."""
         px, py, pz = p
-        fx, fy, fz = 0.0, 0.0, 0.0
-        k0, k1, k2, k3, k4, k5, k6, k7, k8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        scale = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz + eps * eps)
-        wx, wy, wz = scale * vx, scale * vy, scale * vz
-        # Also where p feels nothing: what trails by its grip may lead by its velocity.
-        dx, dy, dz = wx - px, wy - py, wz - pz
-        bend = dx * dx + dy * dy + dz * dz
-        size = math.sqrt(px * px + py * py + pz * pz)
-        if size > _STILL:
-            ux, uy, uz = px / size, py / size, pz / size
-            sx, sy, sz, k0, k1, k2, k3, k4, k5, k6, k7, k8 = turning_stress(
-                facet, law, g, ux, uy, uz
-            )
-            if sx != 0.0 or sy != 0.0 or sz != 0.0:
-                # p is to become v / sqrt(v^2 + eps^2): the force then, and its derivative.
-                fx = k0 * wx + k1 * wy + k2 * wz
-                fy = k3 * wx + k4 * wy + k5 * wz
-                fz = k6 * wx + k7 * wy + k8 * wz
-                sx, sy, sz = size * sx, size * sy, size * sz
-                k0, k1, k2 = scale * (sx * wx - k0), scale * (sx * wy - k1), scale * (sx * wz - k2)
-                k3, k4, k5 = scale * (sy * wx - k3), scale * (sy * wy - k4), scale * (sy * wz - k5)
-                k6, k7, k8 = scale * (sz * wx - k6), scale * (sz * wy - k7), scale * (sz * wz - k8)
-        vn = vx * nx + vy * ny + vz * nz
-        if push != 0.0 and vn > 0.0:
-            inertial = push * vn
-            fx -= inertial * vn * nx
-            fy -= inertial * vn * ny
-            fz -= inertial * vn * nz
-            inertial *= 2.0
-            k0 += inertial * nx * nx
-            k1 += inertial * nx * ny
-            k2 += inertial * nx * nz
-            k3 += inertial * ny * nx
-            k4 += inertial * ny * ny
-            k5 += inertial * ny * nz
-            k6 += inertial * nz * nx
-            k7 += inertial * nz * ny
-            k8 += inertial * nz * nz
-        return fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8, bend
+        c = px * facet[5] + py * facet[6] + pz * facet[7]
+        a = px * facet[11] + py * facet[12] + pz * facet[13]
+        b = px * facet[14] + py * facet[15] + pz * facet[16]
+        ramp = _RAMP * math.sqrt(px * px + py * py + pz * pz)
+        return abs(c) >= max(abs(a) + abs(b), ramp)
+
+    @partial(compiled, inline=True)
+    def facet_respond(facet, law, g, v, p, eps):
+        size, ux, uy, uz = direction(p)
+        answer = turning_stress(facet, law, g, ux, uy, uz)
+        return answer_to(facet, answer, size, v, p, eps)
+
+    @partial(compiled, inline=True)
+    def facet_respond_simple(facet, law, g, v, p, eps):
+        size, ux, uy, uz = direction(p)
+        answer = simple_turning_stress(facet, law, g, ux, uy, uz)
+        return answer_to(facet, answer, size, v, p, eps)
 
     return LawKernel(
-        facet_records, facet_immerse, facet_resist, facet_respond, grip_of_all, numbers=18
+        facet_records,
+        facet_immerse,
+        facet_resist,
+        facet_respond,
+        grip_of_all,
+        numbers=18,
+        lanes=8,
+        simple=None if slope is None else facet_simple,
+        respond_simple=None if slope is None else facet_respond_simple,
     )
 
 
-@compiled
+@partial(compiled, inline=True)
+def direction(p):
+    """Size of a grip, and its direction; no grip is as good as none at all along z."""
+    px, py, pz = p
+    size = math.sqrt(px * px + py * py + pz * pz)
+    if size > _STILL:
+        return size, px / size, py / size, pz / size
+    return 0.0, 0.0, 0.0, 1.0
+
+
+@partial(compiled, inline=True)
+def answer_to(facet, stress, size, v, p, eps):
+    """What a facet's `respond` gives.
+
+    Args:
+        facet: its numbers.
+        stress: S(u) along the grip's direction, and the derivative of |p| S(p / |p|) by p.
+        size: of the grip.
+        v: velocity [m/s].
+        p: grip.
+        eps: softness [m/s].
+    """
+    nx, ny, nz, push = facet[5], facet[6], facet[7], facet[22]
+    vx, vy, vz = v
+    px, py, pz = p
+    sx, sy, sz, k0, k1, k2, k3, k4, k5, k6, k7, k8 = stress
+    scale = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz + eps * eps)
+    wx, wy, wz = scale * vx, scale * vy, scale * vz
+    # Also where p feels nothing: what trails by its grip may lead by its velocity.
+    dx, dy, dz = wx - px, wy - py, wz - pz
+    bend = dx * dx + dy * dy + dz * dz
+    if size == 0.0:  # S is not known: nobody asked in a direction
+        k0, k1, k2, k3, k4, k5, k6, k7, k8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    # p is to become v / sqrt(v^2 + eps^2): the force then, and its derivative.
+    fx = k0 * wx + k1 * wy + k2 * wz
+    fy = k3 * wx + k4 * wy + k5 * wz
+    fz = k6 * wx + k7 * wy + k8 * wz
+    sx, sy, sz = size * sx, size * sy, size * sz
+    k0, k1, k2 = scale * (sx * wx - k0), scale * (sx * wy - k1), scale * (sx * wz - k2)
+    k3, k4, k5 = scale * (sy * wx - k3), scale * (sy * wy - k4), scale * (sy * wz - k5)
+    k6, k7, k8 = scale * (sz * wx - k6), scale * (sz * wy - k7), scale * (sz * wz - k8)
+    inertial = push * max(vx * nx + vy * ny + vz * nz, 0.0)
+    vn = vx * nx + vy * ny + vz * nz
+    fx -= inertial * vn * nx
+    fy -= inertial * vn * ny
+    fz -= inertial * vn * nz
+    inertial *= 2.0
+    return (
+        fx, fy, fz,
+        k0 + inertial * nx * nx, k1 + inertial * nx * ny, k2 + inertial * nx * nz,
+        k3 + inertial * ny * nx, k4 + inertial * ny * ny, k5 + inertial * ny * nz,
+        k6 + inertial * nz * nx, k7 + inertial * nz * ny, k8 + inertial * nz * nz,
+        bend,
+    )  # fmt: skip
+
+
+@partial(compiled, inline=True)
 def load_of(depth, h1, h2, mean, c, a, b):
     """Mean depth of what leads of a facet, over the whole facet, and the centroid of that part.
 
@@ -266,7 +290,7 @@ def load_of(depth, h1, h2, mean, c, a, b):
     return share * wet, ls, lt
 
 
-@compiled
+@partial(compiled, inline=True)
 def turned(nx, ny, nz, s, ax, ay, az, t, bx, by, bz):
     """A facet's unit normal at (s, t), with the spreads a and b of its normal."""
     nx, ny, nz = nx + s * ax + t * bx, ny + s * ay + t * by, nz + s * az + t * bz
@@ -274,7 +298,7 @@ def turned(nx, ny, nz, s, ax, ay, az, t, bx, by, bz):
     return scale * nx, scale * ny, scale * nz
 
 
-@compiled
+@partial(compiled, inline=True)
 def across(x, y, z):
     """A unit vector across a unit vector."""
     if abs(x) < 0.7:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
@@ -28,9 +29,6 @@ Attributes:
     motion: spatial velocity, angular [rad/s] before linear [m/s].
 """
 
-GEOMETRY_SIZE = 18
-"""The most numbers that a law may keep of an immersed element's geometry."""
-
 
 @dataclass(frozen=True)
 class LawKernel:
@@ -41,22 +39,28 @@ class LawKernel:
             (`kernel.memory.records`), with fields `body` and `slot`, ordered by body.
         immerse: kernel `immerse(element, pose, law, surface, g)`; a tuple of numbers: depth of the
             element's deepest point [m] (not positive: dry, and the rest is not read), immersed
-            length of a rod [m] or 0, the point where force acts [m] (x, y, z), and up to
-            `GEOMETRY_SIZE` numbers of its geometry.
+            length of a rod [m] or 0, the point where force acts [m] (x, y, z), and `numbers` of its
+            geometry.
         resist: kernel `resist(immersed, law, g, v, d)`: the force [N] (x, y, z) on the element
             that `immerse` described, from the velocity of its point [m/s] for what depends on the
             direction of motion (`v`) and for what grows with speed (`d`, which may lead).
-        respond: kernel `respond(immersed, law, g, v, p, eps)`, with the numbers of `immersed` in an
-            array, to be taken one by one. Static resistance, which jumps where the motion turns
-            round, is a function of the element's *grip* p = v / sqrt(v^2 + eps^2), which is
-            unknown beside v (see `next_grip`). It gives the force at `v` [N] (3), as it is where
-            the linearized equation for p holds; minus its derivative by velocity, row by row
-            (9) [N s/m]; and the bend, the square of the difference between `p` and the
-            velocity's own grip. Where that is nothing both are the law's.
+        respond: kernel `respond(immersed, law, g, v, p, eps)`, with what `immerse` gave. Static
+            resistance, which jumps where the motion turns round, is a function of the element's
+            *grip* p = v / sqrt(v^2 + eps^2), which is unknown beside v (see `next_grip`). It gives
+            the force at `v` [N] (3), as it is where the linearized equation for p holds; minus its
+            derivative by velocity, row by row (9) [N s/m]; and the bend, the square of the
+            difference between `p` and the velocity's own grip. Where that is nothing both are the
+            law's.
         grip: kernel `grip(immersed, v, p, c, eps)`: the grip after a step of Newton's method that
             changes the velocity `v` by `c`; `grip_of_all` where one limit holds against motion in
             all directions.
         numbers: how many `immerse` gives of the geometry, behind the point.
+        lanes: how many elements of a body `respond` and `grip` are asked for side by side. More
+            than one pays where a body has many elements and both kernels, with all that they
+            call, are `compiled(..., inline=True)` and pure arithmetic: then they are done in the
+            lanes of the processor's vector unit, all branches for all elements.
+        simple: kernel `simple(immersed, p)`: whether `respond_simple` would do. Both or none.
+        respond_simple: a quicker `respond`, for blocks of elements that are all simple.
     """
 
     elements: Any
@@ -65,6 +69,9 @@ class LawKernel:
     respond: Any
     grip: Any
     numbers: int
+    lanes: int = 1
+    simple: Any = None
+    respond_simple: Any = None
 
 
 @compiled
@@ -78,7 +85,7 @@ def in_world(pose, x, y, z):
     )
 
 
-@compiled
+@partial(compiled, inline=True)
 def next_grip(v, p, c, eps):
     """The part of a limit that is called on, p = v / sqrt(v^2 + eps^2), after a Newton step.
 
@@ -110,7 +117,7 @@ def next_grip(v, p, c, eps):
     return x, y, z
 
 
-@compiled
+@partial(compiled, inline=True)
 def grip_of_all(immersed, v, p, c, eps):
     """`next_grip` for a law with one limit against motion in all directions."""
     return next_grip(v, p, c, eps)

@@ -19,11 +19,12 @@ a whole where d > 0.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 from mjgranular.kernel.compiled import compiled
 
 
-@compiled
+@partial(compiled, inline=True)
 def leading_part(c, a, b):
     """The part of a facet where c + a s + b t > 0: its share of the area, and its centroid.
 
@@ -67,7 +68,7 @@ def leading_part(c, a, b):
     return share, math.copysign(along_k, a), math.copysign(along_h, b)
 
 
-@compiled
+@partial(compiled, inline=True)
 def wet_part(depth, a, b):
     """Mean depth over a facet, nothing counting for negative, and where it acts.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -19,9 +20,11 @@ RFT2D_DTYPE = np.dtype(
     [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "rise")]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
+# Of Treers et al.: both shares are nothing without a velocity.
+_ATANH_LEAST, _TANH_LEAST = math.atanh(0.973746396532650), math.tanh(1.60910808139526)
 
 
-@compiled
+@partial(compiled, inline=True)
 def planar_response(law, sin_b, cos_b, sin_g, cos_g):
     """(alpha_x, alpha_z) of Li et al. [N/cm^3] for tilt b and attack g.
 
@@ -35,24 +38,24 @@ def planar_response(law, sin_b, cos_b, sin_g, cos_g):
     return alpha_x, alpha_z
 
 
-@compiled
+@partial(compiled, inline=True)
 def in_plane_share(v):
     """Treers et al.: scale of the in-plane response with the in-plane part of the velocity."""
     bend = min(1.61146827229181 * v - 0.973746396532650, 0.9999999)
-    return 1.99392673405210 * (math.atanh(bend) + math.atanh(0.973746396532650)) / 5.81083560370960
+    # atanh as a logarithm, which a compiler knows how to take of several numbers at once.
+    atanh = 0.5 * math.log((1.0 + bend) / (1.0 - bend))
+    return 1.99392673405210 * (atanh + _ATANH_LEAST) / 5.81083560370960
 
 
-@compiled
+@partial(compiled, inline=True)
 def sideways_share(v):
     """Treers et al.: scale of the sideways response with the sideways part of the velocity."""
-    return (
-        0.440850096954369
-        * (math.tanh(3.62263982880971 * v - 1.60910808139526) + math.tanh(1.60910808139526))
-        / 0.832324700111401
-    )
+    # tanh as an exponential, likewise.
+    tanh = 1.0 - 2.0 / (1.0 + math.exp(2.0 * (3.62263982880971 * v - 1.60910808139526)))
+    return 0.440850096954369 * (tanh + _TANH_LEAST) / 0.832324700111401
 
 
-@compiled
+@partial(compiled, inline=True)
 def rft2d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     """Resistance for an area and a depth of one [N/m^3].
 

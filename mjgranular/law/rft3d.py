@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -35,7 +36,7 @@ RFT3D_DTYPE = np.dtype(
 )
 
 
-@compiled
+@partial(compiled, inline=True)
 def polynomial(c, x1, x2, x3):
     """One of the three generic response functions."""
     return (
@@ -47,7 +48,7 @@ def polynomial(c, x1, x2, x3):
     )
 
 
-@compiled
+@partial(compiled, inline=True)
 def polynomial_slope(c, x1, x2, x3):
     """One of the three functions, and its derivatives by x1 and by x3."""
     x23 = x2 * x3
@@ -71,7 +72,7 @@ def polynomial_slope(c, x1, x2, x3):
     )
 
 
-@compiled
+@partial(compiled, inline=True)
 def generic_response(nx, ny, nz, vx, vy, vz, zx, zy, zz):
     """The generic response a for a plate: `f1 m + f2 v - f3 z`.
 
@@ -91,7 +92,7 @@ def generic_response(nx, ny, nz, vx, vy, vz, zx, zy, zz):
     return f1 * nx + f2 * vx - f3 * zx, f1 * ny + f2 * vy - f3 * zy, f1 * nz + f2 * vz - f3 * zz
 
 
-@compiled
+@partial(compiled, inline=True)
 def rft3d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     """Resistance for an area and a depth of one [N/m^3]."""
     ax, ay, az = generic_response(nx, ny, nz, vx, vy, vz, zx, zy, zz)
@@ -116,7 +117,7 @@ def rft3d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     )
 
 
-@compiled
+@partial(compiled, inline=True)
 def rft3d_slope(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     """The same, and its derivative by the direction v, row by row.
 

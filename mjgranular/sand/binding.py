@@ -10,6 +10,7 @@ import numpy as np
 from mjgranular.kernel.keep import Kept
 from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
+from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.scheme import Desk, Scheme
 from mjgranular.shape.select import last_dof
 
@@ -36,6 +37,7 @@ def bind(
     elements: np.ndarray,
     scene: np.ndarray,
     scheme: Scheme,
+    kernel: LawKernel,
     *,
     within: bool = False,
 ) -> Binding:
@@ -47,6 +49,7 @@ def bind(
         elements: of the law.
         scene: parameters of law and surface.
         scheme: how forces become a step.
+        kernel: of the law.
         within: whether forces are asked for among MuJoCo's passive ones, inside its step.
     """
     bodies = np.zeros(len(np.unique(elements["slot"])), BODY_DTYPE)
@@ -59,7 +62,7 @@ def bind(
     bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     kept = Kept.of(model, data)
-    desk = scheme.desk(model, data, elements, within=within)
+    desk = scheme.desk(model, data, elements, kernel, within=within)
     table = simulation_table(
         model,
         data,

@@ -119,8 +119,8 @@ class Sand:
             refuse_sand_of_its_own(model, self._elements)
         self._scheme = asked.settle(model, len(self._elements))
         self._scene = make_scene(self._law, self._medium, self._surface, model)
-        kernel = self._law.kernel(self._surface)
-        program = guarded_program(self._scheme.program(kernel, self._scene.dtype))
+        self._kernel = self._law.kernel(self._surface)
+        program = guarded_program(self._scheme.program(self._kernel, self._scene.dtype))
         self._program = entry(program, types.int64, types.float64)
         self._finish = entry(finish_step, types.int64)
         self._lead = self._scheme.lead
@@ -237,7 +237,7 @@ class Sand:
             probe, binding = self._probes.pop()
         except IndexError:
             probe = mujoco.MjData(model)
-            binding = bind(model, probe, self._elements, self._scene, self._scheme)
+            binding = bind(model, probe, self._elements, self._scene, self._scheme, self._kernel)
         lead = 0.0
         if self._scheme.whole_state:
             lead = self._lead * self._options.timestep
@@ -296,7 +296,9 @@ class Sand:
         if binding is None:
             self._check_owner(data)
             self._scheme.check(self._model)
-            binding = bind(self._model, data, self._elements, self._scene, self._scheme)
+            binding = bind(
+                self._model, data, self._elements, self._scene, self._scheme, self._kernel
+            )
             company_of(data).join(self, self._model, binding, shared=self._shared)
             self._bindings[data] = binding
         if self._shared:  # comes here at every call: the others' shares are to be seen to

@@ -16,6 +16,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, smooth_derivative, solve_inertia
 from mjgranular.kernel.memory import floats, ints, longs, records
 from mjgranular.scheme import desk as d
+from mjgranular.scheme.blocks import NEXT, SAME
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)  # and of a joint, one below
@@ -27,8 +28,6 @@ rows_of = records(ROWS_DTYPE)
 # Not literals, for each of which numba would compile a function anew.
 _ALL, _LOWER = np.bool_(True), np.bool_(False)
 _ANEW, _MORE = np.bool_(True), np.bool_(False)
-FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
-"""Where grips come from: the velocity itself, a step of Newton's method to it, what is there."""
 
 
 @compiled

@@ -12,22 +12,9 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows
 from mjgranular.kernel.memory import longs, records
-from mjgranular.law.kernel import GEOMETRY_SIZE
+from mjgranular.law.kernel import LawKernel
+from mjgranular.scheme.blocks import HEAD_DTYPE, block_count, block_size
 from mjgranular.scheme.scheme import Desk
-
-IMMERSED_SIZE = 5 + GEOMETRY_SIZE
-WET_DTYPE = np.dtype(
-    [
-        ("index", np.int64),  # of the element
-        ("slot", np.int64),
-        ("body", np.int64),
-        ("arm", np.float64, (3,)),  # from the centre of the tree to where force acts [m]
-        ("velocity", np.float64, (3,)),  # last looked at [m/s]
-        ("grip", np.float64, (3,)),  # there: what is called on of the limits (`law.kernel`)
-        ("immersed", np.float64, (IMMERSED_SIZE,)),  # what the law's `immerse` gave
-    ]
-)
-wet_records = records(WET_DTYPE)
 
 ACCOUNT_DTYPE = np.dtype(
     [
@@ -44,8 +31,8 @@ account_records = records(ACCOUNT_DTYPE)
 
 # The desk's table: sizes and switches, then addresses, in the order of `make_desk`. WITHIN is 1
 # where the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the
-# step is not there yet.
-NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN = range(8)
+# step is not there yet. A block of elements (`scheme.blocks`) has so many LANES and numbers.
+NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN, LANES, BLOCK_SIZE = range(10)
 OF_MODEL = (
     "M_rownnz",
     "M_rowadr",
@@ -75,10 +62,10 @@ OF_DATA = (
     "qacc",
     "qfrc_bias",
 )
-FIRST_OF_MODEL = 8
+FIRST_OF_MODEL = 10
 FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
-WET, NUMBERS, ACCOUNT, ROWS, LONE = range(
-    FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 5
+HEADS, BLOCKS, NUMBERS, ACCOUNT, ROWS, LONE = range(
+    FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 6
 )
 DESK_SIZE = LONE + 1
 (
@@ -88,7 +75,7 @@ DESK_SIZE = LONE + 1
 (
     QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM,
     CONSTRAINT, WARMSTART, QACC, BIAS,
-) = range(FIRST_OF_DATA, WET)  # fmt: skip
+) = range(FIRST_OF_DATA, HEADS)  # fmt: skip
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
 PLAIN, DAMPED, IMPLICIT_FAST, IMPLICIT_FULL = range(4)
@@ -166,7 +153,8 @@ def desk_at(address):
 
 def make_desk(
     model: mujoco.MjModel,
-    elements: int,
+    elements: np.ndarray,
+    kernel: LawKernel,
     *,
     within: bool,
     model_address: int,
@@ -178,14 +166,17 @@ def make_desk(
 
     Args:
         model: the model.
-        elements: how many there are.
+        elements: of the law.
+        kernel: of the law.
         within: whether forces are asked for among MuJoCo's passive ones, inside its step.
         model_address: of `mjModel`.
         data_address: of `mjData`.
         of_model: address of an array of the model by its name.
         of_data: address of an array of the data by its name.
     """
-    wet = np.zeros(elements, WET_DTYPE)
+    count = block_count(kernel, elements)
+    heads = np.zeros(count, HEAD_DTYPE)
+    blocks = np.zeros(count * block_size(kernel))
     numbers = np.zeros(room_size(model.nv, model.nbody, model.ntendon))
     account = np.zeros(1, ACCOUNT_DTYPE)
     rows = np.array([constraint_rows()], ROWS_DTYPE)
@@ -199,8 +190,10 @@ def make_desk(
         int(mujoco.mj_isSparse(model)),
         len(lone),
         int(within),
+        kernel.lanes,
+        block_size(kernel),
     )
-    holds: tuple[Any, ...] = (wet, numbers, account, rows, lone)
+    holds: tuple[Any, ...] = (heads, blocks, numbers, account, rows, lone)
     addresses = (
         *(of_model(name) for name in OF_MODEL),
         *(of_data(name) for name in OF_DATA),

@@ -49,7 +49,6 @@ from mjgranular.kernel.memory import (
     CONTACTS,
     DESK,
     ELEMENT_COUNT,
-    ELEMENTS,
     SCENE,
     floats,
     ints,
@@ -61,9 +60,6 @@ from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
-    FRESH,
-    NEXT,
-    SAME,
     add_bodies,
     body_motions,
     bound_forces,
@@ -76,13 +72,23 @@ from mjgranular.scheme.balance import (
     solve,
     weigh,
 )
+from mjgranular.scheme.blocks import (
+    ARM,
+    FORCE,
+    FRESH,
+    INDEX,
+    NEXT,
+    SAME,
+    VELOCITY,
+    block_kernels,
+    head_records,
+)
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.wrenches import (
     BAD_STATE,
     add_wrenches,
     gravity_of,
     is_bad,
-    pose_of,
     withdraw_wrenches,
 )
 
@@ -145,12 +151,14 @@ class Implicit(Scheme):
         model: mujoco.MjModel,
         data: mujoco.MjData,
         elements: np.ndarray,
+        kernel: LawKernel,
         *,
         within: bool = False,
     ) -> Desk:
         return d.make_desk(
             model,
-            len(elements),
+            elements,
+            kernel,
             within=within,
             model_address=model._address,
             data_address=data._address,
@@ -180,62 +188,23 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         scene_dtype: record of law and surface.
         most: evaluations after which no finer softness is begun.
     """
-    element_records, immerse = kernel.elements, kernel.immerse
-    respond, next_grip = kernel.respond, kernel.grip
-    scene_records = records(scene_dtype)
-    size = 5 + kernel.numbers
-
-    @compiled
-    def immerse_all(table, desk):
-        """Finds the elements in the sand; their number."""
-        elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
-        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        surface = scene[0].surface
-        g = gravity_of(table)
-        count = 0
-        slot = -1
-        for i in range(len(elements)):
-            element = elements[i]
-            if element.slot != slot:  # elements come body by body
-                slot = element.slot
-                body = bodies[slot]
-                pose = pose_of(table, body)
-                tx, ty, tz = pose.tree
-            immersed = immerse(element, pose, law, surface, g)
-            contact = contacts[i]
-            contact.depth = immersed[0]
-            if immersed[0] <= 0.0:
-                continue
-            contact.length = immersed[1]
-            x, y, z = immersed[2], immersed[3], immersed[4]
-            contact.point[0], contact.point[1], contact.point[2] = x, y, z
-            vx, vy, vz = velocity_at(pose.motion, x - tx, y - ty, z - tz)
-            contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
-            entry = wet[count]
-            entry.index, entry.slot, entry.body = i, slot, body.body
-            entry.arm[0], entry.arm[1], entry.arm[2] = x - tx, y - ty, z - tz
-            entry.velocity[0], entry.velocity[1], entry.velocity[2] = vx, vy, vz
-            for k in range(size):
-                entry.immersed[k] = immersed[k]
-            count += 1
-        return count
+    of_blocks = block_kernels(kernel, scene_dtype)
+    immerse_all, move = of_blocks.immerse, of_blocks.move
+    respond, add = of_blocks.respond, of_blocks.add
+    scene_records, size = records(scene_dtype), of_blocks.size
 
     @compiled
     def evaluate(table, desk, room, velocity, count, h, eps, grips, loose):
         """Residual and its derivative at a velocity.
 
-        Forces on the elements are left in their contacts.
+        Forces on the elements are left in their blocks.
 
         Args:
             table: of addresses.
             desk: the solver's.
             room: the solver's.
             velocity: at the end of the step, nv numbers.
-            count: of elements in the sand.
+            count: of blocks of elements in the sand.
             h: time step [s].
             eps: softness [m/s].
             grips: `NEXT` those after a step of Newton's method to this velocity, `SAME` those
@@ -252,8 +221,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         motion = floats(room.motion, 6 * nbody)
         wrench = floats(room.own, 6 * nbody)
         stiffness = floats(room.stiffness, 36 * nbody)
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
+        heads = head_records(desk[d.HEADS], count)
         scene = scene_records(table[SCENE], 1)
         law = scene[0].law
         g = gravity_of(table)
@@ -262,47 +230,16 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         clear(stiffness)
         bend = 0.0
         for i in range(count):
-            entry = wet[i]
-            b = 6 * entry.body
+            block = floats(desk[d.BLOCKS] + 8 * size * i, size)
+            b = 6 * heads[i].body
             w = (
                 motion[b], motion[b + 1], motion[b + 2],
                 motion[b + 3], motion[b + 4], motion[b + 5],
             )  # fmt: skip
-            x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
-            v = velocity_at(w, x, y, z)
-            p = (entry.grip[0], entry.grip[1], entry.grip[2])
-            if grips == NEXT:
-                u = (entry.velocity[0], entry.velocity[1], entry.velocity[2])
-                c = (v[0] - u[0], v[1] - u[1], v[2] - u[2])
-                p = next_grip(entry.immersed, u, p, c, eps)
-            elif grips == FRESH:
-                size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + loose * loose)
-                p = (v[0] / size, v[1] / size, v[2] / size)
-            entry.velocity[0], entry.velocity[1], entry.velocity[2] = v[0], v[1], v[2]
-            entry.grip[0], entry.grip[1], entry.grip[2] = p[0], p[1], p[2]
-            fx, fy, fz, k0, k1, k2, k3, k4, k5, k6, k7, k8, turn = respond(
-                entry.immersed, law, g, v, p, eps
-            )
+            move(block, w, grips, eps, loose)
+            respond(block, law, g, eps)
+            turn = add(block, wrench[b : b + 6], stiffness[6 * b : 6 * b + 36])
             bend = max(bend, turn)
-            contact = contacts[entry.index]
-            contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
-            wrench[b] += y * fz - z * fy
-            wrench[b + 1] += z * fx - x * fz
-            wrench[b + 2] += x * fy - y * fx
-            wrench[b + 3] += fx
-            wrench[b + 4] += fy
-            wrench[b + 5] += fz
-            # K on the point becomes B^T K B on the body, with B = (-[r]x, 1).
-            t0, t1, t2 = y * k6 - z * k3, y * k7 - z * k4, y * k8 - z * k5
-            t3, t4, t5 = z * k0 - x * k6, z * k1 - x * k7, z * k2 - x * k8
-            t6, t7, t8 = x * k3 - y * k0, x * k4 - y * k1, x * k5 - y * k2
-            s = stiffness[6 * b : 6 * b + 36]
-            add_row(s, 0, t0, t1, t2, x, y, z)
-            add_row(s, 6, t3, t4, t5, x, y, z)
-            add_row(s, 12, t6, t7, t8, x, y, z)
-            add_row(s, 18, k0, k1, k2, x, y, z)
-            add_row(s, 24, k3, k4, k5, x, y, z)
-            add_row(s, 30, k6, k7, k8, x, y, z)
         weigh(desk, room, velocity, h)
         add_bodies(desk, room, h)
         bend = max(bend, bound_forces(desk, room, velocity, h, grips))
@@ -322,7 +259,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             table: of addresses.
             desk: the solver's.
             room: the solver's.
-            count: of elements in the sand.
+            count: of blocks of elements in the sand.
             h: time step [s].
             eps: softness [m/s].
             grips: to begin with, see `evaluate`.
@@ -371,14 +308,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         velocity = floats(room.velocity, nv)
         start = floats(room.start, nv)
         before = floats(desk[d.WARMSTART], nv)
-        wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
         goal = goal_of(fine) * scale
         done = 0
-        fastest = 0.0
-        for i in range(count):
-            v = wet[i].velocity
-            fastest = max(fastest, v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-        if math.sqrt(fastest) < _SLOW * coarse:
+        if fastest_of(desk, count) < _SLOW * coarse:
             # At rest what was is what will be.
             done, error = newton(table, desk, room, count, h, fine, FRESH, fine, goal, _STEPS_NEAR)
             if error <= goal:
@@ -396,7 +328,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         done += more
         if goal < error <= _LOST * scale:
             # What begins to move in this step is rounded more than its velocity before can say.
-            moved = softness(desk, wet, count, velocity)
+            moved = softness(desk, count, velocity)
             if moved > _BEGUN * fine:
                 fine = moved
                 goal = goal_of(fine) * scale
@@ -429,16 +361,14 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             return BAD_STATE
         desk = d.desk_at(table[DESK])
         bodies = body_records(table[BODIES], table[BODY_COUNT])
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         withdraw_wrenches(table)
         for slot in range(len(bodies)):
             clear(bodies[slot].wrench)
-        count = immerse_all(table, desk)
+        count = immerse_all(table, desk[d.HEADS], desk[d.BLOCKS])
         if count > 0:
             forward_smooth(desk)
             room = d.open_room(desk)
-            wet = d.wet_records(desk[d.WET], table[ELEMENT_COUNT])
-            coarse, fine, scale = begin(desk, room, wet, count, lead)
+            coarse, fine, scale = begin(desk, room, count, lead)
             scale = max(scale, _NOTHING)
             done, error, soft, fine = find_velocity(
                 table, desk, room, count, lead, coarse, fine, scale
@@ -447,11 +377,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             if power_bound(desk, room, error, scale) > _NO_ENERGY:
                 share = passive_share(desk, room, lead)
             hand_over(desk, room, bodies, share)
-            if share != 1.0:
-                for i in range(count):
-                    force = contacts[wet[i].index].force
-                    for k in range(3):
-                        force[k] *= share
+            tell_contacts(table, desk, count, share)
             account = d.account_records(desk[d.ACCOUNT], 1)[0]
             account.steps += 1
             account.evaluations += done
@@ -472,14 +398,16 @@ def goal_of(fine):
 
 
 @compiled
-def add_row(s, i, a, b, c, x, y, z):
-    """Adds a row (a, b, c) (-[r]x, 1) to a 6 x 6 matrix."""
-    s[i] += y * c - z * b
-    s[i + 1] += z * a - x * c
-    s[i + 2] += x * b - y * a
-    s[i + 3] += a
-    s[i + 4] += b
-    s[i + 5] += c
+def fastest_of(desk, count):
+    """The greatest speed in the blocks [m/s]."""
+    lanes, size = desk[d.LANES], desk[d.BLOCK_SIZE]
+    most = 0.0
+    for i in range(count):
+        v = floats(desk[d.BLOCKS] + 8 * (size * i + VELOCITY * lanes), 3 * lanes)
+        for lane in range(lanes):
+            x, y, z = v[lane], v[lanes + lane], v[2 * lanes + lane]
+            most = max(most, x * x + y * y + z * z)
+    return math.sqrt(most)
 
 
 @compiled
@@ -495,7 +423,7 @@ def forward_smooth(desk):
 
 
 @compiled
-def begin(desk, room, wet, count, h):
+def begin(desk, room, count, h):
     """Reads the state, and says how softly to begin and to end.
 
     Returns:
@@ -516,8 +444,9 @@ def begin(desk, room, wet, count, h):
     prepare_inertia(desk, room, h)
     prepare_rows(desk, room)
     clear(room_wet)
+    heads = head_records(desk[d.HEADS], count)
     for i in range(count):
-        body = wet[i].body
+        body = heads[i].body
         while body > 0 and room_wet[body] == 0.0:
             room_wet[body] = 1.0
             body = parents[body]
@@ -534,18 +463,19 @@ def begin(desk, room, wet, count, h):
     # that may stop.
     body_motions(desk, room, trial)
     coarse = 0.0
+    lanes = desk[d.LANES]
     for i in range(count):
-        entry = wet[i]
-        b = 6 * entry.body
+        b = 6 * heads[i].body
         w = (m[b], m[b + 1], m[b + 2], m[b + 3], m[b + 4], m[b + 5])
-        x, y, z = entry.arm[0], entry.arm[1], entry.arm[2]
-        vx, vy, vz = velocity_at(w, x, y, z)
-        coarse = max(coarse, vx * vx + vy * vy + vz * vz)
-    return math.sqrt(coarse), softness(desk, wet, count, qvel), size
+        arm = floats(desk[d.BLOCKS] + 8 * (desk[d.BLOCK_SIZE] * i + ARM * lanes), 3 * lanes)
+        for lane in range(lanes):
+            vx, vy, vz = velocity_at(w, arm[lane], arm[lanes + lane], arm[2 * lanes + lane])
+            coarse = max(coarse, vx * vx + vy * vy + vz * vz)
+    return math.sqrt(coarse), softness(desk, count, qvel), size
 
 
 @compiled
-def softness(desk, wet, count, velocity):
+def softness(desk, count, velocity):
     """The fine softness at a velocity [m/s].
 
     With it grow the velocities of joints that cancel in that of a body: the rounding of its rest.
@@ -557,12 +487,14 @@ def softness(desk, wet, count, velocity):
     first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
     large = 0.0
     last = -1
+    lanes = desk[d.LANES]
+    heads = head_records(desk[d.HEADS], count)
     for i in range(count):
-        entry = wet[i]
-        if entry.body == last:
+        if heads[i].body == last:
             continue
-        last = entry.body
-        arm = abs(entry.arm[0]) + abs(entry.arm[1]) + abs(entry.arm[2])
+        last = heads[i].body
+        first_arm = floats(desk[d.BLOCKS] + 8 * (desk[d.BLOCK_SIZE] * i + ARM * lanes), 3 * lanes)
+        arm = abs(first_arm[0]) + abs(first_arm[lanes]) + abs(first_arm[2 * lanes])
         body = last
         while body > 0 and number[body] == 0:
             body = parents[body]
@@ -690,3 +622,17 @@ def hand_over(desk, room, bodies, share):
         body.wrench[3] = share * (w[0] - (y * w[5] - z * w[4]))
         body.wrench[4] = share * (w[1] - (z * w[3] - x * w[5]))
         body.wrench[5] = share * (w[2] - (x * w[4] - y * w[3]))
+
+
+@compiled
+def tell_contacts(table, desk, count, share):
+    """Writes the forces on elements to their contacts."""
+    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    heads = head_records(desk[d.HEADS], count)
+    lanes, size = desk[d.LANES], desk[d.BLOCK_SIZE]
+    for i in range(count):
+        block = floats(desk[d.BLOCKS] + 8 * size * i, size)
+        for lane in range(heads[i].live):
+            contact = contacts[np.int64(block[INDEX * lanes + lane])]
+            for k in range(3):
+                contact.force[k] = share * block[(FORCE + k) * lanes + lane]

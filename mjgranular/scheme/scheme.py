@@ -72,6 +72,7 @@ class Scheme(ABC):
         model: mujoco.MjModel,
         data: mujoco.MjData,
         elements: np.ndarray,
+        kernel: LawKernel,
         *,
         within: bool = False,
     ) -> Desk:
@@ -81,6 +82,7 @@ class Scheme(ABC):
             model: the model.
             data: the simulation.
             elements: of the law.
+            kernel: of the law.
             within: whether the program runs among MuJoCo's passive forces, inside its step.
         """
         return Desk(np.zeros(0, np.int64))

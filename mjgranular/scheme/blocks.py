@@ -1,0 +1,319 @@
+"""Elements in the sand side by side, for the implicit scheme: blocks of up to `lanes` of one body.
+
+A block is rows of numbers, one number for each lane. Loops over lanes are of a fixed length and of
+arithmetic alone, and the compiler makes vector instructions of them; lanes that are left over hold
+the last element once more, with no weight. A law with one lane has blocks of one element.
+"""
+
+# What belongs to a body is read when its first element comes, which a type checker cannot follow.
+# pyright: reportPossiblyUnboundVariable=false
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CONTACTS,
+    ELEMENT_COUNT,
+    ELEMENTS,
+    SCENE,
+    column,
+    floats,
+    held,
+    records,
+)
+from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.law.kernel import LawKernel
+from mjgranular.scheme.wrenches import gravity_of, pose_of
+
+# Rows of a block: from the centre of the tree to where force acts [m]; velocity last looked at
+# [m/s] and the grip there; what `respond` gave for these (force, minus its derivative, bend:
+# `law.kernel`); 1, or nothing for a lane left over; number of the element; wrench about the centre
+# of the tree, moment first, and minus its derivative by the body's motion, row by row; and what
+# `immerse` gave.
+ARM, VELOCITY, GRIP, FORCE, SLOPE, BEND, WEIGHT, INDEX = 0, 3, 6, 9, 12, 21, 22, 23
+WRENCH, STIFFNESS, IMMERSED = 24, 30, 66
+_ANSWER = 13  # numbers that `respond` gives
+
+HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
+head_records = records(HEAD_DTYPE)
+
+# Not literals, for each of which numba would compile a function anew.
+FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
+"""Where grips come from: the velocity itself, a step of Newton's method to it, what is there."""
+
+
+def block_size(kernel: LawKernel) -> int:
+    """How many numbers a block has."""
+    return (IMMERSED + 5 + kernel.numbers) * kernel.lanes
+
+
+def block_count(kernel: LawKernel, elements: np.ndarray) -> int:
+    """The most blocks that elements (field `slot`) may fill."""
+    return sum(-(-int(n) // kernel.lanes) for n in np.bincount(elements["slot"]))
+
+
+@dataclass(frozen=True)
+class BlockKernels:
+    """Loops over the blocks of a law's elements, for one kind of surface.
+
+    Attributes:
+        size: numbers in a block.
+        immerse: kernel `immerse(table, heads, blocks)`: fills blocks with the elements in the sand;
+            how many blocks.
+        move: kernel `move(block, motion, grips, eps, loose)`: velocities in a block from its body's
+            spatial velocity, and grips.
+        respond: kernel `respond(block, law, g, eps)`: forces and derivatives.
+        add: kernel `add(block, wrench, stiffness)`: adds these to those of the body; the greatest
+            bend.
+    """
+
+    size: int
+    immerse: Any
+    move: Any
+    respond: Any
+    add: Any
+
+
+@cache
+def block_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> BlockKernels:
+    """The loops over a law's blocks.
+
+    Args:
+        kernel: of the law.
+        scene_dtype: record of law and surface.
+    """
+    return BlockKernels(
+        block_size(kernel),
+        immerse_kernel(kernel, scene_dtype),
+        move_kernel(kernel),
+        respond_kernel(kernel),
+        add_kernel(kernel.lanes),
+    )
+
+
+def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """See `BlockKernels.immerse`."""
+    element_records, scene_records = kernel.elements, records(scene_dtype)
+    immerse, lanes, size = kernel.immerse, kernel.lanes, block_size(kernel)
+    three, numbers = column(3, lanes), column(5 + kernel.numbers, lanes)
+    write_three, write_numbers = three.write, numbers.write
+    rows = size // lanes
+
+    @compiled
+    def fill(block, live):
+        for lane in range(live, lanes):
+            for row in range(rows):
+                block[row * lanes + lane] = block[row * lanes + live - 1]
+            block[WEIGHT * lanes + lane] = 0.0
+
+    @compiled
+    def immerse_all(table, head_address, address):
+        elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        heads = head_records(head_address, table[ELEMENT_COUNT])
+        scene = scene_records(table[SCENE], 1)
+        law = scene[0].law
+        surface = scene[0].surface
+        g = gravity_of(table)
+        block = floats(address, size)
+        count = 0
+        live = 0
+        slot = -1
+        for i in range(len(elements)):
+            element = elements[i]
+            if element.slot != slot:  # elements come body by body
+                slot = element.slot
+                body = bodies[slot]
+                pose = pose_of(table, body)
+                tx, ty, tz = pose.tree
+                if live > 0:
+                    fill(block, live)
+                live = 0
+            immersed = immerse(element, pose, law, surface, g)
+            contact = contacts[i]
+            contact.depth = immersed[0]
+            if immersed[0] <= 0.0:
+                continue
+            contact.length = immersed[1]
+            x, y, z = immersed[2], immersed[3], immersed[4]
+            v = velocity_at(pose.motion, x - tx, y - ty, z - tz)
+            contact.point[0], contact.point[1], contact.point[2] = x, y, z
+            contact.velocity[0], contact.velocity[1], contact.velocity[2] = v[0], v[1], v[2]
+            if live == 0:
+                block = floats(address + 8 * size * count, size)
+                heads[count].body = body.body
+                count += 1
+            write_three(block, ARM * lanes + live, (x - tx, y - ty, z - tz))
+            write_three(block, VELOCITY * lanes + live, v)
+            write_numbers(block, IMMERSED * lanes + live, immersed)
+            block[WEIGHT * lanes + live] = 1.0
+            block[INDEX * lanes + live] = i
+            live += 1
+            heads[count - 1].live = live
+            if live == lanes:
+                live = 0
+        if live > 0:
+            fill(block, live)
+        return count
+
+    return immerse_all
+
+
+def move_kernel(kernel: LawKernel) -> Any:
+    """See `BlockKernels.move`."""
+    lanes, grip = kernel.lanes, kernel.grip
+    three = column(3, lanes)
+    read, write, read_numbers = three.read, three.write, column(5 + kernel.numbers, lanes).read
+
+    @compiled
+    def move(block, motion, grips, eps, loose):
+        if grips == NEXT:
+            for lane in range(lanes):
+                x, y, z = read(block, ARM * lanes + lane)
+                u = read(block, VELOCITY * lanes + lane)
+                p = read(block, GRIP * lanes + lane)
+                immersed = read_numbers(block, IMMERSED * lanes + lane)
+                v = velocity_at(motion, x, y, z)
+                c = (v[0] - u[0], v[1] - u[1], v[2] - u[2])
+                write(block, GRIP * lanes + lane, grip(immersed, u, p, c, eps))
+                write(block, VELOCITY * lanes + lane, v)
+            return
+        for lane in range(lanes):
+            x, y, z = read(block, ARM * lanes + lane)
+            write(block, VELOCITY * lanes + lane, velocity_at(motion, x, y, z))
+        if grips == FRESH:
+            for lane in range(lanes):
+                x, y, z = read(block, VELOCITY * lanes + lane)
+                size = math.sqrt(x * x + y * y + z * z + loose * loose)
+                write(block, GRIP * lanes + lane, (x / size, y / size, z / size))
+
+    return move
+
+
+def respond_kernel(kernel: LawKernel) -> Any:
+    """See `BlockKernels.respond`."""
+    lanes, simple = kernel.lanes, kernel.simple
+    read, read_numbers = column(3, lanes).read, column(5 + kernel.numbers, lanes).read
+    write = column(_ANSWER, lanes).write
+
+    def in_lanes(respond: Any) -> Any:
+        @compiled
+        def respond_all(block, record, g, eps):
+            law = held(record)
+            for lane in range(lanes):
+                v = read(block, VELOCITY * lanes + lane)
+                p = read(block, GRIP * lanes + lane)
+                immersed = read_numbers(block, IMMERSED * lanes + lane)
+                write(block, FORCE * lanes + lane, respond(immersed, law, g, v, p, eps))
+
+        return respond_all
+
+    respond_all = in_lanes(kernel.respond)
+    if simple is None:
+        return respond_all
+    respond_simple = in_lanes(kernel.respond_simple)
+
+    @compiled
+    def respond_either(block, law, g, eps):
+        others = 0
+        for lane in range(lanes):
+            p = read(block, GRIP * lanes + lane)
+            immersed = read_numbers(block, IMMERSED * lanes + lane)
+            others += 0 if simple(immersed, p) else 1
+        if others == 0:
+            respond_simple(block, law, g, eps)
+        else:
+            respond_all(block, law, g, eps)
+
+    return respond_either
+
+
+@cache
+def add_kernel(lanes: int) -> Any:
+    """See `BlockKernels.add`."""
+    three, six = column(3, lanes), column(6, lanes)
+    read, read_nine, write, add_six = three.read, column(9, lanes).read, six.write, column(6, 1).add
+    # Of one lane straight to where it is summed.
+    single = lanes == 1
+
+    @partial(compiled, inline=True)
+    def wrench_of(block, lane):
+        x, y, z = read(block, ARM * lanes + lane)
+        fx, fy, fz = read(block, FORCE * lanes + lane)
+        m = block[WEIGHT * lanes + lane]
+        fx, fy, fz = m * fx, m * fy, m * fz
+        return y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
+
+    @partial(compiled, inline=True)
+    def stiffness_of(block, lane):
+        """K on the point becomes B^T K B on the body, with B = (-[r]x, 1)."""
+        x, y, z = read(block, ARM * lanes + lane)
+        k0, k1, k2, k3, k4, k5, k6, k7, k8 = read_nine(block, SLOPE * lanes + lane)
+        m = block[WEIGHT * lanes + lane]
+        k0, k1, k2, k3, k4, k5 = m * k0, m * k1, m * k2, m * k3, m * k4, m * k5
+        k6, k7, k8 = m * k6, m * k7, m * k8
+        return (
+            stiffness_row(y * k6 - z * k3, y * k7 - z * k4, y * k8 - z * k5, x, y, z),
+            stiffness_row(z * k0 - x * k6, z * k1 - x * k7, z * k2 - x * k8, x, y, z),
+            stiffness_row(x * k3 - y * k0, x * k4 - y * k1, x * k5 - y * k2, x, y, z),
+            stiffness_row(k0, k1, k2, x, y, z),
+            stiffness_row(k3, k4, k5, x, y, z),
+            stiffness_row(k6, k7, k8, x, y, z),
+        )
+
+    @compiled
+    def add_one(block, wrench, stiffness):
+        add_six(wrench, 0, wrench_of(block, 0))
+        a, b, c, d, e, f = stiffness_of(block, 0)
+        add_six(stiffness, 0, a)
+        add_six(stiffness, 6, b)
+        add_six(stiffness, 12, c)
+        add_six(stiffness, 18, d)
+        add_six(stiffness, 24, e)
+        add_six(stiffness, 30, f)
+        return block[BEND]
+
+    @compiled
+    def add_lanes(block, wrench, stiffness):
+        for lane in range(lanes):
+            write(block, WRENCH * lanes + lane, wrench_of(block, lane))
+            a, b, c, d, e, f = stiffness_of(block, lane)
+            write(block, STIFFNESS * lanes + lane, a)
+            write(block, (STIFFNESS + 6) * lanes + lane, b)
+            write(block, (STIFFNESS + 12) * lanes + lane, c)
+            write(block, (STIFFNESS + 18) * lanes + lane, d)
+            write(block, (STIFFNESS + 24) * lanes + lane, e)
+            write(block, (STIFFNESS + 30) * lanes + lane, f)
+        for row in range(6):
+            total = 0.0
+            for lane in range(lanes):
+                total += block[(WRENCH + row) * lanes + lane]
+            wrench[row] += total
+        for row in range(36):
+            total = 0.0
+            for lane in range(lanes):
+                total += block[(STIFFNESS + row) * lanes + lane]
+            stiffness[row] += total
+        bend = 0.0
+        for lane in range(lanes):
+            bend = max(bend, block[BEND * lanes + lane])
+        return bend
+
+    return add_one if single else add_lanes
+
+
+@partial(compiled, inline=True)
+def stiffness_row(a, b, c, x, y, z):
+    """A row (a, b, c) (-[r]x, 1) of a 6 x 6 matrix."""
+    return y * c - z * b, z * a - x * c, x * b - y * a, a, b, c
