@@ -70,7 +70,7 @@ def account(sand, data):
 
 def foreseen(sand, data):
     """The velocity at the end of the step that the solver last found."""
-    _, numbers, *_ = sand._bindings[data].desk.holds
+    numbers, *_ = sand._bindings[data].desk.holds
     return numbers[: sand.model.nv]  # the first of `desk.Room`
 
 

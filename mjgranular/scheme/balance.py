@@ -218,22 +218,20 @@ def weigh(desk, room, velocity, h):
 
 
 @compiled
-def add_bodies(desk, room, h):
-    """The sand's wrenches as momentum, and their derivative, added to the matrix.
+def sum_wrenches(desk, room, h):
+    """The sand's wrenches as momentum.
 
-    As composite inertias: what acts on a body acts on all joints below it, and wrenches about the
-    centre of one tree can be summed.
+    What acts on a body acts on all joints below it, and wrenches about the centre of one tree can
+    be summed.
     """
     nv, nbody = desk[d.NV], desk[d.NBODY]
     sand = floats(room.sand, nv)
-    matrix = floats(room.matrix, nv * nv)
     own = floats(room.own, 6 * nbody)
     total = floats(room.total, 6 * nbody)
-    stiffness = floats(room.stiffness, 36 * nbody)
     wet = floats(room.wet, nbody)
     cdof = floats(desk[d.CDOF], 6 * nv)
     parents = ints(desk[d.BODY_PARENT], nbody)
-    dof_body, dof_parent = ints(desk[d.DOF_BODY], nv), ints(desk[d.DOF_PARENT], nv)
+    dof_body = ints(desk[d.DOF_BODY], nv)
     for k in range(6 * nbody):
         total[k] = own[k]
     for b in range(nbody - 1, 0, -1):
@@ -241,19 +239,43 @@ def add_bodies(desk, room, h):
         if wet[b] != 0.0 and p > 0:
             for k in range(6):
                 total[6 * p + k] += total[6 * b + k]
-            for k in range(36):
-                stiffness[36 * p + k] += stiffness[36 * b + k]
     for j in range(nv):
         b = dof_body[j]
         sand[j] = 0.0
         if wet[b] == 0.0:
             continue
-        s = stiffness[36 * b : 36 * b + 36]
         c = cdof[6 * j : 6 * j + 6]
         w = total[6 * b : 6 * b + 6]
         sand[j] = h * (
             c[0] * w[0] + c[1] * w[1] + c[2] * w[2] + c[3] * w[3] + c[4] * w[4] + c[5] * w[5]
         )
+
+
+@compiled
+def add_bodies(desk, room, h):
+    """The sand's wrenches as momentum, and their derivative, added to the matrix.
+
+    The derivative as composite inertias are, body by body from the leaves to the root.
+    """
+    sum_wrenches(desk, room, h)
+    nv, nbody = desk[d.NV], desk[d.NBODY]
+    matrix = floats(room.matrix, nv * nv)
+    stiffness = floats(room.stiffness, 36 * nbody)
+    wet = floats(room.wet, nbody)
+    cdof = floats(desk[d.CDOF], 6 * nv)
+    parents = ints(desk[d.BODY_PARENT], nbody)
+    dof_body, dof_parent = ints(desk[d.DOF_BODY], nv), ints(desk[d.DOF_PARENT], nv)
+    for b in range(nbody - 1, 0, -1):
+        p = parents[b]
+        if wet[b] != 0.0 and p > 0:
+            for k in range(36):
+                stiffness[36 * p + k] += stiffness[36 * b + k]
+    for j in range(nv):
+        b = dof_body[j]
+        if wet[b] == 0.0:
+            continue
+        s = stiffness[36 * b : 36 * b + 36]
+        c = cdof[6 * j : 6 * j + 6]
         # Down (columns) and across (rows): the stiffness need not be symmetric.
         y0, y1, y2, y3, y4, y5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         z0, z1, z2, z3, z4, z5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

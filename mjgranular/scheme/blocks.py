@@ -29,6 +29,7 @@ from mjgranular.kernel.memory import (
     floats,
     held,
     records,
+    summed,
 )
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import body_records, contact_records
@@ -75,6 +76,8 @@ class BlockKernels:
         respond: kernel `respond(block, law, g, eps)`: forces and derivatives.
         add: kernel `add(block, wrench, stiffness)`: adds these to those of the body; the greatest
             bend.
+        follow: kernel `follow(block, motion, wrench)`: velocities from the body's, the forces that
+            the derivatives then say, and adds these to those of the body.
     """
 
     size: int
@@ -82,6 +85,7 @@ class BlockKernels:
     move: Any
     respond: Any
     add: Any
+    follow: Any
 
 
 @cache
@@ -98,6 +102,7 @@ def block_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> BlockKernels:
         move_kernel(kernel),
         respond_kernel(kernel),
         add_kernel(kernel.lanes),
+        follow_kernel(kernel.lanes),
     )
 
 
@@ -242,18 +247,9 @@ def respond_kernel(kernel: LawKernel) -> Any:
 @cache
 def add_kernel(lanes: int) -> Any:
     """See `BlockKernels.add`."""
-    three, six = column(3, lanes), column(6, lanes)
-    read, read_nine, write, add_six = three.read, column(9, lanes).read, six.write, column(6, 1).add
-    # Of one lane straight to where it is summed.
-    single = lanes == 1
-
-    @partial(compiled, inline=True)
-    def wrench_of(block, lane):
-        x, y, z = read(block, ARM * lanes + lane)
-        fx, fy, fz = read(block, FORCE * lanes + lane)
-        m = block[WEIGHT * lanes + lane]
-        fx, fy, fz = m * fx, m * fy, m * fz
-        return y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
+    read, read_nine = column(3, lanes).read, column(9, lanes).read
+    write, add_six = column(6, lanes).write, column(6, 1).add
+    wrench_of, total = wrench_kernel(lanes), summed(lanes)
 
     @partial(compiled, inline=True)
     def stiffness_of(block, lane):
@@ -296,21 +292,58 @@ def add_kernel(lanes: int) -> Any:
             write(block, (STIFFNESS + 24) * lanes + lane, e)
             write(block, (STIFFNESS + 30) * lanes + lane, f)
         for row in range(6):
-            total = 0.0
-            for lane in range(lanes):
-                total += block[(WRENCH + row) * lanes + lane]
-            wrench[row] += total
+            wrench[row] += total(block, (WRENCH + row) * lanes)
         for row in range(36):
-            total = 0.0
-            for lane in range(lanes):
-                total += block[(STIFFNESS + row) * lanes + lane]
-            stiffness[row] += total
+            stiffness[row] += total(block, (STIFFNESS + row) * lanes)
         bend = 0.0
         for lane in range(lanes):
             bend = max(bend, block[BEND * lanes + lane])
         return bend
 
-    return add_one if single else add_lanes
+    return add_one if lanes == 1 else add_lanes
+
+
+@cache
+def wrench_kernel(lanes: int) -> Any:
+    """Makes a kernel `wrench_of(block, lane)`: moment and force about the centre of the tree."""
+    read = column(3, lanes).read
+
+    @partial(compiled, inline=True)
+    def wrench_of(block, lane):
+        x, y, z = read(block, ARM * lanes + lane)
+        fx, fy, fz = read(block, FORCE * lanes + lane)
+        m = block[WEIGHT * lanes + lane]
+        fx, fy, fz = m * fx, m * fy, m * fz
+        return y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
+
+    return wrench_of
+
+
+@cache
+def follow_kernel(lanes: int) -> Any:
+    """See `BlockKernels.follow`."""
+    read, write, read_nine = column(3, lanes).read, column(3, lanes).write, column(9, lanes).read
+    write_six, wrench_of, total = column(6, lanes).write, wrench_kernel(lanes), summed(lanes)
+
+    @compiled
+    def follow(block, motion, wrench):
+        for lane in range(lanes):
+            x, y, z = read(block, ARM * lanes + lane)
+            ux, uy, uz = read(block, VELOCITY * lanes + lane)
+            fx, fy, fz = read(block, FORCE * lanes + lane)
+            k0, k1, k2, k3, k4, k5, k6, k7, k8 = read_nine(block, SLOPE * lanes + lane)
+            vx, vy, vz = velocity_at(motion, x, y, z)
+            cx, cy, cz = vx - ux, vy - uy, vz - uz
+            fx -= k0 * cx + k1 * cy + k2 * cz
+            fy -= k3 * cx + k4 * cy + k5 * cz
+            fz -= k6 * cx + k7 * cy + k8 * cz
+            write(block, VELOCITY * lanes + lane, (vx, vy, vz))
+            write(block, FORCE * lanes + lane, (fx, fy, fz))
+            write_six(block, WRENCH * lanes + lane, wrench_of(block, lane))
+        for row in range(6):
+            wrench[row] += total(block, (WRENCH + row) * lanes)
+
+    return follow
 
 
 @partial(compiled, inline=True)

@@ -64,7 +64,7 @@ OF_DATA = (
 )
 FIRST_OF_MODEL = 10
 FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
-HEADS, BLOCKS, NUMBERS, ACCOUNT, ROWS, LONE = range(
+NUMBERS, HEADS, BLOCKS, ACCOUNT, ROWS, LONE = range(
     FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 6
 )
 DESK_SIZE = LONE + 1
@@ -75,7 +75,7 @@ DESK_SIZE = LONE + 1
 (
     QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM,
     CONSTRAINT, WARMSTART, QACC, BIAS,
-) = range(FIRST_OF_DATA, HEADS)  # fmt: skip
+) = range(FIRST_OF_DATA, NUMBERS)  # fmt: skip
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
 PLAIN, DAMPED, IMPLICIT_FAST, IMPLICIT_FULL = range(4)
@@ -193,7 +193,7 @@ def make_desk(
         kernel.lanes,
         block_size(kernel),
     )
-    holds: tuple[Any, ...] = (heads, blocks, numbers, account, rows, lone)
+    holds: tuple[Any, ...] = (numbers, heads, blocks, account, rows, lone)
     addresses = (
         *(of_model(name) for name in OF_MODEL),
         *(of_data(name) for name in OF_DATA),
