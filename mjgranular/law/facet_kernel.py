@@ -136,8 +136,10 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
         load, ls, lt = load_of(facet[17], facet[18], facet[19], facet[20], c, a, b)
         nx, ny, nz = turned(nx, ny, nz, ls, ax, ay, az, lt, bx, by, bz)
         sx, sy, sz = stress(law, g, nx, ny, nz, ux, uy, uz, facet[8], facet[9], facet[10])
-        # The fit describes faces that lead; on the ramp it is asked for some that just do not.
         gain = load * facet[21]
+        if gain <= 0.0:  # of what does not lead there need be no stress, not even a number
+            sx, sy, sz = 0.0, 0.0, 0.0
+        # The fit describes faces that lead; on the ramp it is asked for some that just do not.
         power = max(sx * ux + sy * uy + sz * uz, 0.0)
         return gain * (sx - power * ux), gain * (sy - power * uy), gain * (sz - power * uz)
 
@@ -169,7 +171,10 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None) -> LawKernel:
         sx, sy, sz, d0, d1, d2, d3, d4, d5, d6, d7, d8 = slope(
             law, g, nx, ny, nz, ux, uy, uz, facet[8], facet[9], facet[10]
         )
-        gain = facet[20] * facet[21] if ux * nx + uy * ny + uz * nz > 0.0 else 0.0
+        gain = facet[20] * facet[21]
+        if ux * nx + uy * ny + uz * nz <= 0.0:  # there need be no stress, not even a number
+            gain, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
+            d0, d1, d2, d3, d4, d5, d6, d7, d8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         tx = sx - (d0 * ux + d1 * uy + d2 * uz)
         ty = sy - (d3 * ux + d4 * uy + d5 * uz)
         tz = sz - (d6 * ux + d7 * uy + d8 * uz)
@@ -221,7 +226,8 @@ def direction(p):
     px, py, pz = p
     size = math.sqrt(px * px + py * py + pz * pz)
     if size > _STILL:
-        return size, px / size, py / size, pz / size
+        scale = 1.0 / size
+        return size, scale * px, scale * py, scale * pz
     return 0.0, 0.0, 0.0, 1.0
 
 

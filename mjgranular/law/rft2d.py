@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.elementary import exponential, logarithm
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
@@ -42,17 +43,15 @@ def planar_response(law, sin_b, cos_b, sin_g, cos_g):
 def in_plane_share(v):
     """Treers et al.: scale of the in-plane response with the in-plane part of the velocity."""
     bend = min(1.61146827229181 * v - 0.973746396532650, 0.9999999)
-    # atanh as a logarithm, which a compiler knows how to take of several numbers at once.
-    atanh = 0.5 * math.log((1.0 + bend) / (1.0 - bend))
-    return 1.99392673405210 * (atanh + _ATANH_LEAST) / 5.81083560370960
+    atanh = 0.5 * logarithm((1.0 + bend) / (1.0 - bend))
+    return (1.99392673405210 / 5.81083560370960) * (atanh + _ATANH_LEAST)
 
 
 @partial(compiled, inline=True)
 def sideways_share(v):
     """Treers et al.: scale of the sideways response with the sideways part of the velocity."""
-    # tanh as an exponential, likewise.
-    tanh = 1.0 - 2.0 / (1.0 + math.exp(2.0 * (3.62263982880971 * v - 1.60910808139526)))
-    return 0.440850096954369 * (tanh + _TANH_LEAST) / 0.832324700111401
+    tanh = 1.0 - 2.0 / (1.0 + exponential(2.0 * (3.62263982880971 * v - 1.60910808139526)))
+    return (0.440850096954369 / 0.832324700111401) * (tanh + _TANH_LEAST)
 
 
 @partial(compiled, inline=True)
@@ -68,14 +67,13 @@ def rft2d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     v_up = vx * zx + vy * zy + vz * zz
     ex, ey, ez = nx - n_up * zx, ny - n_up * zy, nz - n_up * zz
     size = math.sqrt(ex * ex + ey * ey + ez * ez)
+    along = size
     if size < 1e-3:  # the tolerance of Treers et al.
         ex, ey, ez = vx - v_up * zx, vy - v_up * zy, vz - v_up * zz
-        size_v = math.sqrt(ex * ex + ey * ey + ez * ez)
-        if size_v > 0.0:
-            ex, ey, ez = ex / size_v, ey / size_v, ez / size_v
+        along = math.sqrt(ex * ex + ey * ey + ez * ez)
         size = 0.0
-    else:
-        ex, ey, ez = ex / size, ey / size, ez / size
+    scale = 1.0 / along if along > 0.0 else 0.0
+    ex, ey, ez = scale * ex, scale * ey, scale * ez
     v_e = vx * ex + vy * ey + vz * ez
     sx, sy, sz = vx - v_up * zx - v_e * ex, vy - v_up * zy - v_e * ey, vz - v_up * zz - v_e * ez
     sideways = math.sqrt(sx * sx + sy * sy + sz * sz)
@@ -84,7 +82,8 @@ def rft2d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     fx, fy, fz = 0.0, 0.0, 0.0
     if in_plane > 1e-12:
         # In (e, z): n = (sin b, -cos b), v = (cos g, -sin g), response (-alpha_x, alpha_z).
-        alpha_x, alpha_z = planar_response(law, size, -n_up, -v_up / in_plane, v_e / in_plane)
+        scale = 1.0 / in_plane
+        alpha_x, alpha_z = planar_response(law, size, -n_up, -v_up * scale, v_e * scale)
         gain = law.scale * in_plane_share(in_plane)
         fx = gain * (alpha_z * zx - alpha_x * ex)
         fy = gain * (alpha_z * zy - alpha_x * ey)

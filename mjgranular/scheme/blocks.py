@@ -200,8 +200,8 @@ def move_kernel(kernel: LawKernel) -> Any:
         if grips == FRESH:
             for lane in range(lanes):
                 x, y, z = read(block, VELOCITY * lanes + lane)
-                size = math.sqrt(x * x + y * y + z * z + loose * loose)
-                write(block, GRIP * lanes + lane, (x / size, y / size, z / size))
+                scale = 1.0 / math.sqrt(x * x + y * y + z * z + loose * loose)
+                write(block, GRIP * lanes + lane, (scale * x, scale * y, scale * z))
 
     return move
 
