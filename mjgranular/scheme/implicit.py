@@ -39,16 +39,12 @@ from mjgranular.kernel.engine import (
     constraint_references,
     forward_acceleration,
     forward_actuation,
-    forward_constraint,
-    solve_inertia,
     tendon_bias_forces,
 )
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
-    CONTACTS,
     DESK,
-    ELEMENT_COUNT,
     SCENE,
     floats,
     ints,
@@ -56,35 +52,33 @@ from mjgranular.kernel.memory import (
     table_at,
 )
 from mjgranular.kernel.motion import velocity_at
-from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.kernel.records import body_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
     add_bodies,
     body_motions,
-    bound_forces,
     clear,
     copy,
     norm,
     prepare_inertia,
-    prepare_rows,
-    rows_of,
     solve,
     sum_wrenches,
     weigh,
 )
 from mjgranular.scheme.blocks import (
     ARM,
-    FORCE,
     FRESH,
-    INDEX,
     NEXT,
     SAME,
-    VELOCITY,
     block_kernels,
     head_records,
 )
+from mjgranular.scheme.constraints import bound_forces, prepare_rows
+from mjgranular.scheme.handover import hand_over, tell_contacts
+from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
+from mjgranular.scheme.softness import fastest_of, goal_of, softness
 from mjgranular.scheme.wrenches import (
     BAD_STATE,
     add_wrenches,
@@ -93,17 +87,10 @@ from mjgranular.scheme.wrenches import (
     withdraw_wrenches,
 )
 
-# Speed at which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at
-# 0.7 of its limit. Beside it, a share of the speeds that cancel in an element's own, the largest
-# of all elements: a hold finer than their rounding would drown in it, and a coarser one is found
-# in fewer steps. Both chosen, the share by counting evaluations: 1e-5 needs a sixth less in
-# motion, and twice as many where robots come to rest, because it lets them creep.
-_SOFT = 1e-12
-_SOFT_SHARE = 1e-6
-# Residuals, in parts of the momentum at hand. To be reached: at rest, in motion (where rounding in
-# what holds is larger), between two softnesses. Above them a step is counted as unfinished, and the
-# direct way as lost: what is left between may be one of the law's own jumps. Chosen.
-_AT_REST, _IN_MOTION, _COARSE, _ROUNDED, _LOST = 1e-12, 1e-9, 1e-3, 1e-6, 1e-3
+# Residuals, in parts of the momentum at hand: between two softnesses; above that a step is counted
+# as unfinished, and the direct way as lost. What is left between may be one of the law's own jumps.
+# Chosen.
+_COARSE, _ROUNDED, _LOST = 1e-3, 1e-6, 1e-3
 # Square of the difference of a grip and its velocity's: where the force may be taken for the law's,
 # and where the residual may be trusted to fall along a step. Chosen.
 _BEND, _STRAIGHT = 1e-8, 1e-6
@@ -119,10 +106,7 @@ _FALLING, _SURE = 0.1, 1e-2
 _SHORTEST = 0.1  # of a step
 # Of Newton's method; not literals, for each of which numba would compile anew.
 _STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (4, 40, 6))
-_NO_ENERGY = 1e-14  # [J]
 _NOTHING = 1e-150  # a momentum that may be divided by
-_TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
-_HALVINGS = 20  # a share to one in a million
 
 
 @dataclass(frozen=True)
@@ -407,7 +391,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 table, desk, room, count, lead, coarse, fine, scale
             )
             share = 1.0
-            if power_bound(desk, room, error, scale) > _NO_ENERGY:
+            if power_bound(desk, room, error, scale) > NO_ENERGY:
                 share = passive_share(desk, room, lead)
             hand_over(desk, room, bodies, share)
             tell_contacts(table, desk, count, share)
@@ -422,25 +406,6 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         return add_wrenches(table)
 
     return program
-
-
-@compiled
-def goal_of(fine):
-    """Residual to be reached, in parts of the momentum at hand."""
-    return _AT_REST + _IN_MOTION * (fine - _SOFT) / fine
-
-
-@compiled
-def fastest_of(desk, count):
-    """The greatest speed in the blocks [m/s]."""
-    lanes, size = desk[d.LANES], desk[d.BLOCK_SIZE]
-    most = 0.0
-    for i in range(count):
-        v = floats(desk[d.BLOCKS] + 8 * (size * i + VELOCITY * lanes), 3 * lanes)
-        for lane in range(lanes):
-            x, y, z = v[lane], v[lanes + lane], v[2 * lanes + lane]
-            most = max(most, x * x + y * y + z * z)
-    return math.sqrt(most)
 
 
 @compiled
@@ -505,167 +470,3 @@ def begin(desk, room, count, h):
             vx, vy, vz = velocity_at(w, arm[lane], arm[lanes + lane], arm[2 * lanes + lane])
             coarse = max(coarse, vx * vx + vy * vy + vz * vz)
     return math.sqrt(coarse), softness(desk, count, qvel), size
-
-
-@compiled
-def softness(desk, count, velocity):
-    """The fine softness at a velocity [m/s].
-
-    With it grow the velocities of joints that cancel in that of a body: the rounding of its rest.
-    """
-    nv, nbody = desk[d.NV], desk[d.NBODY]
-    cdof = floats(desk[d.CDOF], 6 * nv)
-    parents = ints(desk[d.BODY_PARENT], nbody)
-    dof_parent = ints(desk[d.DOF_PARENT], nv)
-    first, number = ints(desk[d.BODY_DOF], nbody), ints(desk[d.BODY_DOFS], nbody)
-    large = 0.0
-    last = -1
-    lanes = desk[d.LANES]
-    heads = head_records(desk[d.HEADS], count)
-    for i in range(count):
-        if heads[i].body == last:
-            continue
-        last = heads[i].body
-        first_arm = floats(desk[d.BLOCKS] + 8 * (desk[d.BLOCK_SIZE] * i + ARM * lanes), 3 * lanes)
-        arm = abs(first_arm[0]) + abs(first_arm[lanes]) + abs(first_arm[2 * lanes])
-        body = last
-        while body > 0 and number[body] == 0:
-            body = parents[body]
-        dof = first[body] + number[body] - 1 if body > 0 else -1
-        total = 0.0
-        while dof >= 0:
-            c = cdof[6 * dof : 6 * dof + 6]
-            turning = abs(c[0]) + abs(c[1]) + abs(c[2])
-            total += abs(velocity[dof]) * (arm * turning + abs(c[3]) + abs(c[4]) + abs(c[5]))
-            dof = dof_parent[dof]
-        large = max(large, total)
-    return _SOFT + _SOFT_SHARE * large
-
-
-@compiled
-def power_bound(desk, room, error, scale):
-    """What the sand may add to the energy at most [J], by the velocity found and its residual.
-
-    The residual's size is measured with the diagonal of the inertia alone, which may be far too
-    little for long chains of light bodies: a margin of a thousand, and no trust in large residuals.
-    """
-    nv = desk[d.NV]
-    velocity = floats(room.velocity, nv)
-    sand = floats(room.sand, nv)
-    rows = rows_of(desk[d.ROWS], 1)[0]
-    if not error < _TRUSTED:
-        return math.inf
-    if ints(desk[d.DATA] + rows.count, 1)[0] > 0:  # the engine's own solver stops short as well
-        error = max(error, _TRUSTED)
-    work = 0.0
-    for j in range(nv):
-        work += sand[j] * velocity[j]
-    return work + 1e3 * error * scale * norm(sand, room, nv)
-
-
-@compiled
-def passive_share(desk, room, h):
-    """The largest share of the sand's momentum that gives no energy; 1 if the whole gives none.
-
-    Where Newton's method stops short, its forces are bounded but need not oppose the velocities
-    they lead to. The velocity that a share s leads to is asked for, of the engine itself where it
-    has constraints; its product with the sand's momentum grows with s, so that halving finds where
-    it turns positive. What is returned has been asked for.
-    """
-    if power_of_share(desk, room, h, 1.0) <= _NO_ENERGY:
-        return 1.0
-    low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
-        share = 0.5 * (low + high)
-        if power_of_share(desk, room, h, share) <= 0.0:
-            low = share
-        else:
-            high = share
-    return low
-
-
-@compiled
-def power_of_share(desk, room, h, share):
-    """The sand's momentum times the velocity that a share of it leads to [J].
-
-    Leaves the engine's state as it was, but for what its step computes anew.
-    """
-    nv = desk[d.NV]
-    start = floats(room.start, nv)
-    trial = floats(room.trial, nv)
-    room_smooth = floats(room.smooth, nv)
-    sand = floats(room.sand, nv)
-    answer = floats(room.answer, nv)
-    product = floats(room.product, nv)
-    inertia = floats(room.inertia, nv * nv)
-    matrix = floats(room.matrix, nv * nv)
-    smooth = floats(desk[d.SMOOTH], nv)
-    acceleration = floats(desk[d.ACCELERATION], nv)
-    warmstart = floats(desk[d.WARMSTART], nv)
-    constraint = floats(desk[d.CONSTRAINT], nv)
-    rows = rows_of(desk[d.ROWS], 1)[0]
-    bound = ints(desk[d.DATA] + rows.count, 1)[0] > 0
-    for j in range(nv):
-        smooth[j] = (room_smooth[j] + share * sand[j]) / h
-    if bound:
-        solve_inertia(desk[d.MODEL], desk[d.DATA], acceleration.ctypes.data, smooth.ctypes.data, 1)
-        for j in range(nv):
-            product[j] = warmstart[j]
-        forward_constraint(desk[d.MODEL], desk[d.DATA])
-        for j in range(nv):
-            warmstart[j] = product[j]
-    # Plain Euler takes the engine's accelerations, the others its forces: not the same where its
-    # solver has stopped short.
-    if bound and desk[d.INTEGRATOR] == d.PLAIN:
-        qacc = floats(desk[d.QACC], nv)
-        for j in range(nv):
-            answer[j] = h * qacc[j]
-    else:
-        for j in range(nv):
-            trial[j] = h * (smooth[j] + constraint[j] if bound else smooth[j])
-        for k in range(nv * nv):
-            matrix[k] = inertia[k]
-        if not solve(matrix, trial, answer, nv):
-            return math.inf
-    power = 0.0
-    for j in range(nv):
-        power += sand[j] * (start[j] + answer[j])
-    return power
-
-
-@compiled
-def hand_over(desk, room, bodies, share):
-    """The bodies' wrenches about their own centres of mass."""
-    nbody = desk[d.NBODY]
-    own = floats(room.own, 6 * nbody)
-    wet = floats(room.wet, nbody)
-    trees = floats(desk[d.TREE_COM], 3 * nbody)
-    coms = floats(desk[d.COM], 3 * nbody)
-    for slot in range(len(bodies)):
-        body = bodies[slot]
-        if wet[body.body] == 0.0:
-            continue
-        w = own[6 * body.body : 6 * body.body + 6]
-        x = coms[3 * body.body] - trees[3 * body.root]
-        y = coms[3 * body.body + 1] - trees[3 * body.root + 1]
-        z = coms[3 * body.body + 2] - trees[3 * body.root + 2]
-        body.wrench[0] = share * w[3]
-        body.wrench[1] = share * w[4]
-        body.wrench[2] = share * w[5]
-        body.wrench[3] = share * (w[0] - (y * w[5] - z * w[4]))
-        body.wrench[4] = share * (w[1] - (z * w[3] - x * w[5]))
-        body.wrench[5] = share * (w[2] - (x * w[4] - y * w[3]))
-
-
-@compiled
-def tell_contacts(table, desk, count, share):
-    """Writes the forces on elements to their contacts."""
-    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-    heads = head_records(desk[d.HEADS], count)
-    lanes, size = desk[d.LANES], desk[d.BLOCK_SIZE]
-    for i in range(count):
-        block = floats(desk[d.BLOCKS] + 8 * size * i, size)
-        for lane in range(heads[i].live):
-            contact = contacts[np.int64(block[INDEX * lanes + lane])]
-            for k in range(3):
-                contact.force[k] = share * block[(FORCE + k) * lanes + lane]

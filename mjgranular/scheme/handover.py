@@ -1,0 +1,49 @@
+"""What the implicit scheme leaves behind when a step is solved: wrenches and contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import CONTACTS, ELEMENT_COUNT, floats
+from mjgranular.kernel.records import contact_records
+from mjgranular.scheme import desk as d
+from mjgranular.scheme.blocks import FORCE, INDEX, head_records
+
+
+@compiled
+def hand_over(desk, room, bodies, share):
+    """The bodies' wrenches about their own centres of mass."""
+    nbody = desk[d.NBODY]
+    own = floats(room.own, 6 * nbody)
+    wet = floats(room.wet, nbody)
+    trees = floats(desk[d.TREE_COM], 3 * nbody)
+    coms = floats(desk[d.COM], 3 * nbody)
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        if wet[body.body] == 0.0:
+            continue
+        w = own[6 * body.body : 6 * body.body + 6]
+        x = coms[3 * body.body] - trees[3 * body.root]
+        y = coms[3 * body.body + 1] - trees[3 * body.root + 1]
+        z = coms[3 * body.body + 2] - trees[3 * body.root + 2]
+        body.wrench[0] = share * w[3]
+        body.wrench[1] = share * w[4]
+        body.wrench[2] = share * w[5]
+        body.wrench[3] = share * (w[0] - (y * w[5] - z * w[4]))
+        body.wrench[4] = share * (w[1] - (z * w[3] - x * w[5]))
+        body.wrench[5] = share * (w[2] - (x * w[4] - y * w[3]))
+
+
+@compiled
+def tell_contacts(table, desk, count, share):
+    """Writes the forces on elements to their contacts."""
+    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    heads = head_records(desk[d.HEADS], count)
+    lanes, size = desk[d.LANES], desk[d.BLOCK_SIZE]
+    for i in range(count):
+        block = floats(desk[d.BLOCKS] + 8 * size * i, size)
+        for lane in range(heads[i].live):
+            contact = contacts[np.int64(block[INDEX * lanes + lane])]
+            for k in range(3):
+                contact.force[k] = share * block[(FORCE + k) * lanes + lane]

@@ -1,0 +1,111 @@
+"""Sand gives no energy: what the implicit scheme does where its solver stops short.
+
+There forces are bounded by the law's, but need not oppose the velocities they lead to. Then the
+largest share of them is taken that does.
+"""
+
+from __future__ import annotations
+
+import math
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import forward_constraint, solve_inertia
+from mjgranular.kernel.memory import floats, ints
+from mjgranular.scheme import desk as d
+from mjgranular.scheme.balance import norm, solve
+from mjgranular.scheme.constraints import rows_of
+
+NO_ENERGY = 1e-14  # [J]; chosen
+_TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
+_HALVINGS = 20  # a share to one in a million
+
+
+@compiled
+def power_bound(desk, room, error, scale):
+    """What the sand may add to the energy at most [J], by the velocity found and its residual.
+
+    The residual's size is measured with the diagonal of the inertia alone, which may be far too
+    little for long chains of light bodies: a margin of a thousand, and no trust in large residuals.
+    """
+    nv = desk[d.NV]
+    velocity = floats(room.velocity, nv)
+    sand = floats(room.sand, nv)
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    if not error < _TRUSTED:
+        return math.inf
+    if ints(desk[d.DATA] + rows.count, 1)[0] > 0:  # the engine's own solver stops short as well
+        error = max(error, _TRUSTED)
+    work = 0.0
+    for j in range(nv):
+        work += sand[j] * velocity[j]
+    return work + 1e3 * error * scale * norm(sand, room, nv)
+
+
+@compiled
+def passive_share(desk, room, h):
+    """The largest share of the sand's momentum that gives no energy; 1 if the whole gives none.
+
+    Where Newton's method stops short, its forces are bounded but need not oppose the velocities
+    they lead to. The velocity that a share s leads to is asked for, of the engine itself where it
+    has constraints; its product with the sand's momentum grows with s, so that halving finds where
+    it turns positive. What is returned has been asked for.
+    """
+    if power_of_share(desk, room, h, 1.0) <= NO_ENERGY:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        share = 0.5 * (low + high)
+        if power_of_share(desk, room, h, share) <= 0.0:
+            low = share
+        else:
+            high = share
+    return low
+
+
+@compiled
+def power_of_share(desk, room, h, share):
+    """The sand's momentum times the velocity that a share of it leads to [J].
+
+    Leaves the engine's state as it was, but for what its step computes anew.
+    """
+    nv = desk[d.NV]
+    start = floats(room.start, nv)
+    trial = floats(room.trial, nv)
+    room_smooth = floats(room.smooth, nv)
+    sand = floats(room.sand, nv)
+    answer = floats(room.answer, nv)
+    product = floats(room.product, nv)
+    inertia = floats(room.inertia, nv * nv)
+    matrix = floats(room.matrix, nv * nv)
+    smooth = floats(desk[d.SMOOTH], nv)
+    acceleration = floats(desk[d.ACCELERATION], nv)
+    warmstart = floats(desk[d.WARMSTART], nv)
+    constraint = floats(desk[d.CONSTRAINT], nv)
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    bound = ints(desk[d.DATA] + rows.count, 1)[0] > 0
+    for j in range(nv):
+        smooth[j] = (room_smooth[j] + share * sand[j]) / h
+    if bound:
+        solve_inertia(desk[d.MODEL], desk[d.DATA], acceleration.ctypes.data, smooth.ctypes.data, 1)
+        for j in range(nv):
+            product[j] = warmstart[j]
+        forward_constraint(desk[d.MODEL], desk[d.DATA])
+        for j in range(nv):
+            warmstart[j] = product[j]
+    # Plain Euler takes the engine's accelerations, the others its forces: not the same where its
+    # solver has stopped short.
+    if bound and desk[d.INTEGRATOR] == d.PLAIN:
+        qacc = floats(desk[d.QACC], nv)
+        for j in range(nv):
+            answer[j] = h * qacc[j]
+    else:
+        for j in range(nv):
+            trial[j] = h * (smooth[j] + constraint[j] if bound else smooth[j])
+        for k in range(nv * nv):
+            matrix[k] = inertia[k]
+        if not solve(matrix, trial, answer, nv):
+            return math.inf
+    power = 0.0
+    for j in range(nv):
+        power += sand[j] * (start[j] + answer[j])
+    return power
