@@ -20,6 +20,7 @@ from mjgranular.kernel.memory import (
     XPOS,
     floats,
     ints,
+    row_of,
     table_at,
 )
 from mjgranular.kernel.motion import body_velocity
@@ -35,22 +36,15 @@ def pose_of(table, body):
         table: the simulation's (`kernel.memory`).
         body: record of the body (`kernel.records`).
     """
-    nbody = table[NBODY]
-    xpos = floats(table[XPOS], 3 * nbody)
-    xmat = floats(table[XMAT], 9 * nbody)
-    xipos = floats(table[XIPOS], 3 * nbody)
-    subtree_com = floats(table[SUBTREE_COM], 3 * nbody)
-    b, m, root = 3 * body.body, 9 * body.body, 3 * body.root
+    p, m = row_of(table[XPOS], body.body, 3), row_of(table[XMAT], body.body, 9)
+    com, tree = row_of(table[XIPOS], body.body, 3), row_of(table[SUBTREE_COM], body.root, 3)
     return Pose(
-        (xpos[b], xpos[b + 1], xpos[b + 2]),
-        (
-            xmat[m], xmat[m + 1], xmat[m + 2], xmat[m + 3], xmat[m + 4],
-            xmat[m + 5], xmat[m + 6], xmat[m + 7], xmat[m + 8],
-        ),
-        (xipos[b], xipos[b + 1], xipos[b + 2]),
-        (subtree_com[root], subtree_com[root + 1], subtree_com[root + 2]),
+        (p[0], p[1], p[2]),
+        (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]),
+        (com[0], com[1], com[2]),
+        (tree[0], tree[1], tree[2]),
         body_velocity(table, body.body),
-    )  # fmt: skip
+    )
 
 
 @compiled
@@ -68,12 +62,16 @@ def add_wrenches(table):
     call; a row that does not has been written by the user since (or reset, or copied), and is
     wholly the user's.
 
+    Inside MuJoCo's step, where the table has no `xfrc_applied`, nothing is done.
+
     Args:
         table: the simulation's (`kernel.memory`).
 
     Returns:
         -1, or the row in `bodies` of the first wrench that is not finite; then nothing is written.
     """
+    if table[XFRC] == 0:
+        return -1
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
@@ -119,7 +117,12 @@ _BAD = tuple(
 
 @compiled
 def is_bad(table):
-    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it."""
+    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it.
+
+    Inside MuJoCo's step, which deals with that itself, the table has no warnings.
+    """
+    if table[WARNINGS] == 0:
+        return False
     # mjWarningStat is {int lastinfo; int number;}: the address is that of the first number.
     numbers = ints(table[WARNINGS], _BAD[2] + 1)
     return numbers[_BAD[0]] + numbers[_BAD[1]] + numbers[_BAD[2]] > 0
@@ -127,7 +130,12 @@ def is_bad(table):
 
 @compiled
 def withdraw_wrenches(table):
-    """Takes back those rows of `xfrc_applied` that still hold what the sand wrote."""
+    """Takes back those rows of `xfrc_applied` that still hold what the sand wrote.
+
+    Inside MuJoCo's step, where the table has no `xfrc_applied`, nothing is done.
+    """
+    if table[XFRC] == 0:
+        return
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
