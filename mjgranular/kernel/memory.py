@@ -107,8 +107,8 @@ longs = records(np.dtype(np.int64))
 def row_of(address, number, width):
     """A row of a matrix of floats at an address.
 
-    Numba looks at each index whether it is negative, and counts from the end then; not where it is
-    a constant, as it is in a row.
+    Numba asks of each index whether it is negative, and counts from the end then; not of constants,
+    which indices into a row are.
     """
     return floats(address + 8 * width * number, width)
 

@@ -32,6 +32,18 @@ GEOMETRY_SIZE = 18
 """The most numbers that a law may keep of an immersed element's geometry."""
 
 
+@compiled
+def no_level(surface, pose):
+    """Of a surface that is no plane, or for a law that does not skim."""
+    return 0.0
+
+
+@compiled
+def look_closer(element, level):
+    """Where nothing but `immerse` can tell whether an element is in the sand."""
+    return math.inf
+
+
 @dataclass(frozen=True)
 class LawKernel:
     """The scalar kernels of a law under one kind of surface.
@@ -57,6 +69,11 @@ class LawKernel:
             changes the velocity `v` by `c`; `grip_of_all` where one limit holds against motion in
             all directions.
         numbers: how many `immerse` gives of the geometry, behind the point.
+        level: kernel `level(surface, pose)`: what `skim` needs to know of the surface, once a body;
+            a surface's own `level`, if it has one.
+        skim: kernel `skim(element, level)`: the depth of the element's deepest point [m] at a
+            fraction of the cost of `immerse`, which is asked where it is positive. For laws that
+            cut bodies into many elements, most of which are above the sand.
     """
 
     elements: Any
@@ -65,6 +82,8 @@ class LawKernel:
     respond: Any
     grip: Any
     numbers: int
+    level: Any = no_level
+    skim: Any = look_closer
 
 
 @compiled

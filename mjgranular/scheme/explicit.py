@@ -8,9 +8,6 @@ led by half a step, `v + (h/2) a` with `a` the acceleration of the last step (Ad
 second order for the velocity, leapfrog for the position). It costs one sum along the joint chain.
 """
 
-# What a body in the sand needs is read with its first wet element; a type checker cannot follow.
-# pyright: reportPossiblyUnboundVariable=false
-
 from __future__ import annotations
 
 import math
@@ -36,7 +33,14 @@ from mjgranular.kernel.motion import add_force, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
-from mjgranular.scheme.wrenches import BAD_STATE, add_wrenches, gravity_of, is_bad, pose_of
+from mjgranular.scheme.wrenches import (
+    BAD_STATE,
+    add_wrenches,
+    gravity_of,
+    is_bad,
+    place_of,
+    pose_at,
+)
 
 
 @dataclass(frozen=True)
@@ -67,10 +71,20 @@ class Explicit(Scheme):
 schemes.add(Explicit.name, Explicit)
 
 
+@compiled
+def lead_velocity(table, body, lead):
+    """Notes the change of a body's velocity within `lead` in its record."""
+    wx, wy, wz, vx, vy, vz = velocity_change(table, body.last_dof, lead)
+    change = body.change
+    change[0], change[1], change[2] = wx, wy, wz
+    change[3], change[4], change[5] = vx, vy, vz
+
+
 @cache
 def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
     element_records, immerse, resist = kernel.elements, kernel.immerse, kernel.resist
+    level, skim = kernel.level, kernel.skim
     scene_records = records(scene_dtype)
 
     @partial(compiled, inline=True)
@@ -87,24 +101,36 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             body = bodies[slot]
             for k in range(6):
                 body.wrench[k] = 0.0
-            pose = pose_of(table, body)
+            place = place_of(table, body)
+            around = level(surface, pose_at(place))
             dry = True
             for i in range(first, body.end):
-                immersed = immerse(elements[i], pose, law, surface, g)
-                contact = contacts[i]
+                element, contact = elements[i], contacts[i]
+                depth = skim(element, around)
+                if depth <= 0.0:
+                    contact.depth = depth
+                    continue
+                immersed = immerse(element, pose_at(place), law, surface, g)
                 contact.depth = immersed[0]
                 if immersed[0] <= 0.0:
                     continue
+                pose = pose_at(place)  # anew: numbers kept from above would cost more
                 if dry:  # most bodies of a robot are above the sand
                     dry = False
-                    tx, ty, tz = pose.tree
-                    change = velocity_change(table, body.last_dof, lead)
+                    lead_velocity(table, body, lead)
+                change = body.change
+                tx, ty, tz = pose.tree
                 contact.length = immersed[1]
                 x, y, z = immersed[2], immersed[3], immersed[4]
                 vx, vy, vz = velocity_at(pose.motion, x - tx, y - ty, z - tz)
                 # Drag takes the velocity ahead, static resistance the direction of the velocity
                 # now: led as well, it creeps five times faster under load.
-                cx, cy, cz = velocity_at(change, x - tx, y - ty, z - tz)
+                cx, cy, cz = velocity_at(
+                    (change[0], change[1], change[2], change[3], change[4], change[5]),
+                    x - tx,
+                    y - ty,
+                    z - tz,
+                )
                 fx, fy, fz = resist(immersed, law, g, (vx, vy, vz), (vx + cx, vy + cy, vz + cz))
                 contact.point[0], contact.point[1], contact.point[2] = x, y, z
                 contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import mujoco
 
@@ -10,6 +11,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
+    CVEL,
     GRAVITY,
     NBODY,
     SUBTREE_COM,
@@ -20,12 +22,51 @@ from mjgranular.kernel.memory import (
     XPOS,
     floats,
     ints,
-    row_of,
     table_at,
 )
-from mjgranular.kernel.motion import body_velocity
 from mjgranular.kernel.records import body_records
 from mjgranular.law.kernel import Pose
+
+
+@compiled
+def place_of(table, body):
+    """Where the pose of a body of the sand is to be read: addresses, for `pose_at`.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+        body: record of the body (`kernel.records`).
+    """
+    number = body.body
+    return (
+        table[XPOS] + 24 * number,
+        table[XMAT] + 72 * number,
+        table[XIPOS] + 24 * number,
+        table[SUBTREE_COM] + 24 * body.root,
+        table[CVEL] + 48 * number,
+    )
+
+
+@compiled
+def pose_at(place):
+    """Where a body of the sand is and how it moves, from `place_of`.
+
+    In a loop over elements it is best called for each of them: then what an element has no need of
+    is not read, and nothing has to be kept while the law is asked.
+    """
+    p, m, com, tree = (
+        floats(place[0], 3),
+        floats(place[1], 9),
+        floats(place[2], 3),
+        floats(place[3], 3),
+    )
+    v = floats(place[4], 6)
+    return Pose(
+        (p[0], p[1], p[2]),
+        (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]),
+        (com[0], com[1], com[2]),
+        (tree[0], tree[1], tree[2]),
+        (v[0], v[1], v[2], v[3], v[4], v[5]),
+    )
 
 
 @compiled
@@ -36,15 +77,7 @@ def pose_of(table, body):
         table: the simulation's (`kernel.memory`).
         body: record of the body (`kernel.records`).
     """
-    p, m = row_of(table[XPOS], body.body, 3), row_of(table[XMAT], body.body, 9)
-    com, tree = row_of(table[XIPOS], body.body, 3), row_of(table[SUBTREE_COM], body.root, 3)
-    return Pose(
-        (p[0], p[1], p[2]),
-        (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]),
-        (com[0], com[1], com[2]),
-        (tree[0], tree[1], tree[2]),
-        body_velocity(table, body.body),
-    )
+    return pose_at(place_of(table, body))
 
 
 @compiled
@@ -54,7 +87,7 @@ def gravity_of(table):
     return math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
 
 
-@compiled
+@partial(compiled, inline=True)
 def add_wrenches(table):
     """Adds the bodies' wrenches to `xfrc_applied`, and takes back those of the last call.
 
@@ -72,6 +105,12 @@ def add_wrenches(table):
     """
     if table[XFRC] == 0:
         return -1
+    return write_wrenches(table)
+
+
+@compiled
+def write_wrenches(table):
+    """The work of `add_wrenches`."""
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
