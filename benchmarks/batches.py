@@ -17,6 +17,11 @@ from mjgranular.models import Link
 _TIMESTEP = 1e-5
 _STEPS = 50
 _SIMULATIONS = (1, 16, 256, 4096)
+_SANDS = (
+    ("link, explicit", "link", "explicit"),
+    ("20 elements, explicit", "link_distributed", "explicit"),
+    ("20 elements, implicit", "link_distributed", "implicit"),
+)
 
 
 def _batched(name: str, model: mujoco.MjModel, count: int, threads: int) -> Case:
@@ -34,11 +39,11 @@ def _cases(count: int) -> Sequence[Case]:
     spec = Link().spec()
     spec.option.timestep = _TIMESTEP
     models = {"without sand": spec.compile()}
-    for scheme in ("explicit", "implicit"):
+    for name, law, scheme in _SANDS:
         spec = Link().spec()
         spec.option.timestep = _TIMESTEP
-        mjgranular.add_sand(spec, law="link_distributed", scheme=scheme)
-        models[scheme] = spec.compile()
+        mjgranular.add_sand(spec, law=law, scheme=scheme)
+        models[name] = spec.compile()
     cores = os.cpu_count() or 1
     threads = sorted(int(n) for n in np.unique([1, 2, cores]) if n <= max(cores, 2))
     return [
@@ -56,8 +61,8 @@ def _groups() -> tuple[Group, ...]:
     return tuple(
         Group(
             f"Batch of {count}",
-            "The link with 20 elements at 10 m/s, `Batch.step(nstep=50)`; costs of one step of one "
-            "simulation.",
+            "The link at 10 m/s, `Batch.step(nstep=50)`: the lumped law, and the distributed one "
+            "with 20 elements; costs of one step of one simulation.",
             lambda count=count: _cases(count),
         )
         for count in _SIMULATIONS

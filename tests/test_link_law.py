@@ -8,7 +8,16 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mjgranular import DistributedLinkLaw, Explicit, LinkLaw, Medium, Plane, Quantity, Sand
+from mjgranular import (
+    DistributedLinkLaw,
+    Explicit,
+    InputError,
+    LinkLaw,
+    Medium,
+    Plane,
+    Quantity,
+    Sand,
+)
 from mjgranular.models import Link
 
 G = 9.81
@@ -221,6 +230,44 @@ def test_lumped_law_in_three_dimensions(chain_model, slope):
             assert element.force == pytest.approx(force, abs=1e-9 * float(np.linalg.norm(force)))
     assert touched > 200
     assert buried > 50
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3])
+def test_pieces_are_as_deep_as_they_lie(chain_model, slope):
+    # Dry pieces are only skimmed, wet ones are looked at: both depths are those of geometry.
+    model, rng, pieces = chain_model, np.random.default_rng(6), 7
+    sand = Sand(
+        model,
+        law="link_distributed",
+        resolution=pieces,
+        surface=Plane(0.02, slope, 0.7),
+        scheme="explicit",
+    )
+    n = sand.surface.normal
+    wet = dry = 0
+    for _ in range(30):
+        data = chain_state(model, rng)
+        elements = sand.report(data).elements
+        for first in range(0, len(elements), pieces):
+            center, axis, length, _ = rod(model, data, model.geom(elements[first].geom).id)
+            ends = center + axis * length * (np.arange(pieces + 1)[:, None] / pieces - 0.5)
+            depths = (np.array([0, 0, 0.02]) - ends) @ n
+            expected = np.maximum(depths[1:], depths[:-1])
+            found = np.array([element.depth for element in elements[first : first + pieces]])
+            assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+            wet, dry = wet + np.sum(found > 0), dry + np.sum(found < 0)
+    assert min(wet, dry) > 100
+
+
+def test_elements_that_do_not_come_body_by_body_are_refused(chain_model):
+    class Backwards(LinkLaw):
+        def elements(self, model, geoms, resolution=None):
+            return super().elements(model, geoms, resolution)[::-1]
+
+    data = mujoco.MjData(chain_model)
+    law = Backwards(eta_d=1, eta_h=1, eta_v=1, exponent=1)
+    with pytest.raises(InputError, match="body by body"):
+        Sand(chain_model, law=law, scheme="explicit").step(data)
 
 
 def test_moment_is_about_the_centre_of_mass(chain_model):

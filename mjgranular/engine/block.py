@@ -29,29 +29,31 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.sand.binding import bind
 from mjgranular.scheme import Scheme
 
+# What each step reads comes first, in two cache lines.
 HEADER_DTYPE = np.dtype(
     [
-        ("size", np.int64),  # of the block [bytes]
-        ("share", np.int64),  # address
-        ("relocations", np.int64),  # address, in the share
-        ("relocation_count", np.int64),
-        ("of_model", np.int64),  # the first relocation that reads the model
+        ("refused", np.int64),  # not 0: the sand does nothing, and behind the header stands why
+        ("tuning_count", np.int64),  # 0 where it has none
+        ("of_model", np.int64),  # address: relocations that read the model
+        ("of_model_count", np.int64),
+        ("whole", np.int64),  # whether the scheme reads forces that are not there yet
+        ("lead", np.float64),  # how far velocities are taken ahead, in time steps
         ("program", np.int64),  # address of machine code
         ("table", np.int64),  # address
-        ("lead", np.float64),  # how far velocities are taken ahead, in time steps
         ("qfrc", np.int64),  # address of qfrc_passive
         ("awake", np.int64),  # address of body_awake
+        ("size", np.int64),  # of the block [bytes]
+        ("share", np.int64),  # address
+        ("relocations", np.int64),  # address, in the share: all others
+        ("relocation_count", np.int64),
         ("results", np.int64),  # address of what a step leaves behind: bodies, contacts
         ("results_size", np.int64),  # [bytes]
         ("slots", np.int64),  # address, in the share: for each element its row in `bodies`
-        ("whole", np.int64),  # whether the scheme reads forces that are not there yet
-        ("refused", np.int64),  # not 0: the sand does nothing, and behind the header stands why
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
         ("ends", np.int64),  # address of room for the ends of an arrow
         ("tunings", np.int64),  # address, in the share: what the sand's state changes
-        ("tuning_count", np.int64),  # 0 where it has none
         ("tuned", np.int64),  # whether `applied` is what the block was last made to
         ("applied", np.float64, (STATE_SIZE,)),
     ]
@@ -121,17 +123,21 @@ def make_image(
     table, desk = binding.table, binding.desk
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and nobody
     # asks for the last good one.
-    wrenches = np.zeros((model.nbody, 6))
-    warnings = np.zeros(2 * len(mujoco.mjtWarning.__members__), np.int32)
-    table[[memory.XFRC, memory.WARNINGS]] = wrenches.ctypes.data, warnings.ctypes.data
-    table[memory.KEEP] = 0
-    own = [head, table, binding.bodies, binding.contacts, scene, wrenches, warnings]
+    table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
+    structs = Struct.of_data(data), Struct.of_model(model)
+    linked = (head, table, scene, desk.table)
+    # Those that read the model are needed at each step, and so lie in the block.
+    count = sum(structs[1].holds(int(word)) for array in linked for word in _words(array))
+    of_model = np.zeros(count, RELOCATION_DTYPE)
+    own = [head, of_model, table, binding.bodies, binding.contacts, scene]
     own += [desk.table, *desk.holds, ends := np.zeros(6)]
     places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
     for name, value in {
         **values,
         "size": sum(map(_padded, own)),
         "share": share,
+        "of_model": of_model.ctypes.data,
+        "of_model_count": count,
         "relocations": room.ctypes.data,
         "table": table.ctypes.data,
         "qfrc": data.qfrc_passive.ctypes.data,
@@ -147,19 +153,20 @@ def make_image(
 
     content = np.concatenate([_bytes(array) for array in own])
     words = content.view(np.int64)
-    structs = Struct.of_data(data), Struct.of_model(model)
     relocations = []
-    for array in (head, table, scene, desk.table):
+    for array in linked:
         first = places[array.ctypes.data] // _WORD
         for word in range(first, first + array.nbytes // _WORD):
             place = _resolve(int(words[word]), places, *structs)
             if place is not None:
                 relocations.append((word, *place))
-    relocations.sort(key=lambda relocation: relocation[1])
-    room[: len(relocations)] = relocations
-    head["relocation_count"] = len(relocations)
-    head["of_model"] = sum(kind < IN_MODEL for _, kind, _, _ in relocations)
-    content[: head.nbytes] = _bytes(head)
+    once = [relocation for relocation in relocations if relocation[1] < IN_MODEL]
+    room[: len(once)] = once
+    of_model[:] = [relocation for relocation in relocations if relocation[1] >= IN_MODEL]
+    head["relocation_count"] = len(once)
+    for array in (head, of_model):
+        first = places[array.ctypes.data]
+        content[first : first + array.nbytes] = _bytes(array)
     return Image(content, share)
 
 
@@ -168,6 +175,10 @@ def load(content: np.ndarray) -> int:
     address = library().mju_malloc(content.nbytes)
     ctypes.memmove(address, content.ctypes.data, content.nbytes)
     return address
+
+
+def _words(array: np.ndarray) -> np.ndarray:
+    return array.view(np.uint8).view(np.int64)
 
 
 def _resolve(

@@ -83,6 +83,10 @@ class Struct:
         """Whether an address lies in the struct itself, before its pointers."""
         return self.address <= address < self.address + self.pointers
 
+    def holds(self, address: int) -> bool:
+        """Whether an address lies in the struct, before its pointers, or in the buffer."""
+        return self.encloses(address) or address in self.buffer
+
     def pointer(self, address: int, what: str) -> tuple[int, int]:
         """The pointer to the array that an address lies in.
 

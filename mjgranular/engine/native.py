@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import mujoco
@@ -43,6 +43,7 @@ from mjgranular.kernel.memory import (
     ints,
     longs,
     records,
+    row_of,
     table_at,
 )
 from mjgranular.kernel.records import body_records
@@ -74,25 +75,30 @@ _error = types.ExternalFunction("mju_error", types.void(types.int64))
 _free = types.ExternalFunction("mju_free", types.void(types.int64))
 
 
-@compiled
-def link(block, model, data, first):
-    """Fills in the addresses of a block, from its relocation number `first` on."""
-    header = _header(block, 1)[0]
-    count = header.relocation_count
-    relocations = _relocations(header.relocations, count)
-    words = longs(block, header.size // 8)
-    for i in range(first, count):
+@partial(compiled, inline=True)
+def link(block, model, data, address, count):
+    """Fills in addresses of a block.
+
+    Args:
+        block: address.
+        model: mjModel*.
+        data: mjData*.
+        address: of the relocations that say where.
+        count: of relocations.
+    """
+    relocations = _relocations(address, count)
+    for i in range(count):
         relocation = relocations[i]
         kind, offset = relocation.kind, relocation.offset
         if kind >= IN_MODEL:
-            address = model + offset
+            place = model + offset
         elif kind >= IN_DATA:
-            address = data + offset
+            place = data + offset
         else:
-            address = block + offset
+            place = block + offset
         if kind in (POINTER_IN_DATA, POINTER_IN_MODEL):
-            address = longs(address, 1)[0] + relocation.delta
-        words[relocation.word] = address
+            place = longs(place, 1)[0] + relocation.delta
+        longs(block + 8 * relocation.word, 1)[0] = place
 
 
 @compiled
@@ -117,7 +123,7 @@ def prepare(model, data, instance):
     return 0
 
 
-@compiled
+@partial(compiled, inline=True)
 def add_wrenches(table, qfrc, awake):
     """Adds the bodies' wrenches to generalized forces: their power along each degree of freedom.
 
@@ -129,14 +135,9 @@ def add_wrenches(table, qfrc, awake):
         qfrc: address of nv forces.
         awake: address of `body_awake`.
     """
-    nv = table[NV]
     bodies = body_records(table[BODIES], table[BODY_COUNT])
-    centres = floats(table[XIPOS], 3 * table[NBODY])
-    origins = floats(table[SUBTREE_COM], 3 * table[NBODY])
-    cdof = floats(table[CDOF], 6 * nv)
-    parent = ints(table[DOF_PARENT], nv)
+    parent = ints(table[DOF_PARENT], table[NV])
     states = ints(awake, table[NBODY])
-    forces = floats(qfrc, nv)
     for slot in range(len(bodies)):
         body = bodies[slot]
         if states[body.body] == _ASLEEP:
@@ -145,22 +146,22 @@ def add_wrenches(table, qfrc, awake):
         mx, my, mz = body.wrench[3], body.wrench[4], body.wrench[5]
         if fx == 0.0 and fy == 0.0 and fz == 0.0 and mx == 0.0 and my == 0.0 and mz == 0.0:
             continue
-        c, o = 3 * body.body, 3 * body.root
-        x, y = centres[c] - origins[o], centres[c + 1] - origins[o + 1]
-        z = centres[c + 2] - origins[o + 2]
+        centre, origin = (
+            row_of(table[XIPOS], body.body, 3),
+            row_of(table[SUBTREE_COM], body.root, 3),
+        )
+        x, y, z = centre[0] - origin[0], centre[1] - origin[1], centre[2] - origin[2]
         mx += y * fz - z * fy
         my += z * fx - x * fz
         mz += x * fy - y * fx
         dof = body.last_dof
         while dof >= 0:
-            j = 6 * dof
-            forces[dof] += (
-                cdof[j] * mx
-                + cdof[j + 1] * my
-                + cdof[j + 2] * mz
-                + cdof[j + 3] * fx
-                + cdof[j + 4] * fy
-                + cdof[j + 5] * fz
+            axis = row_of(table[CDOF], dof, 6)
+            # In pairs: a chain of sums, each waiting for the last, takes twice as long.
+            row_of(qfrc, dof, 1)[0] += (
+                (axis[0] * mx + axis[1] * my)
+                + (axis[2] * mz + axis[3] * fx)
+                + (axis[4] * fy + axis[5] * fz)
             )
             dof = parent[dof]
 
@@ -176,7 +177,10 @@ def life(layout: Layout) -> Callbacks:
         """Links a block that has just been loaded."""
         block = find_block(data, instance)
         if block != 0:
-            link(block, model, data, 0)
+            header = _header(block, 1)[0]
+            # The first of them tell where the others are.
+            link(block, model, data, header.relocations, header.relocation_count)
+            link(block, model, data, header.of_model, header.of_model_count)
 
     @compiled
     def init(model, data, instance):
@@ -247,7 +251,7 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
         # A batch may run this mjData on another model, or move arrays of the same.
-        link(block, model, data, header.of_model)
+        link(block, model, data, header.of_model, header.of_model_count)
         lead = 0.0
         if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
             lead = header.lead * floats(model + timestep, 1)[0]

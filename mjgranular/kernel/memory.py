@@ -25,7 +25,8 @@ from numba.extending import intrinsic
 
 from mjgranular.kernel.compiled import compiled
 
-# The table: four sizes, then addresses. The order is that of `simulation_table`.
+# The table: four sizes, then addresses. The order is that of `simulation_table`. Within `mj_step`
+# (`engine.block`) XFRC, WARNINGS and KEEP are 0: there they are MuJoCo's own business.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT = range(4)
 GRAVITY, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(4, 14)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, KEEP, DESK = range(14, 21)
@@ -204,6 +205,16 @@ def held(typingctx: Any, record: Any) -> Any:
 floats = records(np.dtype(np.float64))
 ints = records(np.dtype(np.int32))
 longs = records(np.dtype(np.int64))
+
+
+@compiled
+def row_of(address, number, width):
+    """A row of a matrix of floats at an address.
+
+    Numba asks of each index whether it is negative, and counts from the end then; not of constants,
+    which indices into a row are.
+    """
+    return floats(address + 8 * width * number, width)
 
 
 @compiled

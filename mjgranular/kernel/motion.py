@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import CDOF, CVEL, DOF_PARENT, NBODY, NV, WARMSTART, floats, ints
+from mjgranular.kernel.memory import CDOF, CVEL, DOF_PARENT, NV, WARMSTART, ints, row_of
 
 
 @compiled
@@ -24,9 +24,8 @@ def body_velocity(table, body):
         (wx, wy, wz, vx, vy, vz): angular velocity [rad/s], and linear velocity [m/s] of the point
         that coincides with the tree's centre of mass.
     """
-    cvel = floats(table[CVEL], 6 * table[NBODY])
-    i = 6 * body
-    return cvel[i], cvel[i + 1], cvel[i + 2], cvel[i + 3], cvel[i + 4], cvel[i + 5]
+    cvel = row_of(table[CVEL], body, 6)
+    return cvel[0], cvel[1], cvel[2], cvel[3], cvel[4], cvel[5]
 
 
 @compiled
@@ -44,21 +43,19 @@ def velocity_change(table, last_dof, lead):
     Returns:
         (wx, wy, wz, vx, vy, vz) as `body_velocity` does.
     """
-    nv = table[NV]
-    cdof = floats(table[CDOF], 6 * nv)
-    acceleration = floats(table[WARMSTART], nv)
-    parent = ints(table[DOF_PARENT], nv)
+    acceleration = table[WARMSTART]
+    parent = ints(table[DOF_PARENT], table[NV])
     wx, wy, wz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     dof = last_dof
     while dof >= 0:
-        gain = lead * acceleration[dof]
-        j = 6 * dof
-        wx += gain * cdof[j]
-        wy += gain * cdof[j + 1]
-        wz += gain * cdof[j + 2]
-        vx += gain * cdof[j + 3]
-        vy += gain * cdof[j + 4]
-        vz += gain * cdof[j + 5]
+        gain = lead * row_of(acceleration, dof, 1)[0]
+        axis = row_of(table[CDOF], dof, 6)
+        wx += gain * axis[0]
+        wy += gain * axis[1]
+        wz += gain * axis[2]
+        vx += gain * axis[3]
+        vy += gain * axis[4]
+        vz += gain * axis[5]
         dof = parent[dof]
     return wx, wy, wz, vx, vy, vz
 

@@ -11,7 +11,9 @@ BODY_DTYPE = np.dtype(
         ("body", np.int64),
         ("root", np.int64),  # root of the body's kinematic tree
         ("last_dof", np.int64),
+        ("end", np.int64),  # one past its last element: elements come body by body
         ("wrench", np.float64, (6,)),  # force [N], moment about the centre of mass [N m], world
+        ("change", np.float64, (6,)),  # of its spatial velocity within a scheme's lead
         ("own", np.float64, (6,)),  # the user's row of xfrc_applied
         ("written", np.float64, (6,)),  # that row as last written by the sand
     ]

@@ -30,6 +30,18 @@ Attributes:
 """
 
 
+@compiled
+def no_level(surface, pose):
+    """Of a surface that is no plane, or for a law that does not skim."""
+    return 0.0
+
+
+@compiled
+def look_closer(element, level):
+    """Where nothing but `immerse` can tell whether an element is in the sand."""
+    return math.inf
+
+
 @dataclass(frozen=True)
 class LawKernel:
     """The scalar kernels of a law under one kind of surface.
@@ -61,6 +73,11 @@ class LawKernel:
             lanes of the processor's vector unit, all branches for all elements.
         simple: kernel `simple(immersed, p)`: whether `respond_simple` would do. Both or none.
         respond_simple: a quicker `respond`, for blocks of elements that are all simple.
+        level: kernel `level(surface, pose)`: what `skim` needs to know of the surface, once a body;
+            a surface's own `level`, if it has one.
+        skim: kernel `skim(element, level)`: the depth of the element's deepest point [m] at a
+            fraction of the cost of `immerse`, which is asked where it is positive. For laws that
+            cut bodies into many elements, most of which are above the sand.
     """
 
     elements: Any
@@ -72,6 +89,8 @@ class LawKernel:
     lanes: int = 1
     simple: Any = None
     respond_simple: Any = None
+    level: Any = no_level
+    skim: Any = look_closer
 
 
 @compiled

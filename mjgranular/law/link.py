@@ -158,3 +158,6 @@ class DistributedLinkLaw(_LinkForm):
     ) -> np.ndarray:
         pieces = self.pieces if resolution is None else resolution
         return cut_rods(rods_from_model(model, geoms), pieces)
+
+    def kernel(self, surface: Surface) -> LawKernel:
+        return link_kernel(type(self).limits, type(surface).probe, type(surface).level)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
@@ -32,10 +33,12 @@ def lumped_limits(depth, cos_q, length, diameter, law, g):
         (along the normal, along the surface) [N].
     """
     # Eqs. (9), (11): -sign(v) eta_v (y_T/d)^lambda g rho_g V, with V the immersed volume.
-    volume = 0.25 * math.pi * diameter * diameter * length
-    normal = law.eta_v * (depth / diameter) ** law.exponent * g * law.density * volume
+    weight = g * law.density * diameter
+    column = weight * (0.25 * math.pi * diameter * length)
+    # The power comes last: all else is done while it is being computed.
+    normal = (law.eta_v * column) * (depth / diameter) ** law.exponent
     # Eq. (10): -sign(v) eta_h g rho_g y_T^2 d.
-    return normal, law.eta_h * g * law.density * depth * depth * diameter
+    return normal, law.eta_h * weight * depth * depth
 
 
 @compiled
@@ -47,8 +50,8 @@ def distributed_limits(depth, cos_q, length, diameter, law, g):
     """
     middle = max(depth - 0.5 * length * cos_q, 0.0)
     weight = g * law.density * diameter * length
-    slope = (1.0 + law.exponent) * law.eta_v * (middle / diameter) ** law.exponent
-    normal = slope * weight * 0.25 * math.pi * diameter
+    slope = (1.0 + law.exponent) * law.eta_v * weight * (0.25 * math.pi * diameter)
+    normal = slope * (middle / diameter) ** law.exponent
     return normal, 2.0 * law.eta_h * weight * middle * cos_q
 
 
@@ -146,13 +149,23 @@ def link_grip(rod, v, p, c, eps):
     return x + q * nx, y + q * ny, z + q * nz
 
 
+@compiled
+def rod_skim(rod, level):
+    """Depth of a rod's deeper end [m], from the plane of sand in its body's frame."""
+    nx, ny, nz, origin = level
+    middle = origin - (nx * rod.center[0] + ny * rod.center[1] + nz * rod.center[2])
+    slope = nx * rod.axis[0] + ny * rod.axis[1] + nz * rod.axis[2]
+    return middle + rod.half_length * abs(slope)
+
+
 @cache
-def link_kernel(limits: Any, probe: Any) -> LawKernel:
+def link_kernel(limits: Any, probe: Any, level: Any = None) -> LawKernel:
     """The kernels of one form of the law for surfaces with that `probe`.
 
     Args:
         limits: kernel like `lumped_limits`.
         probe: the surface's.
+        level: the surface's, to skim rods with it.
     """
 
     @partial(compiled, inline=True)
@@ -179,4 +192,5 @@ def link_kernel(limits: Any, probe: Any) -> LawKernel:
         drag = law.eta_d * law.density * rod.width * length
         return depth, length, cx, cy, cz, ux, uy, uz, nx, ny, nz, limit_n, limit_t, drag
 
-    return LawKernel(rod_records, link_immerse, link_resist, link_respond, link_grip, numbers=9)
+    kernel = LawKernel(rod_records, link_immerse, link_resist, link_respond, link_grip, numbers=9)
+    return kernel if level is None else replace(kernel, level=level, skim=rod_skim)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mjgranular.errors import InputError
 from mjgranular.kernel.keep import Kept
 from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
@@ -51,14 +52,19 @@ def bind(
         scheme: how forces become a step.
         kernel: of the law.
         within: whether forces are asked for among MuJoCo's passive ones, inside its step.
+
+    Raises:
+        InputError: elements that do not come body by body.
     """
-    bodies = np.zeros(len(np.unique(elements["slot"])), BODY_DTYPE)
-    for element in elements:
-        row = bodies[element["slot"]]
-        body = int(element["body"])
-        row["body"] = body
+    slots, first, counts = np.unique(elements["slot"], return_index=True, return_counts=True)
+    ends = np.cumsum(counts)
+    if not np.array_equal(elements["slot"], np.repeat(np.arange(len(slots)), counts)):
+        raise InputError("the elements of a law must come body by body, their slots 0, 1, 2, ...")
+    bodies = np.zeros(len(slots), BODY_DTYPE)
+    for row, body, end in zip(bodies, elements["body"][first], ends, strict=True):
+        row["body"], row["end"] = body, end
         row["root"] = model.body_rootid[body]
-        row["last_dof"] = last_dof(model, body)
+        row["last_dof"] = last_dof(model, int(body))
     bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     kept = Kept.of(model, data)

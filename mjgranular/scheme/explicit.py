@@ -8,14 +8,11 @@ led by half a step, `v + (h/2) a` with `a` the acceleration of the last step (Ad
 second order for the velocity, leapfrog for the position). It costs one sum along the joint chain.
 """
 
-# What belongs to a body is read when its first element comes, which a type checker cannot follow.
-# pyright: reportPossiblyUnboundVariable=false
-
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, ClassVar
 
 import mujoco
@@ -36,7 +33,14 @@ from mjgranular.kernel.motion import add_force, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
-from mjgranular.scheme.wrenches import BAD_STATE, add_wrenches, gravity_of, is_bad, pose_of
+from mjgranular.scheme.wrenches import (
+    BAD_STATE,
+    add_wrenches,
+    gravity_of,
+    is_bad,
+    place_of,
+    pose_at,
+)
 
 
 @dataclass(frozen=True)
@@ -67,13 +71,23 @@ class Explicit(Scheme):
 schemes.add(Explicit.name, Explicit)
 
 
+@compiled
+def lead_velocity(table, body, lead):
+    """Notes the change of a body's velocity within `lead` in its record."""
+    wx, wy, wz, vx, vy, vz = velocity_change(table, body.last_dof, lead)
+    change = body.change
+    change[0], change[1], change[2] = wx, wy, wz
+    change[3], change[4], change[5] = vx, vy, vz
+
+
 @cache
 def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
     element_records, immerse, resist = kernel.elements, kernel.immerse, kernel.resist
+    level, skim = kernel.level, kernel.skim
     scene_records = records(scene_dtype)
 
-    @compiled
+    @partial(compiled, inline=True)
     def forces(table, lead):
         elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
@@ -82,36 +96,48 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         law = scene[0].law
         surface = scene[0].surface
         g = gravity_of(table)
+        first = 0
         for slot in range(len(bodies)):
+            body = bodies[slot]
             for k in range(6):
-                bodies[slot].wrench[k] = 0.0
-
-        slot = -1
-        for i in range(len(elements)):
-            element = elements[i]
-            if element.slot != slot:  # elements come body by body
-                slot = element.slot
-                body = bodies[slot]
-                pose = pose_of(table, body)
+                body.wrench[k] = 0.0
+            place = place_of(table, body)
+            around = level(surface, pose_at(place))
+            dry = True
+            for i in range(first, body.end):
+                element, contact = elements[i], contacts[i]
+                depth = skim(element, around)
+                if depth <= 0.0:
+                    contact.depth = depth
+                    continue
+                immersed = immerse(element, pose_at(place), law, surface, g)
+                contact.depth = immersed[0]
+                if immersed[0] <= 0.0:
+                    continue
+                pose = pose_at(place)  # anew: numbers kept from above would cost more
+                if dry:  # most bodies of a robot are above the sand
+                    dry = False
+                    lead_velocity(table, body, lead)
+                change = body.change
                 tx, ty, tz = pose.tree
-                change = velocity_change(table, body.last_dof, lead)
-            immersed = immerse(element, pose, law, surface, g)
-            contact = contacts[i]
-            contact.depth = immersed[0]
-            if immersed[0] <= 0.0:
-                continue
-            contact.length = immersed[1]
-            x, y, z = immersed[2], immersed[3], immersed[4]
-            vx, vy, vz = velocity_at(pose.motion, x - tx, y - ty, z - tz)
-            # Drag takes the velocity ahead, static resistance the direction of the velocity now:
-            # led as well, it creeps five times faster under load.
-            cx, cy, cz = velocity_at(change, x - tx, y - ty, z - tz)
-            fx, fy, fz = resist(immersed, law, g, (vx, vy, vz), (vx + cx, vy + cy, vz + cz))
-            contact.point[0], contact.point[1], contact.point[2] = x, y, z
-            contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
-            contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
-            ix, iy, iz = pose.com
-            add_force(body.wrench, fx, fy, fz, x - ix, y - iy, z - iz)
+                contact.length = immersed[1]
+                x, y, z = immersed[2], immersed[3], immersed[4]
+                vx, vy, vz = velocity_at(pose.motion, x - tx, y - ty, z - tz)
+                # Drag takes the velocity ahead, static resistance the direction of the velocity
+                # now: led as well, it creeps five times faster under load.
+                cx, cy, cz = velocity_at(
+                    (change[0], change[1], change[2], change[3], change[4], change[5]),
+                    x - tx,
+                    y - ty,
+                    z - tz,
+                )
+                fx, fy, fz = resist(immersed, law, g, (vx, vy, vz), (vx + cx, vy + cy, vz + cz))
+                contact.point[0], contact.point[1], contact.point[2] = x, y, z
+                contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
+                contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
+                ix, iy, iz = pose.com
+                add_force(body.wrench, fx, fy, fz, x - ix, y - iy, z - iz)
+            first = body.end
 
     @compiled
     def program(address, lead):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import mujoco
 
@@ -10,6 +11,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
+    CVEL,
     GRAVITY,
     NBODY,
     SUBTREE_COM,
@@ -22,9 +24,49 @@ from mjgranular.kernel.memory import (
     ints,
     table_at,
 )
-from mjgranular.kernel.motion import body_velocity
 from mjgranular.kernel.records import body_records
 from mjgranular.law.kernel import Pose
+
+
+@compiled
+def place_of(table, body):
+    """Where the pose of a body of the sand is to be read: addresses, for `pose_at`.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+        body: record of the body (`kernel.records`).
+    """
+    number = body.body
+    return (
+        table[XPOS] + 24 * number,
+        table[XMAT] + 72 * number,
+        table[XIPOS] + 24 * number,
+        table[SUBTREE_COM] + 24 * body.root,
+        table[CVEL] + 48 * number,
+    )
+
+
+@compiled
+def pose_at(place):
+    """Where a body of the sand is and how it moves, from `place_of`.
+
+    In a loop over elements it is best called for each of them: then what an element has no need of
+    is not read, and nothing has to be kept while the law is asked.
+    """
+    p, m, com, tree = (
+        floats(place[0], 3),
+        floats(place[1], 9),
+        floats(place[2], 3),
+        floats(place[3], 3),
+    )
+    v = floats(place[4], 6)
+    return Pose(
+        (p[0], p[1], p[2]),
+        (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]),
+        (com[0], com[1], com[2]),
+        (tree[0], tree[1], tree[2]),
+        (v[0], v[1], v[2], v[3], v[4], v[5]),
+    )
 
 
 @compiled
@@ -35,22 +77,7 @@ def pose_of(table, body):
         table: the simulation's (`kernel.memory`).
         body: record of the body (`kernel.records`).
     """
-    nbody = table[NBODY]
-    xpos = floats(table[XPOS], 3 * nbody)
-    xmat = floats(table[XMAT], 9 * nbody)
-    xipos = floats(table[XIPOS], 3 * nbody)
-    subtree_com = floats(table[SUBTREE_COM], 3 * nbody)
-    b, m, root = 3 * body.body, 9 * body.body, 3 * body.root
-    return Pose(
-        (xpos[b], xpos[b + 1], xpos[b + 2]),
-        (
-            xmat[m], xmat[m + 1], xmat[m + 2], xmat[m + 3], xmat[m + 4],
-            xmat[m + 5], xmat[m + 6], xmat[m + 7], xmat[m + 8],
-        ),
-        (xipos[b], xipos[b + 1], xipos[b + 2]),
-        (subtree_com[root], subtree_com[root + 1], subtree_com[root + 2]),
-        body_velocity(table, body.body),
-    )  # fmt: skip
+    return pose_at(place_of(table, body))
 
 
 @compiled
@@ -60,7 +87,7 @@ def gravity_of(table):
     return math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
 
 
-@compiled
+@partial(compiled, inline=True)
 def add_wrenches(table):
     """Adds the bodies' wrenches to `xfrc_applied`, and takes back those of the last call.
 
@@ -68,12 +95,22 @@ def add_wrenches(table):
     call; a row that does not has been written by the user since (or reset, or copied), and is
     wholly the user's.
 
+    Inside MuJoCo's step, where the table has no `xfrc_applied`, nothing is done.
+
     Args:
         table: the simulation's (`kernel.memory`).
 
     Returns:
         -1, or the row in `bodies` of the first wrench that is not finite; then nothing is written.
     """
+    if table[XFRC] == 0:
+        return -1
+    return write_wrenches(table)
+
+
+@compiled
+def write_wrenches(table):
+    """The work of `add_wrenches`."""
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
@@ -119,7 +156,12 @@ _BAD = tuple(
 
 @compiled
 def is_bad(table):
-    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it."""
+    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it.
+
+    Inside MuJoCo's step, which deals with that itself, the table has no warnings.
+    """
+    if table[WARNINGS] == 0:
+        return False
     # mjWarningStat is {int lastinfo; int number;}: the address is that of the first number.
     numbers = ints(table[WARNINGS], _BAD[2] + 1)
     return numbers[_BAD[0]] + numbers[_BAD[1]] + numbers[_BAD[2]] > 0
@@ -127,7 +169,12 @@ def is_bad(table):
 
 @compiled
 def withdraw_wrenches(table):
-    """Takes back those rows of `xfrc_applied` that still hold what the sand wrote."""
+    """Takes back those rows of `xfrc_applied` that still hold what the sand wrote.
+
+    Inside MuJoCo's step, where the table has no `xfrc_applied`, nothing is done.
+    """
+    if table[XFRC] == 0:
+        return
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):

@@ -24,6 +24,19 @@ def plane_probe(plane, x, y, z):
     return plane.offset - (nx * x + ny * y + nz * z), nx, ny, nz
 
 
+@compiled
+def plane_level(plane, pose):
+    """The plane in the frame of a body: its normal there, and the depth of the origin [m]."""
+    nx, ny, nz = plane.normal[0], plane.normal[1], plane.normal[2]
+    p, r = pose.position, pose.rotation
+    return (
+        r[0] * nx + r[3] * ny + r[6] * nz,
+        r[1] * nx + r[4] * ny + r[7] * nz,
+        r[2] * nx + r[5] * ny + r[8] * nz,
+        plane.offset - (nx * p[0] + ny * p[1] + nz * p[2]),
+    )
+
+
 @dataclass(frozen=True)
 class Plane(Surface):
     """An endless plane of sand.
@@ -39,6 +52,7 @@ class Plane(Surface):
     """
 
     probe: ClassVar[Any] = plane_probe
+    level: ClassVar[Any] = plane_level
 
     height: float = 0.0
     slope: float = 0.0

@@ -19,9 +19,13 @@ class Surface(ABC):
         probe: kernel `probe(record, x, y, z) -> (depth, nx, ny, nz)`: depth of a point below the
             surface along its normal [m], negative above the sand, and the unit normal out of the
             sand; world frame.
+        level: kernel `level(record, pose) -> (nx, ny, nz, depth)` of a surface that is one endless
+            plane: its normal in the frame of a body (`law.kernel.Pose`), and the depth of that
+            frame's origin [m]; None of other surfaces.
     """
 
     probe: ClassVar[Any]
+    level: ClassVar[Any] = None
 
     @abstractmethod
     def record(self, model: mujoco.MjModel) -> np.ndarray:
