@@ -160,4 +160,5 @@ class DistributedLinkLaw(_LinkForm):
         return cut_rods(rods_from_model(model, geoms), pieces)
 
     def kernel(self, surface: Surface) -> LawKernel:
-        return link_kernel(type(self).limits, type(surface).probe, type(surface).level)
+        place = type(surface)
+        return link_kernel(type(self).limits, place.probe, place.level, lanes=4)

@@ -81,7 +81,7 @@ def link_resist(rod, law, g, v, d):
     )
 
 
-@compiled
+@partial(compiled, inline=True)
 def link_respond(rod, law, g, v, p, eps):
     """Resistance and its derivative, rest made soft (see `law.kernel`)."""
     ux, uy, uz = rod[5], rod[6], rod[7]
@@ -130,7 +130,7 @@ def link_respond(rod, law, g, v, p, eps):
     )  # fmt: skip
 
 
-@compiled
+@partial(compiled, inline=True)
 def link_grip(rod, v, p, c, eps):
     """The grip along the normal and that along the surface, each with its limit."""
     nx, ny, nz = rod[8], rod[9], rod[10]
@@ -159,13 +159,14 @@ def rod_skim(rod, level):
 
 
 @cache
-def link_kernel(limits: Any, probe: Any, level: Any = None) -> LawKernel:
+def link_kernel(limits: Any, probe: Any, level: Any = None, lanes: int = 1) -> LawKernel:
     """The kernels of one form of the law for surfaces with that `probe`.
 
     Args:
         limits: kernel like `lumped_limits`.
         probe: the surface's.
         level: the surface's, to skim rods with it.
+        lanes: as in `LawKernel`; 1 where a body is one rod.
     """
 
     @partial(compiled, inline=True)
@@ -192,5 +193,13 @@ def link_kernel(limits: Any, probe: Any, level: Any = None) -> LawKernel:
         drag = law.eta_d * law.density * rod.width * length
         return depth, length, cx, cy, cz, ux, uy, uz, nx, ny, nz, limit_n, limit_t, drag
 
-    kernel = LawKernel(rod_records, link_immerse, link_resist, link_respond, link_grip, numbers=9)
+    kernel = LawKernel(
+        rod_records,
+        link_immerse,
+        link_resist,
+        link_respond,
+        link_grip,
+        numbers=9,
+        lanes=lanes,
+    )
     return kernel if level is None else replace(kernel, level=level, skim=rod_skim)

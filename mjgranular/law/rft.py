@@ -59,4 +59,5 @@ class RftLaw(Law):
         return facets_from_model(model, geoms, resolution)
 
     def kernel(self, surface: Surface) -> LawKernel:
-        return facet_kernel(type(self).stress, type(surface).probe, type(self).slope)
+        law, place = type(self), type(surface)
+        return facet_kernel(law.stress, place.probe, law.slope, place.level)

@@ -5,9 +5,6 @@ arithmetic alone, and the compiler makes vector instructions of them; lanes that
 the last element once more, with no weight. A law with one lane has blocks of one element.
 """
 
-# What belongs to a body is read when its first element comes, which a type checker cannot follow.
-# pyright: reportPossiblyUnboundVariable=false
-
 from __future__ import annotations
 
 import math
@@ -34,7 +31,7 @@ from mjgranular.kernel.memory import (
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.wrenches import gravity_of, pose_of
+from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
 
 # Rows of a block: from the centre of the tree to where force acts [m]; velocity last looked at
 # [m/s] and the grip there; what `respond` gave for these (force, minus its derivative, bend:
@@ -110,6 +107,7 @@ def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """See `BlockKernels.immerse`."""
     element_records, scene_records = kernel.elements, records(scene_dtype)
     immerse, lanes, size = kernel.immerse, kernel.lanes, block_size(kernel)
+    level, skim = kernel.level, kernel.skim
     three, numbers = column(3, lanes), column(5 + kernel.numbers, lanes)
     write_three, write_numbers = three.write, numbers.write
     rows = size // lanes
@@ -133,43 +131,46 @@ def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         g = gravity_of(table)
         block = floats(address, size)
         count = 0
-        live = 0
-        slot = -1
-        for i in range(len(elements)):
-            element = elements[i]
-            if element.slot != slot:  # elements come body by body
-                slot = element.slot
-                body = bodies[slot]
-                pose = pose_of(table, body)
+        first = 0
+        for slot in range(len(bodies)):
+            body = bodies[slot]
+            place = place_of(table, body)
+            around = level(surface, pose_at(place))
+            live = 0
+            for i in range(first, body.end):
+                element, contact = elements[i], contacts[i]
+                depth = skim(element, around)
+                if depth <= 0.0:
+                    contact.depth = depth
+                    continue
+                pose = pose_at(place)  # anew: numbers kept from above would cost more
+                immersed = immerse(element, pose, law, surface, g)
+                contact.depth = immersed[0]
+                if immersed[0] <= 0.0:
+                    continue
+                contact.length = immersed[1]
+                x, y, z = immersed[2], immersed[3], immersed[4]
+                contact.point[0], contact.point[1], contact.point[2] = x, y, z
                 tx, ty, tz = pose.tree
-                if live > 0:
-                    fill(block, live)
-                live = 0
-            immersed = immerse(element, pose, law, surface, g)
-            contact = contacts[i]
-            contact.depth = immersed[0]
-            if immersed[0] <= 0.0:
-                continue
-            contact.length = immersed[1]
-            x, y, z = immersed[2], immersed[3], immersed[4]
-            v = velocity_at(pose.motion, x - tx, y - ty, z - tz)
-            contact.point[0], contact.point[1], contact.point[2] = x, y, z
-            contact.velocity[0], contact.velocity[1], contact.velocity[2] = v[0], v[1], v[2]
-            if live == 0:
-                block = floats(address + 8 * size * count, size)
-                heads[count].body = body.body
-                count += 1
-            write_three(block, ARM * lanes + live, (x - tx, y - ty, z - tz))
-            write_three(block, VELOCITY * lanes + live, v)
-            write_numbers(block, IMMERSED * lanes + live, immersed)
-            block[WEIGHT * lanes + live] = 1.0
-            block[INDEX * lanes + live] = i
-            live += 1
-            heads[count - 1].live = live
-            if live == lanes:
-                live = 0
-        if live > 0:
-            fill(block, live)
+                x, y, z = x - tx, y - ty, z - tz
+                v = velocity_at(pose.motion, x, y, z)
+                contact.velocity[0], contact.velocity[1], contact.velocity[2] = v[0], v[1], v[2]
+                if live == 0:
+                    block = floats(address + 8 * size * count, size)
+                    heads[count].body = body.body
+                    count += 1
+                write_three(block, ARM * lanes + live, (x, y, z))
+                write_three(block, VELOCITY * lanes + live, v)
+                write_numbers(block, IMMERSED * lanes + live, immersed)
+                block[WEIGHT * lanes + live] = 1.0
+                block[INDEX * lanes + live] = i
+                live += 1
+                heads[count - 1].live = live
+                if live == lanes:
+                    live = 0
+            if live > 0:
+                fill(block, live)
+            first = body.end
         return count
 
     return immerse_all
