@@ -1,4 +1,4 @@
-"""The velocity of a body now, its change within the time a scheme looks ahead, forces on it.
+"""How a body's velocity changes within the time a scheme looks ahead, at its points; forces on it.
 
 MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) about the centre of
 mass of the kinematic tree, world axes; sums of them need no Jacobian.
@@ -9,23 +9,7 @@ from __future__ import annotations
 from functools import partial
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import CDOF, CVEL, DOF_PARENT, NV, WARMSTART, ints, row_of
-
-
-@compiled
-def body_velocity(table, body):
-    """Spatial velocity of a body.
-
-    Args:
-        table: the simulation's (`kernel.memory`).
-        body: body id.
-
-    Returns:
-        (wx, wy, wz, vx, vy, vz): angular velocity [rad/s], and linear velocity [m/s] of the point
-        that coincides with the tree's centre of mass.
-    """
-    cvel = row_of(table[CVEL], body, 6)
-    return cvel[0], cvel[1], cvel[2], cvel[3], cvel[4], cvel[5]
+from mjgranular.kernel.memory import CDOF, DOF_PARENT, NV, WARMSTART, ints, row_of
 
 
 @compiled
@@ -41,7 +25,8 @@ def velocity_change(table, last_dof, lead):
         lead: time [s].
 
     Returns:
-        (wx, wy, wz, vx, vy, vz) as `body_velocity` does.
+        (wx, wy, wz, vx, vy, vz): angular velocity [rad/s], and linear velocity [m/s] of the point
+        that coincides with the tree's centre of mass.
     """
     acceleration = table[WARMSTART]
     parent = ints(table[DOF_PARENT], table[NV])
