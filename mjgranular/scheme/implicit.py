@@ -238,8 +238,15 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
 
     @compiled
     def follow_all(desk, room, velocity, count, h):
-        """The sand's forces at a velocity, by their derivative where they were last evaluated."""
-        nbody = desk[d.NBODY]
+        """The sand's forces at a velocity, by their derivative where they were last evaluated.
+
+        Returns:
+            Norm of the residual with these forces.
+        """
+        nv, nbody = desk[d.NV], desk[d.NBODY]
+        residual = floats(room.residual, nv)
+        sand = floats(room.sand, nv)
+        bound = floats(room.bound, nv)
         motion = floats(room.motion, 6 * nbody)
         wrench = floats(room.own, 6 * nbody)
         heads = head_records(desk[d.HEADS], count)
@@ -253,7 +260,12 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 motion[b + 3], motion[b + 4], motion[b + 5],
             )  # fmt: skip
             follow(block, w, wrench[b : b + 6])
+        weigh(desk, room, velocity, h)
         sum_wrenches(desk, room, h)
+        bound_forces(desk, room, velocity, h, NEXT)
+        for j in range(nv):
+            residual[j] -= sand[j] + bound[j]
+        return norm(residual, room, nv)
 
     @compiled
     def newton(table, desk, room, count, h, eps, grips, loose, goal, steps):
@@ -264,8 +276,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         still, is there a kink between here and there, and half of the step is taken back.
 
         Close to the solution residuals fall as squares do, e'' = e' (e' / e)^2. Where the next one
-        is sure to be small enough, its step is taken and forces follow by their derivative: with
-        them the momenta balance, and they are the law's but for that residual.
+        is sure to be small enough, its step is taken and forces follow by their derivative: they
+        are the law's but for that residual, and the momenta balance with them, if no constraint of
+        MuJoCo's begins or ends on the way.
 
         Args:
             table: of addresses.
@@ -297,8 +310,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             for j in range(nv):
                 velocity[j] -= change[j]
             if next_error < _SURE * goal and bend <= _BEND:
-                follow_all(desk, room, velocity, count, h)
-                return done, next_error
+                left = follow_all(desk, room, velocity, count, h)
+                if left <= goal:
+                    return done, max(left, next_error)
             found, bend = evaluate(table, desk, room, velocity, count, h, eps, NEXT, 0.0)
             done += 1
             next_error = found * (found / error) ** 2 if found < _FALLING * error else math.inf
