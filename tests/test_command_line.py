@@ -255,11 +255,20 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     command = [sys.executable, "-m", "mjgranular", "sweep", "--points", "2000"]
     command += ["--timestep", "1e-6", "--out", str(folder)]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # A shell starts what it puts in the background deaf to Ctrl-C, these tests too.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         time.sleep(12)
         os.killpg(process.pid, signal.SIGINT)  # what Ctrl-C in a terminal does
-        _, errors = process.communicate(timeout=60)
+        try:
+            _, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()  # in case it did not listen
     assert process.returncode == 130
     assert "Traceback" not in errors
     rows = json.loads((folder / "summary.json").read_text())
