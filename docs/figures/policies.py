@@ -15,6 +15,7 @@ from collections import defaultdict
 
 import numpy as np
 
+from mjgranular.envs import tasks
 from mjgranular.learn.evaluate import Score, evaluate, mean_of
 from mjgranular.learn.policies import load_policy, shipped_policies
 from mjgranular.learn.run import Run
@@ -65,7 +66,6 @@ def row(ground: str, found: list[Score]) -> str:
 
 def table(environment: str, members: list[tuple[str, Run]]) -> None:
     """Prints the table of one environment."""
-    from mjgranular.envs import tasks
 
     own = str(tasks[environment.rpartition("/")[2].removesuffix("-v0")].medium)
     grounds = GROUNDS | {f"`{name}`": f"medium={name}" for name in MEDIA if name != own}
