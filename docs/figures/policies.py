@@ -66,7 +66,6 @@ def row(ground: str, found: list[Score]) -> str:
 
 def table(environment: str, members: list[tuple[str, Run]]) -> None:
     """Prints the table of one environment."""
-
     own = str(tasks[environment.rpartition("/")[2].removesuffix("-v0")].medium)
     grounds = GROUNDS | {f"`{name}`": f"medium={name}" for name in MEDIA if name != own}
     print(f"\n### {environment}, {len(members)} policies, trained on {own}\n")
