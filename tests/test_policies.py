@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjgranular.cli import main
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent, make_baseline
 from mjgranular.learn.evaluate import FIRST_SEED
