@@ -73,12 +73,12 @@ def measure(run: Run, name: str, ground: str, variant: str) -> dict[str, float]:
     }
 
 
-def cell(values: list[float]) -> str:
+def cell(values: list[float], digits: int) -> str:
     """Mean and half the interval."""
     if len(values) == 1:
-        return f"{values[0]:.4g}"
+        return f"{values[0]:.{digits}f}"
     mean = mean_of(values)
-    return f"{mean.mean:.4g} ± {(mean.high - mean.low) / 2:.2g}"
+    return f"{mean.mean:.{digits}f} ± {(mean.high - mean.low) / 2:.{digits}f}"
 
 
 def row(ground: str, found: list[dict[str, float]]) -> str:
@@ -86,9 +86,9 @@ def row(ground: str, found: list[dict[str, float]]) -> str:
     values = {key: [one[key] for one in found] for key in found[0]}
     cells = [
         ground,
-        cell(values["return"]),
+        cell(values["return"], 0),
         f"{np.mean(values['steps']):.0f}",
-        cell(values["speed"]),
+        cell(values["speed"], 3),
         f"{100 * np.mean(values['held']):.0f} %",
     ]
     return f"| {' | '.join(cells)} |"
