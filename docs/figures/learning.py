@@ -10,7 +10,7 @@ from collections import defaultdict
 from matplotlib import pyplot as plt
 from style import BLUE, GREEN, GREY, ORANGE, save
 
-from mjgranular.learn.policies import shipped_policies
+from mjgranular.learn.policies import last_return, shipped_policies
 from mjgranular.learn.run import CURVE, Run, read_curve
 
 COLOURS = {"ppo": BLUE, "sac": ORANGE, "td3": GREEN}
@@ -33,7 +33,9 @@ def main() -> None:
             steps, returns = [row[0] / 1e3 for row in curve], [row[3] for row in curve]
             axis.plot(steps, returns, color=colour, linewidth=1.0)
             minutes = curve[-1][1] / 60
-            print(f"{name}: {returns[-1]:.1f} after {1e3 * steps[-1]:.0f} steps, {minutes:.0f} min")
+            print(
+                f"{name}: {last_return(run):.0f} after {1e3 * steps[-1]:.0f} steps, {minutes:.0f} min"
+            )
         axis.set(title=environment, xlabel="steps [thousands]")
     for axis in grid[:, 0]:
         axis.set_ylabel("mean return in training")
