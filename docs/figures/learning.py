@@ -32,10 +32,8 @@ def main() -> None:
             colour = COLOURS.get(run.settings.algorithm, GREY)
             steps, returns = [row[0] / 1e3 for row in curve], [row[3] for row in curve]
             axis.plot(steps, returns, color=colour, linewidth=1.0)
-            minutes = curve[-1][1] / 60
-            print(
-                f"{name}: {last_return(run):.0f} after {1e3 * steps[-1]:.0f} steps, {minutes:.0f} min"
-            )
+            minutes, end = curve[-1][1] / 60, 1e3 * steps[-1]
+            print(f"{name}: {last_return(run):.0f} after {end:.0f} steps, {minutes:.0f} min")
         axis.set(title=environment, xlabel="steps [thousands]")
     for axis in grid[:, 0]:
         axis.set_ylabel("mean return in training")
