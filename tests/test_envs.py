@@ -290,6 +290,20 @@ def test_starts_are_on_the_surface_that_is_given(name):
     assert level - 0.25 < sloped.reset(seed=0)[1]["sand/depth"] < max(level, 0) + 0.05
 
 
+def test_the_crawler_pays_for_changes_of_its_actions():
+    env = gym.make("mjgranular/ChainCrawl-v0", rate_cost_weight=0.1)
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1.5, 1.5, (4, 6)).astype(np.float32)
+    actions[2] = actions[1]
+    last = np.zeros(6)  # straight, as the episode begins
+    for action in actions:
+        *_, info = env.step(action)
+        asked = np.clip(action, -1, 1)
+        assert info["reward_rate"] == pytest.approx(-0.1 * np.sum((asked - last) ** 2), abs=1e-6)
+        last = asked
+    env.close()
+
+
 def test_the_law_is_said_to_hold_or_not():
     env = SandEnv("ChainSwim")
     _, info = env.reset(seed=0)

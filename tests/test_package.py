@@ -17,6 +17,7 @@ FILES = (
     "mjgranular/envs/__init__.py",
     "mjgranular/envs/task.py",
     "mjgranular/models/worm.py",
+    "mjgranular/models/policies/Hexapod-v0/ppo-0/policy.zip",
     "mjgranular/cli/main.py",
     "mjgranular/learn/settings/default.toml",
     "mjgranular/learn/settings/mjgranular/ChainSwim-v0.toml",

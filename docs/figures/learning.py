@@ -1,4 +1,7 @@
-"""Learning curves of the policies that come with the package, one picture an environment."""
+"""Learning curves of the policies that come with the package.
+
+python docs/figures/learning.py
+"""
 
 from __future__ import annotations
 
@@ -7,27 +10,34 @@ from collections import defaultdict
 from matplotlib import pyplot as plt
 from style import BLUE, GREEN, GREY, ORANGE, save
 
-from mjgranular.learn.policies import shipped_policies
-from mjgranular.learn.run import CURVE, read_curve
+from mjgranular.learn.policies import last_return, shipped_policies
+from mjgranular.learn.run import CURVE, Run, read_curve
 
 COLOURS = {"ppo": BLUE, "sac": ORANGE, "td3": GREEN}
+COLUMNS = 3
 
 
 def main() -> None:
-    """Draws the figures and prints where each curve ends."""
-    families = defaultdict(list)
+    """Draws the figure and prints where each curve ends."""
+    families: dict[str, list[tuple[str, Run]]] = defaultdict(list)
     for name, run in shipped_policies().items():
         families[run.environment].append((name, run))
-    for environment, members in families.items():
-        figure, axis = plt.subplots(figsize=(5.6, 3.6))
+    rows = -(-len(families) // COLUMNS)
+    figure, grid = plt.subplots(rows, COLUMNS, figsize=(9.6, 2.7 * rows), squeeze=False)
+    for axis in grid.flat[len(families) :]:
+        axis.set_visible(False)
+    for axis, (environment, members) in zip(grid.flat, families.items(), strict=False):
         for name, run in members:
-            rows = read_curve(run.path / CURVE)
+            curve = read_curve(run.path / CURVE)
             colour = COLOURS.get(run.settings.algorithm, GREY)
-            axis.plot([row[0] / 1e3 for row in rows], [row[3] for row in rows], color=colour)
-            print(f"{name}: {rows[-1][3]:.1f} after {rows[-1][0]:.0f} steps")
-        axis.set(xlabel="steps [thousands]", ylabel="mean return of episodes in training")
-        axis.set_title(environment)
-        save(figure, f"learning_{environment.rpartition('/')[2].lower().replace('-', '_')}")
+            steps, returns = [row[0] / 1e3 for row in curve], [row[3] for row in curve]
+            axis.plot(steps, returns, color=colour, linewidth=1.0)
+            minutes, end = curve[-1][1] / 60, 1e3 * steps[-1]
+            print(f"{name}: {last_return(run):.0f} after {end:.0f} steps, {minutes:.0f} min")
+        axis.set(title=environment, xlabel="steps [thousands]")
+    for axis in grid[:, 0]:
+        axis.set_ylabel("mean return in training")
+    save(figure, "learning")
 
 
 if __name__ == "__main__":

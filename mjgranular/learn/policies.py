@@ -20,6 +20,7 @@ from mjgranular.learn.settings import algorithm_class
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
 """Where the policies that come with the package lie: folders with the files of `POLICY_FILES`."""
 POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
+_LAST = 0.8
 
 
 @dataclass(frozen=True)
@@ -111,12 +112,19 @@ def shipped_policies() -> dict[str, Run]:
 
 
 def last_return(run: Run) -> float | None:
-    """Mean return at the end of a run's learning curve; None without one."""
+    """Mean return of the episodes in the last fifth of a run's learning curve; None without one.
+
+    Of more than its last row, in which after a checkpoint there are the few episodes that ended
+    early.
+    """
     try:
         rows = read_curve(run.path / CURVE)
     except (OSError, ValueError):
         return None
-    return rows[-1][3] if rows else None
+    if not rows:
+        return None
+    last = [row for row in rows if row[0] >= _LAST * rows[-1][0]]
+    return float(np.average([row[3] for row in last], weights=[row[2] for row in last]))
 
 
 def _folder(where: Path | str) -> Path:

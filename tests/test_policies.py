@@ -1,0 +1,83 @@
+"""The policies that come with the package: they load, act, and do what their page says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjgranular.learn import environments
+from mjgranular.learn.agents import Agent, make_baseline
+from mjgranular.learn.evaluate import FIRST_SEED
+from mjgranular.learn.policies import POLICY_FILES, load_policy, shipped_policies
+
+SHIPPED = shipped_policies()
+STEPS = 100  # of 500: four seconds
+
+# The best of `mjgranular gait ... --search 200 --by x_velocity` (docs/training.md).
+BEST_GAITS = {
+    "ChainSwim": {"amplitude": 1.0, "frequency": 2.4, "waves": 0.8},
+    "ChainCrawl": {"amplitude": 1.0, "frequency": 2.33, "waves": -0.667, "offset": 0.133},
+    "Hexapod": {"stride": 1.0, "lift": 1.0, "press": 0.0, "frequency": 3.25, "duty": 0.7},
+}
+
+
+def way(env_id: str, agent: Agent | None, gait: dict[str, float] | None = None) -> float:
+    """How far an agent, or a gait, comes along x in the first steps of an episode [m]."""
+    env = environments.several(env_id, {}, num_envs=2)
+    try:
+        if agent is None:
+            agent = make_baseline("gait", env_id, env, gait=gait)
+        observations, _ = env.reset(seed=[FIRST_SEED, FIRST_SEED + 1])
+        total = np.zeros(2)
+        for step in range(STEPS):
+            actions = agent.act(observations, np.full(2, step))
+            observations, _, ended, _, info = env.step(actions)
+            assert not ended.any()
+            total += info["x_velocity"] * env.unwrapped.task.dt
+    finally:
+        env.close()
+    return float(total.mean())
+
+
+def test_there_are_policies_for_five_robots():
+    robots = {name.partition("-v0/")[0] for name in SHIPPED}
+    assert robots == {"ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_policy_acts_on_its_environment(name):
+    policy = load_policy(name)
+    env = environments.one(policy.run.environment, policy.run.settings.environment)
+    policy.checked(policy.run.environment, env)
+    observation, _ = env.reset(seed=0)
+    (action,) = policy.act(observation[None], np.zeros(1))
+    assert env.action_space.contains(action)
+    assert np.abs(action).max() > 0.01
+    env.close()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_policy_is_small_and_names_no_machine(name):
+    folder = SHIPPED[name].path
+    assert {file.name for file in folder.iterdir()} == set(POLICY_FILES)
+    assert sum(file.stat().st_size for file in folder.iterdir()) < 200_000
+    config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+    assert config["versions"]["platform"] == "Linux"
+    assert Path(name).name == f"{config['settings']['algorithm']}-{config['seed']}"
+
+
+@pytest.mark.parametrize("robot", BEST_GAITS)
+def test_policies_are_faster_than_the_best_of_a_search_among_gaits(robot):
+    env_id = f"mjgranular/{robot}-v0"
+    scripted = way(env_id, None, BEST_GAITS[robot])
+    assert scripted > 0
+    assert way(env_id, load_policy(f"{robot}-v0/ppo-0")) > 1.2 * scripted
+
+
+def test_the_hopper_hops_and_the_ant_runs():
+    # In the first 0.8 s and 5 s: standing would be no way at all.
+    assert way("mjgranular/Hopper-v0", load_policy("Hopper-v0/ppo-0")) > 0.5
+    assert way("mjgranular/Ant-v0", load_policy("Ant-v0/ppo-0")) > 5.0
