@@ -24,8 +24,7 @@ _MANTISSA = 0x000FFFFFFFFFFFFF
 _LEAST, _MOST = -700.0, 700.0
 
 
-@intrinsic
-def bits_of(typingctx: Any, number: Any) -> Any:
+def _bits_of(typingctx: Any, number: Any) -> Any:
     """The 64 bits of a number."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -34,14 +33,19 @@ def bits_of(typingctx: Any, number: Any) -> Any:
     return types.int64(types.float64), codegen
 
 
-@intrinsic
-def number_of(typingctx: Any, bits: Any) -> Any:
+bits_of: Any = intrinsic(_bits_of)
+
+
+def _number_of(typingctx: Any, bits: Any) -> Any:
     """The number with these 64 bits."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], context.get_value_type(types.float64))
 
     return types.float64(types.int64), codegen
+
+
+number_of: Any = intrinsic(_number_of)
 
 
 @partial(compiled, inline=True)

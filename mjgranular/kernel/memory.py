@@ -185,13 +185,8 @@ def summed(count: int) -> Any:
     return intrinsic(add_up)
 
 
-@intrinsic
-def held(typingctx: Any, record: Any) -> Any:
-    """Gives a copy of a record that nothing else can change.
-
-    A loop that writes elsewhere would read a record's fields again each time around, and could not
-    be vectorized: for all that the compiler knows it writes to them.
-    """
+def _hold(typingctx: Any, record: Any) -> Any:
+    """Gives a copy of a record that nothing else can change."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         room = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(8), record.size))
@@ -201,6 +196,12 @@ def held(typingctx: Any, record: Any) -> Any:
 
     return record(record), codegen
 
+
+held: Any = intrinsic(_hold)
+"""Kernel `held(record)`: a copy of a record that nothing else can change.
+
+A loop that writes elsewhere would read a record's fields again each time around, and could not be
+vectorized: for all that the compiler knows it writes to them."""
 
 floats = records(np.dtype(np.float64))
 ints = records(np.dtype(np.int32))
