@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular import Rft2dLaw, Rft3dLaw, media
+from mjgranular import media
 from mjgranular.envs import tasks
+from mjgranular.law import get_law
 from mjgranular.learn.evaluate import evaluate, mean_of
 from mjgranular.learn.policies import load_policy, shipped_policies
 from mjgranular.learn.run import Run
@@ -53,9 +54,8 @@ def measure(run: Run, name: str, ground: str, variant: str) -> dict[str, float]:
     policy = load_policy(name)
     arguments: dict[str, Any] = dict(run.settings.environment)
     if ground == INERTIAL:
-        medium = own_medium(run.environment)
-        kind = Rft2dLaw if medium.startswith("poppy") else Rft3dLaw
-        arguments["law"] = replace(kind.from_medium(media[medium]), inertia=INERTIA)
+        law: Any = get_law(None, media[own_medium(run.environment)])
+        arguments["law"] = replace(law, inertia=INERTIA)
     score = evaluate(
         name,
         lambda env: policy.checked(run.environment, env),

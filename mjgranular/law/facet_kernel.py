@@ -276,8 +276,8 @@ def answer_to(facet, stress, size, v, p, eps):
     k0, k1, k2 = scale * (sx * wx - k0), scale * (sx * wy - k1), scale * (sx * wz - k2)
     k3, k4, k5 = scale * (sy * wx - k3), scale * (sy * wy - k4), scale * (sy * wz - k5)
     k6, k7, k8 = scale * (sz * wx - k6), scale * (sz * wy - k7), scale * (sz * wz - k8)
-    inertial = push * max(vx * nx + vy * ny + vz * nz, 0.0)
-    vn = vx * nx + vy * ny + vz * nz
+    vn = max(vx * nx + vy * ny + vz * nz, 0.0)
+    inertial = push * vn
     fx -= inertial * vn * nx
     fy -= inertial * vn * ny
     fz -= inertial * vn * nz

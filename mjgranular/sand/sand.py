@@ -237,7 +237,7 @@ class Sand:
             probe, binding = self._probes.pop()
         except IndexError:
             probe = mujoco.MjData(model)
-            binding = bind(model, probe, self._elements, self._scene, self._scheme, self._kernel)
+            binding = self._new_binding(probe)
         lead = 0.0
         if self._scheme.whole_state:
             lead = self._lead * self._options.timestep
@@ -296,9 +296,7 @@ class Sand:
         if binding is None:
             self._check_owner(data)
             self._scheme.check(self._model)
-            binding = bind(
-                self._model, data, self._elements, self._scene, self._scheme, self._kernel
-            )
+            binding = self._new_binding(data)
             company_of(data).join(self, self._model, binding, shared=self._shared)
             self._bindings[data] = binding
         if self._shared:  # comes here at every call: the others' shares are to be seen to
@@ -306,6 +304,9 @@ class Sand:
         else:
             self._recent = (weakref.ref(data), binding.address)
         return binding.address
+
+    def _new_binding(self, data: mujoco.MjData) -> Binding:
+        return bind(self._model, data, self._elements, self._scene, self._scheme, self._kernel)
 
     def _unstable(
         self,

@@ -8,6 +8,7 @@ sparsity of the inertia stays as sparse as it is.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -184,6 +185,16 @@ def body_motions(desk, room, velocity):
         b *= 6
         motion[b], motion[b + 1], motion[b + 2] = w0, w1, w2
         motion[b + 3], motion[b + 4], motion[b + 5] = w3, w4, w5
+
+
+@partial(compiled, inline=True)
+def motion_of(motion, body):
+    """The spatial velocity of one body, of those that `body_motions` has found."""
+    b = 6 * body
+    return (
+        motion[b], motion[b + 1], motion[b + 2],
+        motion[b + 3], motion[b + 4], motion[b + 5],
+    )  # fmt: skip
 
 
 @compiled

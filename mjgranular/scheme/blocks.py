@@ -249,7 +249,8 @@ def respond_kernel(kernel: LawKernel) -> Any:
 def add_kernel(lanes: int) -> Any:
     """See `BlockKernels.add`."""
     read, read_nine = column(3, lanes).read, column(9, lanes).read
-    write, add_six = column(6, lanes).write, column(6, 1).add
+    write_six, write_all = column(6, lanes).write, column(36, lanes).write
+    add_six, add_all = column(6, 1).add, column(36, 1).add
     wrench_of, total = wrench_kernel(lanes), summed(lanes)
 
     @partial(compiled, inline=True)
@@ -261,37 +262,25 @@ def add_kernel(lanes: int) -> Any:
         k0, k1, k2, k3, k4, k5 = m * k0, m * k1, m * k2, m * k3, m * k4, m * k5
         k6, k7, k8 = m * k6, m * k7, m * k8
         return (
-            stiffness_row(y * k6 - z * k3, y * k7 - z * k4, y * k8 - z * k5, x, y, z),
-            stiffness_row(z * k0 - x * k6, z * k1 - x * k7, z * k2 - x * k8, x, y, z),
-            stiffness_row(x * k3 - y * k0, x * k4 - y * k1, x * k5 - y * k2, x, y, z),
-            stiffness_row(k0, k1, k2, x, y, z),
-            stiffness_row(k3, k4, k5, x, y, z),
-            stiffness_row(k6, k7, k8, x, y, z),
+            stiffness_row(y * k6 - z * k3, y * k7 - z * k4, y * k8 - z * k5, x, y, z)
+            + stiffness_row(z * k0 - x * k6, z * k1 - x * k7, z * k2 - x * k8, x, y, z)
+            + stiffness_row(x * k3 - y * k0, x * k4 - y * k1, x * k5 - y * k2, x, y, z)
+            + stiffness_row(k0, k1, k2, x, y, z)
+            + stiffness_row(k3, k4, k5, x, y, z)
+            + stiffness_row(k6, k7, k8, x, y, z)
         )
 
     @compiled
     def add_one(block, wrench, stiffness):
         add_six(wrench, 0, wrench_of(block, 0))
-        a, b, c, d, e, f = stiffness_of(block, 0)
-        add_six(stiffness, 0, a)
-        add_six(stiffness, 6, b)
-        add_six(stiffness, 12, c)
-        add_six(stiffness, 18, d)
-        add_six(stiffness, 24, e)
-        add_six(stiffness, 30, f)
+        add_all(stiffness, 0, stiffness_of(block, 0))
         return block[BEND]
 
     @compiled
     def add_lanes(block, wrench, stiffness):
         for lane in range(lanes):
-            write(block, WRENCH * lanes + lane, wrench_of(block, lane))
-            a, b, c, d, e, f = stiffness_of(block, lane)
-            write(block, STIFFNESS * lanes + lane, a)
-            write(block, (STIFFNESS + 6) * lanes + lane, b)
-            write(block, (STIFFNESS + 12) * lanes + lane, c)
-            write(block, (STIFFNESS + 18) * lanes + lane, d)
-            write(block, (STIFFNESS + 24) * lanes + lane, e)
-            write(block, (STIFFNESS + 30) * lanes + lane, f)
+            write_six(block, WRENCH * lanes + lane, wrench_of(block, lane))
+            write_all(block, STIFFNESS * lanes + lane, stiffness_of(block, lane))
         for row in range(6):
             wrench[row] += total(block, (WRENCH + row) * lanes)
         for row in range(36):

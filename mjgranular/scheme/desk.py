@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows
-from mjgranular.kernel.memory import longs, records
+from mjgranular.kernel.memory import floats, longs, records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.blocks import HEAD_DTYPE, block_count, block_size
 from mjgranular.scheme.scheme import Desk
@@ -149,6 +149,13 @@ def open_room(desk):
 def desk_at(address):
     """The desk's table at an address."""
     return longs(address, DESK_SIZE)
+
+
+@compiled
+def vectors_at(desk, number, row):
+    """Three rows of a block: the vectors of its elements, components `LANES` apart."""
+    lanes = desk[LANES]
+    return floats(desk[BLOCKS] + 8 * (desk[BLOCK_SIZE] * number + row * lanes), 3 * lanes)
 
 
 def make_desk(

@@ -19,9 +19,6 @@ is a function of MuJoCo's state, so that what is copied, saved or reset goes on 
 bit.
 """
 
-# What belongs to a body is read when its first element comes, which a type checker cannot follow.
-# pyright: reportPossiblyUnboundVariable=false
-
 from __future__ import annotations
 
 import math
@@ -60,6 +57,7 @@ from mjgranular.scheme.balance import (
     body_motions,
     clear,
     copy,
+    motion_of,
     norm,
     prepare_inertia,
     solve,
@@ -203,10 +201,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         Returns:
             (norm of the residual, greatest bend).
         """
-        nv, nbody = desk[d.NV], desk[d.NBODY]
-        residual = floats(room.residual, nv)
-        sand = floats(room.sand, nv)
-        bound = floats(room.bound, nv)
+        nbody = desk[d.NBODY]
         motion = floats(room.motion, 6 * nbody)
         wrench = floats(room.own, 6 * nbody)
         stiffness = floats(room.stiffness, 36 * nbody)
@@ -221,20 +216,14 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for i in range(count):
             block = floats(desk[d.BLOCKS] + 8 * size * i, size)
             b = 6 * heads[i].body
-            w = (
-                motion[b], motion[b + 1], motion[b + 2],
-                motion[b + 3], motion[b + 4], motion[b + 5],
-            )  # fmt: skip
-            move(block, w, grips, eps, loose)
+            move(block, motion_of(motion, heads[i].body), grips, eps, loose)
             respond(block, law, g, eps)
             turn = add(block, wrench[b : b + 6], stiffness[6 * b : 6 * b + 36])
             bend = max(bend, turn)
         weigh(desk, room, velocity, h)
         add_bodies(desk, room, h)
-        bend = max(bend, bound_forces(desk, room, velocity, h, grips))
-        for j in range(nv):
-            residual[j] -= sand[j] + bound[j]
-        return norm(residual, room, nv), bend
+        error, turn = leave(desk, room, velocity, h, grips)
+        return error, max(bend, turn)
 
     @compiled
     def follow_all(desk, room, velocity, count, h):
@@ -243,10 +232,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         Returns:
             Norm of the residual with these forces.
         """
-        nv, nbody = desk[d.NV], desk[d.NBODY]
-        residual = floats(room.residual, nv)
-        sand = floats(room.sand, nv)
-        bound = floats(room.bound, nv)
+        nbody = desk[d.NBODY]
         motion = floats(room.motion, 6 * nbody)
         wrench = floats(room.own, 6 * nbody)
         heads = head_records(desk[d.HEADS], count)
@@ -255,17 +241,10 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for i in range(count):
             block = floats(desk[d.BLOCKS] + 8 * size * i, size)
             b = 6 * heads[i].body
-            w = (
-                motion[b], motion[b + 1], motion[b + 2],
-                motion[b + 3], motion[b + 4], motion[b + 5],
-            )  # fmt: skip
-            follow(block, w, wrench[b : b + 6])
+            follow(block, motion_of(motion, heads[i].body), wrench[b : b + 6])
         weigh(desk, room, velocity, h)
         sum_wrenches(desk, room, h)
-        bound_forces(desk, room, velocity, h, NEXT)
-        for j in range(nv):
-            residual[j] -= sand[j] + bound[j]
-        return norm(residual, room, nv)
+        return leave(desk, room, velocity, h, NEXT)[0]
 
     @compiled
     def newton(table, desk, room, count, h, eps, grips, loose, goal, steps):
@@ -423,6 +402,23 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
 
 
 @compiled
+def leave(desk, room, velocity, h, grips):
+    """Takes sand and constraints from the residual, which `weigh` has begun.
+
+    Returns:
+        (its norm, greatest bend of a friction loss).
+    """
+    nv = desk[d.NV]
+    residual = floats(room.residual, nv)
+    sand = floats(room.sand, nv)
+    bound = floats(room.bound, nv)
+    bend = bound_forces(desk, room, velocity, h, grips)
+    for j in range(nv):
+        residual[j] -= sand[j] + bound[j]
+    return norm(residual, room, nv), bend
+
+
+@compiled
 def forward_smooth(desk):
     """Has the engine find the accelerations of all smooth forces but the sand's."""
     model, data = desk[d.MODEL], desk[d.DATA]
@@ -447,7 +443,7 @@ def begin(desk, room, count, h):
     trial = floats(room.trial, nv)
     room_smooth = floats(room.smooth, nv)
     weight = floats(room.weight, nv)
-    m = floats(room.motion, 6 * nbody)
+    motion = floats(room.motion, 6 * nbody)
     room_wet = floats(room.wet, nbody)
     qvel = floats(desk[d.QVEL], nv)
     smooth = floats(desk[d.SMOOTH], nv)
@@ -477,9 +473,8 @@ def begin(desk, room, count, h):
     coarse = 0.0
     lanes = desk[d.LANES]
     for i in range(count):
-        b = 6 * heads[i].body
-        w = (m[b], m[b + 1], m[b + 2], m[b + 3], m[b + 4], m[b + 5])
-        arm = floats(desk[d.BLOCKS] + 8 * (desk[d.BLOCK_SIZE] * i + ARM * lanes), 3 * lanes)
+        w = motion_of(motion, heads[i].body)
+        arm = d.vectors_at(desk, i, ARM)
         for lane in range(lanes):
             vx, vy, vz = velocity_at(w, arm[lane], arm[lanes + lane], arm[2 * lanes + lane])
             coarse = max(coarse, vx * vx + vy * vy + vz * vz)

@@ -35,10 +35,10 @@ def goal_of(fine):
 @compiled
 def fastest_of(desk, count):
     """The greatest speed in the blocks [m/s]."""
-    lanes, size = desk[d.LANES], desk[d.BLOCK_SIZE]
+    lanes = desk[d.LANES]
     most = 0.0
     for i in range(count):
-        v = floats(desk[d.BLOCKS] + 8 * (size * i + VELOCITY * lanes), 3 * lanes)
+        v = d.vectors_at(desk, i, VELOCITY)
         for lane in range(lanes):
             x, y, z = v[lane], v[lanes + lane], v[2 * lanes + lane]
             most = max(most, x * x + y * y + z * z)
@@ -64,7 +64,7 @@ def softness(desk, count, velocity):
         if heads[i].body == last:
             continue
         last = heads[i].body
-        first_arm = floats(desk[d.BLOCKS] + 8 * (desk[d.BLOCK_SIZE] * i + ARM * lanes), 3 * lanes)
+        first_arm = d.vectors_at(desk, i, ARM)
         arm = abs(first_arm[0]) + abs(first_arm[lanes]) + abs(first_arm[2 * lanes])
         body = last
         while body > 0 and number[body] == 0:

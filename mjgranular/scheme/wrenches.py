@@ -70,17 +70,6 @@ def pose_at(place):
 
 
 @compiled
-def pose_of(table, body):
-    """Where a body of the sand is and how it moves.
-
-    Args:
-        table: the simulation's (`kernel.memory`).
-        body: record of the body (`kernel.records`).
-    """
-    return pose_at(place_of(table, body))
-
-
-@compiled
 def gravity_of(table):
     """Size of gravity [m/s^2]."""
     g = floats(table[GRAVITY], 3)
