@@ -31,8 +31,9 @@ account_records = records(ACCOUNT_DTYPE)
 
 # The desk's table: sizes and switches, then addresses, in the order of `make_desk`. WITHIN is 1
 # where the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the
-# step is not there yet. A block of elements (`scheme.blocks`) has so many LANES and numbers.
-NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN, LANES, BLOCK_SIZE = range(10)
+# step is not there yet; WARM where the engine's constraint solver ends no farther off than it
+# begins. A block of elements (`scheme.blocks`) has so many LANES and numbers.
+NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN, WARM, LANES, BLOCK_SIZE = range(11)
 OF_MODEL = (
     "M_rownnz",
     "M_rowadr",
@@ -62,7 +63,7 @@ OF_DATA = (
     "qacc",
     "qfrc_bias",
 )
-FIRST_OF_MODEL = 10
+FIRST_OF_MODEL = 11
 FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
 NUMBERS, HEADS, BLOCKS, ACCOUNT, ROWS, LONE = range(
     FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 6
@@ -197,6 +198,7 @@ def make_desk(
         int(mujoco.mj_isSparse(model)),
         len(lone),
         int(within),
+        int(descends(model)),
         kernel.lanes,
         block_size(kernel),
     )
@@ -220,6 +222,19 @@ def integrator_of(model: mujoco.MjModel) -> int:
     if model.opt.disableflags & off or not model.dof_damping.any():
         return PLAIN
     return DAMPED
+
+
+def descends(model: mujoco.MjModel) -> bool:
+    """Whether the engine's constraint solver begins where it is told and only gets closer.
+
+    Its primal solvers lower the cost at each step, and the cost bounds the distance.
+    """
+    primal = (mujoco.mjtSolver.mjSOL_CG, mujoco.mjtSolver.mjSOL_NEWTON)
+    return (
+        model.opt.solver in primal
+        and model.opt.noslip_iterations == 0
+        and not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    )
 
 
 def lone_free_joints(model: mujoco.MjModel) -> np.ndarray:

@@ -1,14 +1,16 @@
-"""What the implicit scheme leaves behind when a step is solved: wrenches and contacts."""
+"""What the implicit scheme leaves behind when a step is solved: wrenches, contacts, a start."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import CONTACTS, ELEMENT_COUNT, floats
+from mjgranular.kernel.engine import solve_inertia
+from mjgranular.kernel.memory import CONTACTS, ELEMENT_COUNT, floats, ints
 from mjgranular.kernel.records import contact_records
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.blocks import FORCE, INDEX, head_records
+from mjgranular.scheme.constraints import rows_of
 
 
 @compiled
@@ -33,6 +35,42 @@ def hand_over(desk, room, bodies, share):
         body.wrench[3] = share * (w[0] - (y * w[5] - z * w[4]))
         body.wrench[4] = share * (w[1] - (z * w[3] - x * w[5]))
         body.wrench[5] = share * (w[2] - (x * w[4] - y * w[3]))
+
+
+@compiled
+def warm_engine(desk, room, h):
+    """Has the engine's constraint solver begin at the acceleration that has been foreseen.
+
+    By itself it stops when it is within some 1e-6 of it, which is little where things move, but at
+    rest a kick, beside what the sand holds. From here it has nothing to do but to see that it is
+    there. It solves for the acceleration in front of the integrator's own damping C, which is
+    (1 + M^-1 C) (v' - v) / h.
+    """
+    nv = desk[d.NV]
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    if ints(desk[d.DATA] + rows.count, 1)[0] == 0:
+        return
+    velocity = floats(room.velocity, nv)
+    start = floats(room.start, nv)
+    rate = floats(room.rate, nv)
+    warmstart = floats(desk[d.WARMSTART], nv)
+    for j in range(nv):
+        rate[j] = (velocity[j] - start[j]) / h
+    if desk[d.INTEGRATOR] == d.PLAIN:
+        for j in range(nv):
+            warmstart[j] = rate[j]
+        return
+    extra = floats(room.extra, nv * nv)
+    damped = floats(room.product, nv)
+    for i in range(nv):
+        total = 0.0
+        for j in range(nv):
+            total += extra[i * nv + j] * rate[j]
+        damped[i] = total
+    solve_inertia(desk[d.MODEL], desk[d.DATA], room.answer, room.product, 1)
+    answer = floats(room.answer, nv)
+    for j in range(nv):
+        warmstart[j] = rate[j] + answer[j]
 
 
 @compiled

@@ -73,7 +73,7 @@ from mjgranular.scheme.blocks import (
     head_records,
 )
 from mjgranular.scheme.constraints import bound_forces, prepare_rows
-from mjgranular.scheme.handover import hand_over, tell_contacts
+from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
 from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.softness import fastest_of, goal_of, softness
@@ -383,6 +383,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             done, error, soft, fine = find_velocity(
                 table, desk, room, count, lead, coarse, fine, scale
             )
+            warm_engine(desk, room, lead)
             share = 1.0
             if power_bound(desk, room, error, scale) > NO_ENERGY:
                 share = passive_share(desk, room, lead)
