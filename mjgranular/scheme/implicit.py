@@ -92,6 +92,7 @@ _COARSE, _ROUNDED, _LOST = 1e-3, 1e-6, 1e-3
 # Square of the difference of a grip and its velocity's: where the force may be taken for the law's,
 # and where the residual may be trusted to fall along a step. Chosen.
 _BEND, _STRAIGHT = 1e-8, 1e-6
+_TURNED = 0.1  # the same: where what was is not what will be; chosen
 # In parts of what the step would change without sand: speeds of which all elements may be at rest.
 _SLOW = 1e-3
 _FINER = 1e-2  # from one softness to the next, where the direct way is lost
@@ -103,7 +104,7 @@ _STUCK = 4  # steps that do not halve the residual
 _FALLING, _SURE = 0.1, 1e-2
 _SHORTEST = 0.1  # of a step
 # Of Newton's method; not literals, for each of which numba would compile anew.
-_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (4, 40, 6))
+_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 40, 6))
 _NOTHING = 1e-150  # a momentum that may be divided by
 
 
@@ -247,7 +248,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         return leave(desk, room, velocity, h, NEXT)[0]
 
     @compiled
-    def newton(table, desk, room, count, h, eps, grips, loose, goal, steps):
+    def newton(table, desk, room, count, h, eps, grips, loose, goal, steps, turn):
         """Newton's method from `room.velocity`, which ends where it got to.
 
         Steps are taken whole: grips that turn are how it finds out what holds and what slides, and
@@ -270,6 +271,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             loose: see `evaluate`.
             goal: residual to be reached.
             steps: at most.
+            turn: bend at which to give up.
 
         Returns:
             (evaluations, residual; infinite where it says nothing yet).
@@ -283,7 +285,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         done = 1
         stuck = 0
         next_error = math.inf
-        while done <= steps and stuck < _STUCK and (error > goal or bend > _BEND):
+        while done <= steps and stuck < _STUCK and bend < turn and (error > goal or bend > _BEND):
             if not solve(matrix, residual, change, nv):
                 break
             for j in range(nv):
@@ -322,7 +324,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         done = 0
         if fastest_of(desk, count) < _SLOW * coarse:
             # At rest what was is what will be.
-            done, error = newton(table, desk, room, count, h, fine, FRESH, fine, goal, _STEPS_NEAR)
+            done, error = newton(
+                table, desk, room, count, h, fine, FRESH, fine, goal, _STEPS_NEAR, _TURNED
+            )
             if error <= goal:
                 return done, error / scale, fine, fine
 
@@ -334,7 +338,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for j in range(nv):
             velocity[j] = start[j] + h * before[j] if known else start[j]
         loose = max(coarse, fine)
-        more, error = newton(table, desk, room, count, h, fine, FRESH, loose, goal, _STEPS)
+        more, error = newton(
+            table, desk, room, count, h, fine, FRESH, loose, goal, _STEPS, math.inf
+        )
         done += more
         if goal < error <= _LOST * scale:
             # What begins to move in this step is rounded more than its velocity before can say.
@@ -344,7 +350,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 goal = goal_of(fine) * scale
                 loose = max(coarse, fine)
                 more, error = newton(
-                    table, desk, room, count, h, fine, SAME, fine, goal, _STEPS_COARSE
+                    table, desk, room, count, h, fine, SAME, fine, goal, _STEPS_COARSE, math.inf
                 )
                 done += more
         if error <= _LOST * scale:
@@ -356,12 +362,22 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         grips = FRESH
         while eps > fine and done < most:
             more, _ = newton(
-                table, desk, room, count, h, eps, grips, eps, _COARSE * scale, _STEPS_COARSE
+                table,
+                desk,
+                room,
+                count,
+                h,
+                eps,
+                grips,
+                eps,
+                _COARSE * scale,
+                _STEPS_COARSE,
+                math.inf,
             )
             done += more
             grips = SAME
             eps = max(_FINER * eps, fine)
-        more, error = newton(table, desk, room, count, h, eps, grips, eps, goal, _STEPS)
+        more, error = newton(table, desk, room, count, h, eps, grips, eps, goal, _STEPS, math.inf)
         return done + more, error / scale, eps, fine
 
     @compiled
