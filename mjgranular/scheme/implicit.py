@@ -102,6 +102,7 @@ _STUCK = 4  # steps that do not halve the residual
 # below the goal the next one is to be. Chosen: in 1,298 steps of robots driven at random what came
 # was at most 0.4 of the goal.
 _FALLING, _SURE = 0.1, 1e-2
+_NEARLY = 1e-7  # a bend that one more step makes nothing of; chosen
 _SHORTEST = 0.1  # of a step
 # Of Newton's method; not literals, for each of which numba would compile anew.
 _STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 40, 6))
@@ -290,7 +291,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 break
             for j in range(nv):
                 velocity[j] -= change[j]
-            if next_error < _SURE * goal and bend <= _BEND:
+            if next_error < _SURE * goal and bend <= _NEARLY:
                 left = follow_all(desk, room, velocity, count, h)
                 if left <= goal:
                     return done, max(left, next_error)

@@ -23,7 +23,7 @@ _SOFT = 1e-12
 _SOFT_SHARE = 1e-6
 # Residuals to be reached at rest and in motion, where rounding in what holds is larger, in parts of
 # the momentum at hand. Chosen.
-_AT_REST, _IN_MOTION = 1e-13, 1e-9
+_AT_REST, _IN_MOTION = 1e-13, 1e-8
 
 
 @compiled
