@@ -17,7 +17,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, solve_inertia
 from mjgranular.kernel.memory import floats, ints, longs, records
 from mjgranular.scheme import desk as d
-from mjgranular.scheme.balance import clear, copy
+from mjgranular.scheme.balance import clear, copy, norm
 from mjgranular.scheme.blocks import NEXT, SAME
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -102,6 +102,23 @@ def row_value(desk, room, rows, i, rate):
     for k in range(nv):
         total += firm[k] * rate[k]
     return total
+
+
+@compiled
+def leave(desk, room, velocity, h, grips):
+    """Takes sand and constraints from the residual, which `weigh` has begun.
+
+    Returns:
+        (its norm, greatest bend of a friction loss).
+    """
+    nv = desk[d.NV]
+    residual = floats(room.residual, nv)
+    sand = floats(room.sand, nv)
+    bound = floats(room.bound, nv)
+    bend = bound_forces(desk, room, velocity, h, grips)
+    for j in range(nv):
+        residual[j] -= sand[j] + bound[j]
+    return norm(residual, room, nv), bend
 
 
 @compiled

@@ -58,7 +58,6 @@ from mjgranular.scheme.balance import (
     clear,
     copy,
     motion_of,
-    norm,
     prepare_inertia,
     solve,
     sum_wrenches,
@@ -72,7 +71,7 @@ from mjgranular.scheme.blocks import (
     block_kernels,
     head_records,
 )
-from mjgranular.scheme.constraints import bound_forces, prepare_rows
+from mjgranular.scheme.constraints import leave, prepare_rows
 from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
 from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
@@ -403,7 +402,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             warm_engine(desk, room, lead)
             share = 1.0
             if power_bound(desk, room, error, scale) > NO_ENERGY:
-                share = passive_share(desk, room, lead)
+                share = passive_share(desk, room, error, lead)
             hand_over(desk, room, bodies, share)
             tell_contacts(table, desk, count, share)
             account = d.account_records(desk[d.ACCOUNT], 1)[0]
@@ -417,23 +416,6 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         return add_wrenches(table)
 
     return program
-
-
-@compiled
-def leave(desk, room, velocity, h, grips):
-    """Takes sand and constraints from the residual, which `weigh` has begun.
-
-    Returns:
-        (its norm, greatest bend of a friction loss).
-    """
-    nv = desk[d.NV]
-    residual = floats(room.residual, nv)
-    sand = floats(room.sand, nv)
-    bound = floats(room.bound, nv)
-    bend = bound_forces(desk, room, velocity, h, grips)
-    for j in range(nv):
-        residual[j] -= sand[j] + bound[j]
-    return norm(residual, room, nv), bend
 
 
 @compiled

@@ -12,12 +12,25 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import forward_constraint, solve_inertia
 from mjgranular.kernel.memory import floats, ints
 from mjgranular.scheme import desk as d
-from mjgranular.scheme.balance import norm, solve
-from mjgranular.scheme.constraints import rows_of
+from mjgranular.scheme.balance import norm, solve, weigh
+from mjgranular.scheme.blocks import SAME
+from mjgranular.scheme.constraints import leave, rows_of
 
 NO_ENERGY = 1e-14  # [J]; chosen
 _TRUSTED = 1e-8  # a residual that still says something about the energy, ours or the engine's
 _ROUNDING = 1e-15  # of a share
+
+
+@compiled
+def is_sure(desk, error):
+    """Whether the velocity that was found says, with its residual, what the step will end with.
+
+    What the engine's constraint solver finds from where it is put (`handover.warm_engine`) is no
+    farther off than that.
+    """
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    alike = desk[d.WARM] != 0 or ints(desk[d.DATA] + rows.count, 1)[0] == 0
+    return alike and error < _TRUSTED
 
 
 @compiled
@@ -26,16 +39,14 @@ def power_bound(desk, room, error, scale):
 
     The residual's size is measured with the diagonal of the inertia alone, which may be far too
     little for long chains of light bodies: a margin of a thousand, and no trust in large residuals.
-    What the engine's solver finds from where it is put (`handover.warm_engine`) is no farther off.
     """
     nv = desk[d.NV]
     velocity = floats(room.velocity, nv)
     sand = floats(room.sand, nv)
-    rows = rows_of(desk[d.ROWS], 1)[0]
     if not error < _TRUSTED:
         return math.inf
-    if desk[d.WARM] == 0 and ints(desk[d.DATA] + rows.count, 1)[0] > 0:
-        error = max(error, _TRUSTED)  # the engine's own solver stops short as well
+    if not is_sure(desk, error):
+        error = _TRUSTED  # the engine's own solver stops short as well
     work = 0.0
     for j in range(nv):
         work += sand[j] * velocity[j]
@@ -43,7 +54,30 @@ def power_bound(desk, room, error, scale):
 
 
 @compiled
-def passive_share(desk, room, h):
+def power_ahead(desk, room, h):
+    """The sand's momentum times the velocity that the step will end with [J].
+
+    That is the velocity found, less what would make up for the residual if the sand's forces stay
+    as they are. Destroys residual and matrix.
+    """
+    nv = desk[d.NV]
+    velocity = floats(room.velocity, nv)
+    residual = floats(room.residual, nv)
+    matrix = floats(room.matrix, nv * nv)
+    sand = floats(room.sand, nv)
+    less = floats(room.trial, nv)
+    weigh(desk, room, velocity, h)
+    leave(desk, room, velocity, h, SAME)
+    if not solve(matrix, residual, less, nv):
+        return math.inf
+    power = 0.0
+    for j in range(nv):
+        power += sand[j] * (velocity[j] - less[j])
+    return power
+
+
+@compiled
+def passive_share(desk, room, error, h):
     """A share of the sand's momentum that gives no energy; 1 if the whole gives none.
 
     Where Newton's method stops short, its forces are bounded but need not oppose the velocities
@@ -55,6 +89,8 @@ def passive_share(desk, room, h):
     It has to be no more than needed: at rest, where rounding alone decides whether there is energy,
     a share less by one in a million would be a kick.
     """
+    if is_sure(desk, error) and power_ahead(desk, room, h) <= NO_ENERGY:
+        return 1.0
     whole = power_of_share(desk, room, h, 1.0)
     if whole <= NO_ENERGY:
         return 1.0
