@@ -12,7 +12,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import forward_constraint, solve_inertia
 from mjgranular.kernel.memory import floats, ints
 from mjgranular.scheme import desk as d
-from mjgranular.scheme.balance import norm, solve, weigh
+from mjgranular.scheme.balance import copy, norm, solve, weigh
 from mjgranular.scheme.blocks import SAME
 from mjgranular.scheme.constraints import leave, rows_of
 
@@ -55,20 +55,38 @@ def power_bound(desk, room, error, scale):
 
 @compiled
 def power_ahead(desk, room, h):
-    """The sand's momentum times the velocity that the step will end with [J].
+    """The sand's momentum times the velocity that the step will end with, at most [J].
 
     That is the velocity found, less what would make up for the residual if the sand's forces stay
-    as they are. Destroys residual and matrix.
+    as they are. Whether the engine's constraints answer to that, or its solver finds that it has
+    nothing to do, is not known: both are looked at. Destroys residual and matrix.
     """
     nv = desk[d.NV]
     velocity = floats(room.velocity, nv)
     residual = floats(room.residual, nv)
+    kept = floats(room.change, nv)
     matrix = floats(room.matrix, nv * nv)
-    sand = floats(room.sand, nv)
-    less = floats(room.trial, nv)
+    inertia = floats(room.inertia, nv * nv)
     weigh(desk, room, velocity, h)
     leave(desk, room, velocity, h, SAME)
-    if not solve(matrix, residual, less, nv):
+    copy(kept, residual)
+    power = power_less(desk, room)
+    rows = rows_of(desk[d.ROWS], 1)[0]
+    if ints(desk[d.DATA] + rows.count, 1)[0] > 0:
+        copy(residual, kept)
+        copy(matrix, inertia)
+        power = max(power, power_less(desk, room))
+    return power
+
+
+@compiled
+def power_less(desk, room):
+    """The sand's momentum times what the velocity is without the residual over the matrix [J]."""
+    nv = desk[d.NV]
+    velocity = floats(room.velocity, nv)
+    sand = floats(room.sand, nv)
+    less = floats(room.trial, nv)
+    if not solve(floats(room.matrix, nv * nv), floats(room.residual, nv), less, nv):
         return math.inf
     power = 0.0
     for j in range(nv):
