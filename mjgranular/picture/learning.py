@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from mjgranular.learn.compare import Cell
 
 
+_FEW = 6  # values that are drawn one by one
+
+
 def draw_curves(
     path: Path,
     curves: Mapping[str, Sequence[Sequence[tuple[float, ...]]]],
@@ -47,7 +50,10 @@ def draw_curves(
 
 
 def draw_comparison(path: Path, cells: Sequence[Cell], *, title: str = "") -> None:
-    """Bars of the mean return on each ground, one for each ground trained on, with intervals."""
+    """Bars of the mean return on each ground, one for each ground trained on.
+
+    On them what they are means of, a dot each; where these are many, the interval.
+    """
     grounds = list(dict.fromkeys(cell.on for cell in cells))
     figure, context = figure_of_size(6.4, 3.8)
     axis = figure.subplots()
@@ -55,15 +61,26 @@ def draw_comparison(path: Path, cells: Sequence[Cell], *, title: str = "") -> No
     for k, (trained_on, colour) in enumerate(zip(grounds, PALETTE, strict=False)):
         row = [cell.returned for cell in cells if cell.trained_on == trained_on]
         places = np.arange(len(grounds)) + (k - (len(grounds) - 1) / 2) * width
+        few = len(row[0].values) <= _FEW
         axis.bar(
             places,
             [mean.mean for mean in row],
             width,
-            yerr=[(mean.high - mean.low) / 2 for mean in row],
+            yerr=None if few else [(mean.high - mean.low) / 2 for mean in row],
             color=colour,
             label=f"trained on {trained_on}",
             capsize=3,
         )
+        for place, mean in zip(places, row, strict=True):
+            if few:
+                axis.plot(
+                    np.full(len(mean.values), place),
+                    mean.values,
+                    "o",
+                    color="white",
+                    markeredgecolor="black",
+                    markersize=5,
+                )
     axis.set_xticks(np.arange(len(grounds)), [f"on {ground}" for ground in grounds])
     axis.set_ylabel("mean return")
     figure.legend(loc="outside lower center", ncols=len(grounds))
