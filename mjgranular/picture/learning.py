@@ -71,16 +71,9 @@ def draw_comparison(path: Path, cells: Sequence[Cell], *, title: str = "") -> No
             label=f"trained on {trained_on}",
             capsize=3,
         )
-        for place, mean in zip(places, row, strict=True):
-            if few:
-                axis.plot(
-                    np.full(len(mean.values), place),
-                    mean.values,
-                    "o",
-                    color="white",
-                    markeredgecolor="black",
-                    markersize=5,
-                )
+        if few:
+            dots = [(place, v) for place, m in zip(places, row, strict=True) for v in m.values]
+            axis.scatter(*zip(*dots, strict=True), 25, "white", edgecolors="black", zorder=3)
     axis.set_xticks(np.arange(len(grounds)), [f"on {ground}" for ground in grounds])
     axis.set_ylabel("mean return")
     figure.legend(loc="outside lower center", ncols=len(grounds))

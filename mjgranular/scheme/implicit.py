@@ -98,8 +98,8 @@ _FINER = 1e-2  # from one softness to the next, where the direct way is lost
 _BEGUN = 10.0  # how much softer a hold may be at the velocity found for that to be tried
 _STUCK = 4  # steps that do not halve the residual
 # Where residuals fall as squares: a step to less than this share of the one before, and how far
-# below the goal the next one is to be. Chosen: in 1,298 steps of robots driven at random what came
-# was at most 0.4 of the goal.
+# below the goal the next one is to be. Chosen: in 2,019 steps of robots driven at random what came
+# was at most 0.9 of the goal, but for seven of the ant's, with up to 34 times that.
 _FALLING, _SURE = 0.1, 1e-2
 _NEARLY = 1e-7  # a bend that one more step makes nothing of; chosen
 _SHORTEST = 0.1  # of a step
