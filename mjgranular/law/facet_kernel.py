@@ -8,7 +8,7 @@ from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip_of_all, in_world
+from mjgranular.law.kernel import LawKernel, grip_of_all, in_world, stray_of_all
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.shape.facets import facet_records
 
@@ -226,6 +226,7 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
         facet_resist,
         facet_respond,
         grip_of_all,
+        stray_of_all,
         numbers=18,
         lanes=8,
         simple=None if slope is None else facet_simple,

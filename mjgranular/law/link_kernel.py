@@ -149,6 +149,18 @@ def link_grip(rod, v, p, c, eps):
     return x + q * nx, y + q * ny, z + q * nz
 
 
+@partial(compiled, inline=True)
+def link_stray(rod, v, c, eps):
+    """How far a change of velocity leads, for both grips (see `LawKernel.stray`)."""
+    nx, ny, nz = rod[8], rod[9], rod[10]
+    soft = eps * eps
+    vn = v[0] * nx + v[1] * ny + v[2] * nz
+    cn = c[0] * nx + c[1] * ny + c[2] * nz
+    vt = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] - vn * vn
+    ct = c[0] * c[0] + c[1] * c[1] + c[2] * c[2] - cn * cn
+    return max(cn * cn / (vn * vn + soft), ct / (max(vt, 0.0) + soft))
+
+
 @compiled
 def rod_skim(rod, level):
     """Depth of a rod's deeper end [m], from the plane of sand in its body's frame."""
@@ -199,6 +211,7 @@ def link_kernel(limits: Any, probe: Any, level: Any = None, lanes: int = 1) -> L
         link_resist,
         link_respond,
         link_grip,
+        link_stray,
         numbers=9,
         lanes=lanes,
     )

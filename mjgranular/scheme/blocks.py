@@ -40,6 +40,7 @@ from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
 # `immerse` gave.
 ARM, VELOCITY, GRIP, FORCE, SLOPE, BEND, WEIGHT, INDEX = 0, 3, 6, 9, 12, 21, 22, 23
 WRENCH, STIFFNESS, IMMERSED = 24, 30, 66
+STRAY = STIFFNESS  # which is summed by then
 _ANSWER = 13  # numbers that `respond` gives
 
 HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
@@ -73,8 +74,8 @@ class BlockKernels:
         respond: kernel `respond(block, law, g, eps)`: forces and derivatives.
         add: kernel `add(block, wrench, stiffness)`: adds these to those of the body; the greatest
             bend.
-        follow: kernel `follow(block, motion, wrench)`: velocities from the body's, the forces that
-            the derivatives then say, and adds these to those of the body.
+        follow: kernel `follow(block, motion, wrench, eps)`: the forces that the derivatives say for
+            the body's motion, and adds these to those of the body; the greatest `stray`.
     """
 
     size: int
@@ -99,7 +100,7 @@ def block_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> BlockKernels:
         move_kernel(kernel),
         respond_kernel(kernel),
         add_kernel(kernel.lanes),
-        follow_kernel(kernel.lanes),
+        follow_kernel(kernel),
     )
 
 
@@ -310,28 +311,35 @@ def wrench_kernel(lanes: int) -> Any:
 
 
 @cache
-def follow_kernel(lanes: int) -> Any:
+def follow_kernel(kernel: LawKernel) -> Any:
     """See `BlockKernels.follow`."""
+    lanes, stray, numbers = kernel.lanes, kernel.stray, column(5 + kernel.numbers, kernel.lanes)
     read, write, read_nine = column(3, lanes).read, column(3, lanes).write, column(9, lanes).read
     write_six, wrench_of, total = column(6, lanes).write, wrench_kernel(lanes), summed(lanes)
+    read_numbers = numbers.read
 
     @compiled
-    def follow(block, motion, wrench):
+    def follow(block, motion, wrench, eps):
+        most = 0.0
         for lane in range(lanes):
             x, y, z = read(block, ARM * lanes + lane)
             ux, uy, uz = read(block, VELOCITY * lanes + lane)
             fx, fy, fz = read(block, FORCE * lanes + lane)
             k0, k1, k2, k3, k4, k5, k6, k7, k8 = read_nine(block, SLOPE * lanes + lane)
+            immersed = read_numbers(block, IMMERSED * lanes + lane)
             vx, vy, vz = velocity_at(motion, x, y, z)
             cx, cy, cz = vx - ux, vy - uy, vz - uz
             fx -= k0 * cx + k1 * cy + k2 * cz
             fy -= k3 * cx + k4 * cy + k5 * cz
             fz -= k6 * cx + k7 * cy + k8 * cz
-            write(block, VELOCITY * lanes + lane, (vx, vy, vz))
             write(block, FORCE * lanes + lane, (fx, fy, fz))
             write_six(block, WRENCH * lanes + lane, wrench_of(block, lane))
+            block[STRAY * lanes + lane] = stray(immersed, (ux, uy, uz), (cx, cy, cz), eps)
         for row in range(6):
             wrench[row] += total(block, (WRENCH + row) * lanes)
+        for lane in range(lanes):
+            most = max(most, block[STRAY * lanes + lane])
+        return most
 
     return follow
 

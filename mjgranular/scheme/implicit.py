@@ -42,10 +42,8 @@ from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
     DESK,
-    SCENE,
     floats,
     ints,
-    records,
     table_at,
 )
 from mjgranular.kernel.motion import velocity_at
@@ -53,33 +51,28 @@ from mjgranular.kernel.records import body_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
-    add_bodies,
     body_motions,
     clear,
     copy,
     motion_of,
     prepare_inertia,
-    solve,
-    sum_wrenches,
-    weigh,
 )
 from mjgranular.scheme.blocks import (
     ARM,
     FRESH,
-    NEXT,
     SAME,
     block_kernels,
     head_records,
 )
-from mjgranular.scheme.constraints import leave, prepare_rows
+from mjgranular.scheme.constraints import prepare_rows
 from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
+from mjgranular.scheme.newton import Way, newton_kernel
 from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.softness import fastest_of, goal_of, softness
 from mjgranular.scheme.wrenches import (
     BAD_STATE,
     add_wrenches,
-    gravity_of,
     is_bad,
     withdraw_wrenches,
 )
@@ -88,23 +81,13 @@ from mjgranular.scheme.wrenches import (
 # as unfinished, and the direct way as lost. What is left between may be one of the law's own jumps.
 # Chosen.
 _COARSE, _ROUNDED, _LOST = 1e-3, 1e-6, 1e-3
-# Square of the difference of a grip and its velocity's: where the force may be taken for the law's,
-# and where the residual may be trusted to fall along a step. Chosen.
-_BEND, _STRAIGHT = 1e-8, 1e-6
-_TURNED = 0.1  # the same: where what was is not what will be; chosen
+_TURNED = 0.1  # square of the difference of a grip and its velocity's; chosen
 # In parts of what the step would change without sand: speeds of which all elements may be at rest.
 _SLOW = 1e-3
 _FINER = 1e-2  # from one softness to the next, where the direct way is lost
 _BEGUN = 10.0  # how much softer a hold may be at the velocity found for that to be tried
-_STUCK = 4  # steps that do not halve the residual
-# Where residuals fall as squares: a step to less than this share of the one before, and how far
-# below the goal the next one is to be. Chosen: in 2,019 steps of robots driven at random what came
-# was at most 0.9 of the goal, but for seven of the ant's, with up to 34 times that.
-_FALLING, _SURE = 0.1, 1e-2
-_NEARLY = 1e-7  # a bend that one more step makes nothing of; chosen
-_SHORTEST = 0.1  # of a step
 # Of Newton's method; not literals, for each of which numba would compile anew.
-_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 40, 6))
+_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 16, 6))
 _NOTHING = 1e-150  # a momentum that may be divided by
 
 
@@ -176,137 +159,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         scene_dtype: record of law and surface.
         most: evaluations after which no finer softness is begun.
     """
-    of_blocks = block_kernels(kernel, scene_dtype)
-    immerse_all, move = of_blocks.immerse, of_blocks.move
-    respond, add, follow = of_blocks.respond, of_blocks.add, of_blocks.follow
-    scene_records, size = records(scene_dtype), of_blocks.size
-
-    @compiled
-    def evaluate(table, desk, room, velocity, count, h, eps, grips, loose):
-        """Residual and its derivative at a velocity.
-
-        Forces on the elements are left in their blocks.
-
-        Args:
-            table: of addresses.
-            desk: the solver's.
-            room: the solver's.
-            velocity: at the end of the step, nv numbers.
-            count: of blocks of elements in the sand.
-            h: time step [s].
-            eps: softness [m/s].
-            grips: `NEXT` those after a step of Newton's method to this velocity, `SAME` those
-                that are there, `FRESH` those of the velocity itself with the softness `loose`.
-            loose: see there [m/s].
-
-        Returns:
-            (norm of the residual, greatest bend).
-        """
-        nbody = desk[d.NBODY]
-        motion = floats(room.motion, 6 * nbody)
-        wrench = floats(room.own, 6 * nbody)
-        stiffness = floats(room.stiffness, 36 * nbody)
-        heads = head_records(desk[d.HEADS], count)
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        g = gravity_of(table)
-        body_motions(desk, room, velocity)
-        clear(wrench)
-        clear(stiffness)
-        bend = 0.0
-        for i in range(count):
-            block = floats(desk[d.BLOCKS] + 8 * size * i, size)
-            b = 6 * heads[i].body
-            move(block, motion_of(motion, heads[i].body), grips, eps, loose)
-            respond(block, law, g, eps)
-            turn = add(block, wrench[b : b + 6], stiffness[6 * b : 6 * b + 36])
-            bend = max(bend, turn)
-        weigh(desk, room, velocity, h)
-        add_bodies(desk, room, h)
-        error, turn = leave(desk, room, velocity, h, grips)
-        return error, max(bend, turn)
-
-    @compiled
-    def follow_all(desk, room, velocity, count, h):
-        """The sand's forces at a velocity, by their derivative where they were last evaluated.
-
-        Returns:
-            Norm of the residual with these forces.
-        """
-        nbody = desk[d.NBODY]
-        motion = floats(room.motion, 6 * nbody)
-        wrench = floats(room.own, 6 * nbody)
-        heads = head_records(desk[d.HEADS], count)
-        body_motions(desk, room, velocity)
-        clear(wrench)
-        for i in range(count):
-            block = floats(desk[d.BLOCKS] + 8 * size * i, size)
-            b = 6 * heads[i].body
-            follow(block, motion_of(motion, heads[i].body), wrench[b : b + 6])
-        weigh(desk, room, velocity, h)
-        sum_wrenches(desk, room, h)
-        return leave(desk, room, velocity, h, NEXT)[0]
-
-    @compiled
-    def newton(table, desk, room, count, h, eps, grips, loose, goal, steps, turn):
-        """Newton's method from `room.velocity`, which ends where it got to.
-
-        Steps are taken whole: grips that turn are how it finds out what holds and what slides, and
-        the residual grows on the way. Only where grips have stopped turning, and the residual grows
-        still, is there a kink between here and there, and half of the step is taken back.
-
-        Close to the solution residuals fall as squares do, e'' = e' (e' / e)^2. Where the next one
-        is sure to be small enough, its step is taken and forces follow by their derivative: they
-        are the law's but for that residual, and the momenta balance with them, if no constraint of
-        MuJoCo's begins or ends on the way.
-
-        Args:
-            table: of addresses.
-            desk: the solver's.
-            room: the solver's.
-            count: of blocks of elements in the sand.
-            h: time step [s].
-            eps: softness [m/s].
-            grips: to begin with, see `evaluate`.
-            loose: see `evaluate`.
-            goal: residual to be reached.
-            steps: at most.
-            turn: bend at which to give up.
-
-        Returns:
-            (evaluations, residual; infinite where it says nothing yet).
-        """
-        nv = desk[d.NV]
-        velocity = floats(room.velocity, nv)
-        change = floats(room.change, nv)
-        residual = floats(room.residual, nv)
-        matrix = floats(room.matrix, nv * nv)
-        error, bend = evaluate(table, desk, room, velocity, count, h, eps, grips, loose)
-        done = 1
-        stuck = 0
-        next_error = math.inf
-        while done <= steps and stuck < _STUCK and bend < turn and (error > goal or bend > _BEND):
-            if not solve(matrix, residual, change, nv):
-                break
-            for j in range(nv):
-                velocity[j] -= change[j]
-            if next_error < _SURE * goal and bend <= _NEARLY:
-                left = follow_all(desk, room, velocity, count, h)
-                if left <= goal:
-                    return done, max(left, next_error)
-            found, bend = evaluate(table, desk, room, velocity, count, h, eps, NEXT, 0.0)
-            done += 1
-            next_error = found * (found / error) ** 2 if found < _FALLING * error else math.inf
-            back = 0.5
-            while not found < error and bend < _STRAIGHT and back > _SHORTEST and done <= steps:
-                for j in range(nv):
-                    velocity[j] += back * change[j]
-                back *= 0.5
-                found, bend = evaluate(table, desk, room, velocity, count, h, eps, NEXT, 0.0)
-                done += 1
-            stuck += bend < _STRAIGHT and not found < 0.5 * error
-            error = found
-        return done, error if bend <= _BEND else math.inf
+    immerse_all = block_kernels(kernel, scene_dtype).immerse
+    newton = newton_kernel(kernel, scene_dtype)
 
     @compiled
     def find_velocity(table, desk, room, count, h, coarse, fine, scale):
@@ -324,9 +178,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         done = 0
         if fastest_of(desk, count) < _SLOW * coarse:
             # At rest what was is what will be.
-            done, error = newton(
-                table, desk, room, count, h, fine, FRESH, fine, goal, _STEPS_NEAR, _TURNED
-            )
+            way = Way(FRESH, fine, fine, goal, _STEPS_NEAR, _TURNED)
+            done, error = newton(table, desk, room, count, h, way)
             if error <= goal:
                 return done, error / scale, fine, fine
 
@@ -338,9 +191,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for j in range(nv):
             velocity[j] = start[j] + h * before[j] if known else start[j]
         loose = max(coarse, fine)
-        more, error = newton(
-            table, desk, room, count, h, fine, FRESH, loose, goal, _STEPS, math.inf
-        )
+        way = Way(FRESH, loose, fine, goal, _STEPS, math.inf)
+        more, error = newton(table, desk, room, count, h, way)
         done += more
         if goal < error <= _LOST * scale:
             # What begins to move in this step is rounded more than its velocity before can say.
@@ -349,9 +201,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
                 fine = moved
                 goal = goal_of(fine) * scale
                 loose = max(coarse, fine)
-                more, error = newton(
-                    table, desk, room, count, h, fine, SAME, fine, goal, _STEPS_COARSE, math.inf
-                )
+                way = Way(SAME, fine, fine, goal, _STEPS_COARSE, math.inf)
+                more, error = newton(table, desk, room, count, h, way)
                 done += more
         if error <= _LOST * scale:
             return done, error / scale, fine, fine
@@ -361,23 +212,13 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         eps = loose
         grips = FRESH
         while eps > fine and done < most:
-            more, _ = newton(
-                table,
-                desk,
-                room,
-                count,
-                h,
-                eps,
-                grips,
-                eps,
-                _COARSE * scale,
-                _STEPS_COARSE,
-                math.inf,
-            )
+            way = Way(grips, eps, eps, _COARSE * scale, _STEPS_COARSE, math.inf)
+            more, _ = newton(table, desk, room, count, h, way)
             done += more
             grips = SAME
             eps = max(_FINER * eps, fine)
-        more, error = newton(table, desk, room, count, h, eps, grips, eps, goal, _STEPS, math.inf)
+        way = Way(grips, eps, eps, goal, _STEPS, math.inf)
+        more, error = newton(table, desk, room, count, h, way)
         return done + more, error / scale, eps, fine
 
     @compiled
