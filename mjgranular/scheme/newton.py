@@ -202,8 +202,8 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 def misfit(stray, bend):
     """What is lost where a law is taken for a straight line over a step of Newton's method.
 
-    It is bent in two ways: by the change of velocity itself, and by that of the grip, which may
-    have to make up for the bend too.
+    A stress turns with the grip, which has to make up for its bend; and speed and grip change
+    together, in a product of which only the parts of first order are known.
 
     Args:
         stray: square of the change, in parts of the speeds over which the law turns.
@@ -212,7 +212,8 @@ def misfit(stray, bend):
     Returns:
         Square of the force that is lost, in parts of the limit.
     """
-    return stray * (math.sqrt(stray) + math.sqrt(bend)) ** 2
+    away = math.sqrt(stray)
+    return (bend + away * (away + math.sqrt(bend))) ** 2
 
 
 @compiled
