@@ -473,6 +473,35 @@ def test_the_step_is_foreseen(case, integrator, request):
     assert surprise(tree(integrator, **SMOOTH[case])) < 1e-9
 
 
+@pytest.mark.parametrize("timestep", [1e-4, 2e-3, 1e-2])
+def test_forces_are_the_laws_at_the_end_of_the_step(timestep):
+    """The last step of the solver is not looked at again, and its forces follow by derivative."""
+    model, rng = tree(), np.random.default_rng(1)
+    model.opt.timestep = timestep
+    sand, data = Sand(model, law=QUADRATIC, scheme="implicit"), mujoco.MjData(model)
+    data.qvel[:] = rng.normal(size=model.nv)
+    unlike, jacobian = [], np.zeros((3, model.nv))
+    for _ in range(60):
+        data.qfrc_applied[:] = rng.normal(scale=0.1, size=model.nv)
+        mujoco.mj_step1(model, data)
+        places = mujoco.MjData(model)
+        mujoco.mj_copyData(places, model, data)
+        sand.step(data)
+        for element, contact in zip(sand.elements, sand._bindings[data].contacts, strict=True):
+            if contact["depth"] <= 0:
+                continue
+            mujoco.mj_jac(model, places, jacobian, None, contact["point"], element["body"])
+            end = jacobian @ data.qvel
+            speed = np.linalg.norm(end)
+            limit = 0.3 + 30.0 * contact["depth"]  # QUADRATIC's C + k z
+            law = -(limit / math.hypot(speed, 1e-12) + 0.1 + 2.0 * speed) * end
+            if speed > 1e-3:  # far above the softness
+                unlike.append(np.linalg.norm(contact["force"] - law) / limit)
+    assert len(unlike) > 60
+    # What it is allowed is 1e-4; measured: at most 8e-6, and 9e-8 in the median.
+    assert max(unlike) < 1e-4 and np.median(unlike) < 1e-6
+
+
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("case", BOUND)
 def test_the_step_is_foreseen_with_constraints(case, integrator):
