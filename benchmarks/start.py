@@ -16,6 +16,10 @@ _CODES = {
     "first step by Sand.step": (
         f"{_BEFORE}; import mjgranular; {_MODEL}; mjgranular.Sand(m).step(d)"
     ),
+    "first step by Sand.step, rft3d": (
+        f"{_BEFORE}; import mjgranular; {_MODEL}; "
+        "mjgranular.Sand(m, law='rft3d', medium='quikrete_medium', scheme='implicit').step(d)"
+    ),
     "first step by the engine door": (
         f"{_BEFORE}; import mjgranular; from mjgranular.models import Link; s = Link().spec(); "
         "mjgranular.add_sand(s); m = s.compile(); mujoco.mj_step(m, mujoco.MjData(m))"

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from mjgranular.kernel.compiled import compiled
+
 KERNELS = """
 import math, sys, time
 from pathlib import Path
@@ -128,6 +130,57 @@ def test_a_kernel_is_loaded_not_compiled_again(start):
     assert loaded == ["1", "0"]
     another = f"import mujoco; mujoco.__version__ = '9.9'; {code}"
     assert finish(start(another)) == ["0", "1"]
+
+
+NAMES = (
+    """
+import mujoco
+from mjgranular import Bed, HeightField, Plane, laws, media
+from mjgranular.errors import UnknownNameError
+from mjgranular.law import make_scene
+from mjgranular.sand.guard import guarded_program
+from mjgranular.scheme.scheme import schemes
+
+XML = """
+    + repr("""
+<mujoco>
+  <asset><hfield name="dune" nrow="4" ncol="4" size="1 1 .2 .1"/></asset>
+  <worldbody>
+    <geom name="box" type="box" size="1 1 1"/><geom name="dune" type="hfield" hfield="dune"/>
+  </worldbody>
+</mujoco>
+""")
+    + """
+model = mujoco.MjModel.from_xml_string(XML)
+for law in laws.values():
+    for medium in media.values():
+        try:
+            made = law.from_medium(medium)
+            break
+        except UnknownNameError:
+            continue
+    for surface in (Plane(), Bed("box"), HeightField("dune")):
+        scene = make_scene(made, medium, surface, model)
+        for scheme in ("explicit", "implicit"):
+            program = schemes[scheme]().program(made.kernel(surface), scene.dtype)
+            print(guarded_program(program).py_func.__qualname__)
+"""
+)
+
+
+def test_the_kernels_of_all_laws_have_the_same_names_in_every_process():
+    """By its name a kernel is found on disk: what is not found is compiled again."""
+    command = [sys.executable, "-c", NAMES]
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    first, second = map(finish, both)
+    assert len(set(first)) == len(first) >= 5 * 3 * 2
+    assert first == second
+
+
+def test_what_has_no_name_of_its_own_is_refused():
+    nameless = object()
+    with pytest.raises(TypeError, match="names anew: <object object at"):
+        compiled(lambda x: nameless)
 
 
 def seen_on_a_terminal(folder, code):

@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import logging
 import pickle
+import re
 import sys
 import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import mujoco
@@ -37,14 +39,20 @@ _PACKAGE_STAMP = _stamp(
 )
 
 
+_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")  # in what objects are called that have no name
+
+
 def _identity(value: Any) -> tuple[object, ...]:
     """Names a kernel, or a constant in one, in a way that is the same in every process."""
-    function = getattr(value, "py_func", None) or getattr(value, "_defn", None)
-    if function is not None:  # a kernel, or one of numba's intrinsics
+    function = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
+    if isinstance(function, FunctionType):  # a kernel, one of numba's intrinsics, or part of one
         path = Path(function.__code__.co_filename)
         name = (function.__module__, function.__qualname__)
         return (*name, _stamp([path]) if path.is_file() else None, *_parts(function))
-    return (repr(value),)
+    name = repr(value)
+    if _ADDRESS.search(name):
+        raise TypeError(f"a kernel's closure holds what every process names anew: {name}")
+    return (name,)
 
 
 def _parts(function: Any) -> tuple[object, ...]:
