@@ -20,7 +20,7 @@ _LEAST_PRODUCT = 1e-290
 
 @partial(compiled, inline=True)
 def leading_slope(c, h, k):
-    """`patch.leading_part` for c, h and k, and its derivatives by x = c/h and r = k/h.
+    """`patch.leading_part` for c, h and k, and its derivatives by x = c/h and y = k/h.
 
     Args:
         c: normal velocity at the facet's middle.
@@ -29,44 +29,44 @@ def leading_slope(c, h, k):
 
     Returns:
         share of the area that leads, centroid along the edge of h and along that of k; the
-        derivatives of each of the three by x and by r; 1/h.
+        derivatives of each of the three by x and by y; 1/h.
     """
     size = abs(c)
     trapezium = size <= h - k
     leg = max(h + c if trapezium else k, _LEAST_LEG * h)
     both = 1.0 / (h * leg)
     per_h, per_leg = both * leg, both * h * h  # in units of h
-    r = k * per_h
+    y = k * per_h
     # A trapezium.
-    y, p = leg * per_h, r * per_leg
-    share, along_h, along_k = 0.5 * y, 1.0 - 0.5 * y - _SIXTH * r * p, _THIRD * p
-    share_x, share_r = 0.5, 0.0
-    h_x, h_r = _SIXTH * p * p - 0.5, -along_k
-    k_x, k_r = -along_k * per_leg, _THIRD * per_leg
+    width, p = leg * per_h, y * per_leg
+    share, along_h, along_k = 0.5 * width, 1.0 - 0.5 * width - _SIXTH * y * p, _THIRD * p
+    share_x, share_y = 0.5, 0.0
+    h_x, h_y = _SIXTH * p * p - 0.5, -along_k
+    k_x, k_y = -along_k * per_leg, _THIRD * per_leg
     if not trapezium:
         q = (h + k - size) * per_h
         w = q * per_leg
-        corner, corner_x, corner_r = 0.125 * q * w, -0.25 * w, 0.125 * w * (2.0 - w)
-        along_h, h_x, h_r = 1.0 - _THIRD * q, _THIRD, -_THIRD
-        along_k, k_x, k_r = 1.0 - _THIRD * w, _THIRD * per_leg, _THIRD * per_leg * (w - 1.0)
-        share, share_x, share_r = corner, -corner_x, corner_r
+        corner, corner_x, corner_y = 0.125 * q * w, -0.25 * w, 0.125 * w * (2.0 - w)
+        along_h, h_x, h_y = 1.0 - _THIRD * q, _THIRD, -_THIRD
+        along_k, k_x, k_y = 1.0 - _THIRD * w, _THIRD * per_leg, _THIRD * per_leg * (w - 1.0)
+        share, share_x, share_y = corner, -corner_x, corner_y
         if c > 0.0:  # the corner is what does not lead
             share = 1.0 - corner
             per_share = 1.0 / share
             other = corner * per_share
             turn = per_share * per_share
-            other_x, other_r = turn * corner_x, turn * corner_r
-            h_x, h_r = h_x * other + along_h * other_x, h_r * other + along_h * other_r
-            k_x, k_r = k_x * other + along_k * other_x, k_r * other + along_k * other_r
+            other_x, other_y = turn * corner_x, turn * corner_y
+            h_x, h_y = h_x * other + along_h * other_x, h_y * other + along_h * other_y
+            k_x, k_y = k_x * other + along_k * other_x, k_y * other + along_k * other_y
             along_h, along_k = along_h * other, along_k * other
-            share_r = -share_r
+            share_y = -share_y
         else:
             h_x, k_x = -h_x, -k_x
     if size >= h + k:
         share = 1.0 if c > 0.0 else 0.0
         along_h, along_k = 0.0, 0.0
-        share_x, share_r, h_x, h_r, k_x, k_r = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return share, along_h, along_k, share_x, share_r, h_x, h_r, k_x, k_r, per_h
+        share_x, share_y, h_x, h_y, k_x, k_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return share, along_h, along_k, share_x, share_y, h_x, h_y, k_x, k_y, per_h
 
 
 @partial(compiled, inline=True)
