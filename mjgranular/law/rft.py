@@ -27,7 +27,7 @@ class RftLaw(Law):
             and n.u of its unit vectors, as a strength [N/m^3] and the factors of n, u and z,
             `strength (alpha n + beta u + gamma z)`, with the factors' derivatives by u.z, by n.z
             and by n.u: 1 + 3 + 9 numbers. None to have derivatives from differences, which takes
-            two to three times as long.
+            up to twice as long.
         inertia: lambda of the dynamic term.
         rise: whether the surface behind a turning body is lowered.
     """
