@@ -214,8 +214,8 @@ def test_with_the_velocitys_own_grip_the_derivative_is_that_of_the_force(name):
         if found is None:
             continue
         compared += 1
-        # Measured: 1e-9 for rods and blobs. A facet's derivative by direction is a difference too.
-        close = 1e-3 if name in OF_FACETS else 1e-7
+        # Measured: 1e-9 for rods and blobs. A facet may have an edge near by.
+        close = 1e-6 if name in OF_FACETS else 1e-7
         size = abs(stiffness).max()
         assert stiffness == pytest.approx(-found, rel=0, abs=close * size + 1e-15)
     assert compared > 40

@@ -8,6 +8,7 @@ from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.law.facet_slope import RAMP, led_slope_kernel, simple_slope_kernel
 from mjgranular.law.kernel import LawKernel, grip_of_all, in_world, stray_of_all
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.shape.facets import facet_records
@@ -18,10 +19,6 @@ _STILL = 1e-150
 # A face leads when its normal's share of the motion is above this. Chosen: a face that slides along
 # itself has a finite response in RFT, so rounding must not decide whether it leads.
 _EDGE = 1e-9
-# Where the velocity at the end of a step is sought, a flat face begins to lead over directions
-# within this sine of its plane on either side. Chosen: the search needs a slope where the law
-# jumps.
-_RAMP = 0.05
 # Turn of the direction of motion for the derivative of a stress. Chosen: the square root of the
 # precision, and some more for the rounding of a fit of 60 terms.
 _TURN = 1e-6
@@ -50,9 +47,7 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
             and unit vectors: outward normal, direction of motion, normal of the surface. Gives the
             resistance for an area and a depth of one [N/m^3].
         probe: the surface's.
-        slope: kernel with the arguments of `stress` that gives the same and, row by row, its
-            derivative by the direction of motion (9); None to have it from differences, which
-            takes more than twice the time.
+        slope: see `RftLaw`.
         level: the surface's, to skim facets with it.
 
     The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
@@ -144,8 +139,8 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
         c = ux * nx + uy * ny + uz * nz
         a = ux * ax + uy * ay + uz * az
         b = ux * bx + uy * by + uz * bz
-        if abs(a) + abs(b) < _RAMP:
-            a = math.copysign(_RAMP - abs(b), a)
+        if abs(a) + abs(b) < RAMP:
+            a = math.copysign(RAMP - abs(b), a)
         load, ls, lt = load_of(facet[17], facet[18], facet[19], facet[20], c, a, b)
         nx, ny, nz = turned(nx, ny, nz, ls, ax, ay, az, lt, bx, by, bz)
         sx, sy, sz = stress(law, g, nx, ny, nz, ux, uy, uz, facet[8], facet[9], facet[10])
@@ -157,19 +152,20 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
         return gain * (sx - power * ux), gain * (sy - power * uy), gain * (sz - power * uz)
 
     @partial(compiled, inline=True)
-    def turning_stress(facet, law, g, ux, uy, uz):
-        """`led_stress` S(u), and the derivative of |p| S(p / |p|) by p: S along u, its turn across.
+    def turning_stress(facet, law, g, ux, uy, uz, size):
+        """`size` times `led_stress` S(u), and times the derivative of |p| S(p / |p|) by p.
 
-        From two small turns.
+        That is S along u, its turn across. From two small turns, for a law without a slope.
         """
         sx, sy, sz = led_stress(facet, law, g, ux, uy, uz)
         ax, ay, az = across(ux, uy, uz)
         bx, by, bz = uy * az - uz * ay, uz * ax - ux * az, ux * ay - uy * ax
         mx, my, mz = led_stress(facet, law, g, ux + _TURN * ax, uy + _TURN * ay, uz + _TURN * az)
         tx, ty, tz = led_stress(facet, law, g, ux + _TURN * bx, uy + _TURN * by, uz + _TURN * bz)
-        t = 1.0 / _TURN
+        t = size / _TURN
         mx, my, mz = t * (mx - sx), t * (my - sy), t * (mz - sz)
         tx, ty, tz = t * (tx - sx), t * (ty - sy), t * (tz - sz)
+        sx, sy, sz = size * sx, size * sy, size * sz
         return (
             sx, sy, sz,
             sx * ux + mx * ax + tx * bx, sx * uy + mx * ay + tx * by, sx * uz + mx * az + tx * bz,
@@ -177,26 +173,8 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
             sz * ux + mz * ax + tz * bx, sz * uy + mz * ay + tz * by, sz * uz + mz * az + tz * bz,
         )  # fmt: skip
 
-    @partial(compiled, inline=True)
-    def simple_turning_stress(facet, law, g, ux, uy, uz):
-        """The same for a facet that leads as a whole or not at all, on small turns too."""
-        nx, ny, nz = facet[5], facet[6], facet[7]
-        sx, sy, sz, d0, d1, d2, d3, d4, d5, d6, d7, d8 = slope(
-            law, g, nx, ny, nz, ux, uy, uz, facet[8], facet[9], facet[10]
-        )
-        gain = facet[20] * facet[21]
-        if ux * nx + uy * ny + uz * nz <= 0.0:  # there need be no stress, not even a number
-            gain, sx, sy, sz = 0.0, 0.0, 0.0, 0.0
-            d0, d1, d2, d3, d4, d5, d6, d7, d8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        tx = sx - (d0 * ux + d1 * uy + d2 * uz)
-        ty = sy - (d3 * ux + d4 * uy + d5 * uz)
-        tz = sz - (d6 * ux + d7 * uy + d8 * uz)
-        return (
-            gain * sx, gain * sy, gain * sz,
-            gain * (d0 + tx * ux), gain * (d1 + tx * uy), gain * (d2 + tx * uz),
-            gain * (d3 + ty * ux), gain * (d4 + ty * uy), gain * (d5 + ty * uz),
-            gain * (d6 + tz * ux), gain * (d7 + tz * uy), gain * (d8 + tz * uz),
-        )  # fmt: skip
+    led_slope = turning_stress if slope is None else led_slope_kernel(slope)
+    simple_slope = None if slope is None else simple_slope_kernel(slope)
 
     @partial(compiled, inline=True)
     def facet_simple(facet, p):
@@ -205,20 +183,22 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
         c = px * facet[5] + py * facet[6] + pz * facet[7]
         a = px * facet[11] + py * facet[12] + pz * facet[13]
         b = px * facet[14] + py * facet[15] + pz * facet[16]
-        ramp = _RAMP * math.sqrt(px * px + py * py + pz * pz)
+        ramp = RAMP * math.sqrt(px * px + py * py + pz * pz)
         return abs(c) >= max(abs(a) + abs(b), ramp)
 
     @partial(compiled, inline=True)
     def facet_respond(facet, law, g, v, p, eps):
         size, ux, uy, uz = direction(p)
-        answer = turning_stress(facet, law, g, ux, uy, uz)
-        return answer_to(facet, answer, size, v, p, eps)
+        scale = softened(v, eps)
+        stress = led_slope(facet, law, g, ux, uy, uz, scale)
+        return answer_to(facet, stress, size, v, p, scale)
 
     @partial(compiled, inline=True)
     def facet_respond_simple(facet, law, g, v, p, eps):
         size, ux, uy, uz = direction(p)
-        answer = simple_turning_stress(facet, law, g, ux, uy, uz)
-        return answer_to(facet, answer, size, v, p, eps)
+        scale = softened(v, eps)
+        stress = simple_slope(facet, law, g, ux, uy, uz, scale)
+        return answer_to(facet, stress, size, v, p, scale)
 
     kernel = LawKernel(
         facet_records,
@@ -247,47 +227,50 @@ def direction(p):
 
 
 @partial(compiled, inline=True)
-def answer_to(facet, stress, size, v, p, eps):
+def softened(v, eps):
+    """What makes a velocity a grip [s/m]: 1 / sqrt(v^2 + eps^2)."""
+    return 1.0 / math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + eps * eps)
+
+
+@partial(compiled, inline=True)
+def answer_to(facet, stress, size, v, p, scale):
     """What a facet's `respond` gives.
 
     Args:
         facet: its numbers.
-        stress: S(u) along the grip's direction, and the derivative of |p| S(p / |p|) by p.
+        stress: S(u) along the grip's direction, and the derivative of |p| S(p / |p|) by p, both
+            times `scale`.
         size: of the grip.
         v: velocity [m/s].
         p: grip.
-        eps: softness [m/s].
+        scale: `softened`.
     """
     nx, ny, nz, push = facet[5], facet[6], facet[7], facet[22]
     vx, vy, vz = v
     px, py, pz = p
     sx, sy, sz, k0, k1, k2, k3, k4, k5, k6, k7, k8 = stress
-    scale = 1.0 / math.sqrt(vx * vx + vy * vy + vz * vz + eps * eps)
     wx, wy, wz = scale * vx, scale * vy, scale * vz
     # Also where p feels nothing: what trails by its grip may lead by its velocity.
     dx, dy, dz = wx - px, wy - py, wz - pz
     bend = dx * dx + dy * dy + dz * dz
     if size == 0.0:  # S is not known: nobody asked in a direction
         k0, k1, k2, k3, k4, k5, k6, k7, k8 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # p is to become v / sqrt(v^2 + eps^2): the force then, and its derivative.
-    fx = k0 * wx + k1 * wy + k2 * wz
-    fy = k3 * wx + k4 * wy + k5 * wz
-    fz = k6 * wx + k7 * wy + k8 * wz
+    # p is to become w = v / sqrt(v^2 + eps^2): the force then, and minus its derivative.
+    fx = k0 * vx + k1 * vy + k2 * vz
+    fy = k3 * vx + k4 * vy + k5 * vz
+    fz = k6 * vx + k7 * vy + k8 * vz
     sx, sy, sz = size * sx, size * sy, size * sz
-    k0, k1, k2 = scale * (sx * wx - k0), scale * (sx * wy - k1), scale * (sx * wz - k2)
-    k3, k4, k5 = scale * (sy * wx - k3), scale * (sy * wy - k4), scale * (sy * wz - k5)
-    k6, k7, k8 = scale * (sz * wx - k6), scale * (sz * wy - k7), scale * (sz * wz - k8)
     vn = max(vx * nx + vy * ny + vz * nz, 0.0)
     inertial = push * vn
-    fx -= inertial * vn * nx
-    fy -= inertial * vn * ny
-    fz -= inertial * vn * nz
+    along = inertial * vn
     inertial *= 2.0
+    ix, iy, iz = inertial * nx, inertial * ny, inertial * nz
+    xy, yz, zx = ix * ny, iy * nz, iz * nx
     return (
-        fx, fy, fz,
-        k0 + inertial * nx * nx, k1 + inertial * nx * ny, k2 + inertial * nx * nz,
-        k3 + inertial * ny * nx, k4 + inertial * ny * ny, k5 + inertial * ny * nz,
-        k6 + inertial * nz * nx, k7 + inertial * nz * ny, k8 + inertial * nz * nz,
+        fx - along * nx, fy - along * ny, fz - along * nz,
+        sx * wx - k0 + ix * nx, sx * wy - k1 + xy, sx * wz - k2 + zx,
+        sy * wx - k3 + xy, sy * wy - k4 + iy * ny, sy * wz - k5 + yz,
+        sz * wx - k6 + zx, sz * wy - k7 + yz, sz * wz - k8 + iz * nz,
         bend,
     )  # fmt: skip
 

@@ -23,7 +23,11 @@ class RftLaw(Law):
 
     Attributes:
         stress: kernel, see `facet_kernel`.
-        slope: likewise, or None.
+        slope: kernel `slope(law, g, rise, down, lead)`: the same stress from the cosines u.z, n.z
+            and n.u of its unit vectors, as a strength [N/m^3] and the factors of n, u and z,
+            `strength (alpha n + beta u + gamma z)`, with the factors' derivatives by u.z, by n.z
+            and by n.u: 1 + 3 + 9 numbers. None to have derivatives from differences, which takes
+            up to twice as long.
         inertia: lambda of the dynamic term.
         rise: whether the surface behind a turning body is lowered.
     """

@@ -21,6 +21,10 @@ RFT2D_DTYPE = np.dtype(
     [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "rise")]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
+# Horizontal part of the normal of an element that counts as level: of Treers et al.
+_LEVEL = 1e-3
+# Least sideways part of a motion in the derivative, which is singular without. Chosen.
+_SLIGHT = 1e-6
 # Of Treers et al.: both shares are nothing without a velocity.
 _ATANH_LEAST, _TANH_LEAST = math.atanh(0.973746396532650), math.tanh(1.60910808139526)
 
@@ -68,7 +72,7 @@ def rft2d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
     ex, ey, ez = nx - n_up * zx, ny - n_up * zy, nz - n_up * zz
     size = math.sqrt(ex * ex + ey * ey + ez * ez)
     along = size
-    if size < 1e-3:  # the tolerance of Treers et al.
+    if size < _LEVEL:
         ex, ey, ez = vx - v_up * zx, vy - v_up * zy, vz - v_up * zz
         along = math.sqrt(ex * ex + ey * ey + ez * ez)
         size = 0.0
@@ -94,6 +98,86 @@ def rft2d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
         fy -= gain * sy
         fz -= gain * sz
     return fx, fy, fz
+
+
+@partial(compiled, inline=True)
+def in_plane_slope(v):
+    """`in_plane_share`, and its derivative."""
+    bend = min(1.61146827229181 * v - 0.973746396532650, 0.9999999)
+    more = 1.0 + bend
+    inverse = 1.0 / (more * (1.0 - bend))
+    atanh = 0.5 * logarithm(more * more * inverse)
+    gain = 1.99392673405210 / 5.81083560370960
+    return gain * (atanh + _ATANH_LEAST), gain * 1.61146827229181 * inverse
+
+
+@partial(compiled, inline=True)
+def sideways_slope(v):
+    """`sideways_share`, and its derivative."""
+    tanh = 1.0 - 2.0 / (1.0 + exponential(2.0 * (3.62263982880971 * v - 1.60910808139526)))
+    gain = 0.440850096954369 / 0.832324700111401
+    return gain * (tanh + _TANH_LEAST), gain * 3.62263982880971 * (1.0 - tanh * tanh)
+
+
+@partial(compiled, inline=True)
+def rft2d_slope(law, g, rise, down, lead):
+    """The same as factors of n, v and z, with their derivatives by the cosines: see `RftLaw.slope`.
+
+    First the factors of e, v and z and their derivatives by v_e, by v.z and by the tilt b; then
+    e = (n - down z) / sin b. A name ends in the number by which is derived: e for v_e, r for v.z,
+    d for n.z, l for n.v, g for the attack, b for the tilt.
+    """
+    sin_b, cos_b = math.sqrt(max(1.0 - down * down, 0.0)), -down
+    per = 1.0 / max(sin_b, _LEVEL)
+    v_e = (lead - down * rise) * per
+    square = v_e * v_e + rise * rise
+    in_plane = math.sqrt(square)
+    # What is nearly in the plane has next to no sideways part, however it changes.
+    sideways = math.sqrt(max(1.0 - square, _SLIGHT * _SLIGHT))
+    inverse = 1.0 / max(in_plane, 1e-12)
+    cos_g, sin_g = v_e * inverse, -rise * inverse
+    cos_2b, sin_2b = cos_b * cos_b - sin_b * sin_b, 2.0 * sin_b * cos_b
+    s, c = sin_2b * cos_g, cos_2b * sin_g
+    sin_p, sin_m = s + c, c - s  # of 2b + g and of -2b + g
+    s, c = sin_2b * sin_g, cos_2b * cos_g
+    cos_p, cos_m = c - s, c + s
+    up = law.A00 + law.A10 * cos_2b + law.B11 * sin_p + law.B01 * sin_g + law.Bm11 * sin_m
+    up_g = law.B11 * cos_p + law.B01 * cos_g + law.Bm11 * cos_m
+    up_b = 2.0 * (law.B11 * cos_p - law.Bm11 * cos_m - law.A10 * sin_2b)
+    back = law.C11 * cos_p + law.C01 * cos_g + law.Cm11 * cos_m + law.D10 * sin_2b
+    back_g = -(law.C11 * sin_p + law.C01 * sin_g + law.Cm11 * sin_m)
+    back_b = 2.0 * (law.Cm11 * sin_m - law.C11 * sin_p + law.D10 * cos_2b)
+
+    # In the plane: its share k; and k times the attack's derivatives.
+    k, k_v = in_plane_slope(in_plane)
+    turn = k * inverse
+    k_e, k_r, g_e, g_r = k_v * cos_g, -k_v * sin_g, -turn * sin_g, -turn * cos_g
+    # Sideways: the resistance w to a motion of one.
+    w, w_v = sideways_slope(sideways)
+    inverse = 1.0 / sideways
+    w *= law.side * inverse
+    turn = (w - law.side * w_v) * inverse * inverse
+    w_e, w_r = turn * v_e, turn * rise
+    e, z = w * v_e - k * back, w * rise + k * up
+    e_e, e_r = w + w_e * v_e - k_e * back - g_e * back_g, w_r * v_e - k_r * back - g_r * back_g
+    z_e, z_r = w_e * rise + k_e * up + g_e * up_g, w + w_r * rise + k_r * up + g_r * up_g
+    # From v_e, v.z and b to the cosines.
+    by_r, by_d = -down * per, (v_e * down * per - rise) * per
+    n, u = e * per, -w
+    n_l, n_r = e_e * per * per, (e_r + e_e * by_r) * per
+    n_d = (e_e * by_d + (n * down - k * back_b) * per) * per
+    u_l, u_r, u_d = -w_e * per, -(w_r + w_e * by_r), -w_e * by_d
+    z_l, z_r = z_e * per - n_l * down, z_r + z_e * by_r - n_r * down
+    z_d = k * up_b * per + z_e * by_d - n_d * down - n
+    z -= n * down
+    if sin_b < _LEVEL:  # takes the plane of its motion
+        flat = law.C01 + (law.C11 + law.Cm11) * cos_b * cos_b
+        turn = law.B01 + (law.B11 + law.Bm11) * cos_b * cos_b
+        n, u, z = 0.0, -flat, law.A00 + law.A10 * cos_b * cos_b + (flat - turn) * rise
+        n_l, u_l, z_l, n_r, u_r, z_r, n_d = 0.0, 0.0, 0.0, 0.0, 0.0, flat - turn, 0.0
+        u_d = -2.0 * down * (law.C11 + law.Cm11)
+        z_d = 2.0 * down * (law.A10 + (law.C11 + law.Cm11 - law.B11 - law.Bm11) * rise)
+    return law.scale, n, u, z, n_r, u_r, z_r, n_d, u_d, z_d, n_l, u_l, z_l
 
 
 @register_law
@@ -129,6 +213,7 @@ class Rft2dLaw(RftLaw):
         "Robotics and Automation Letters 6 (2021), doi 10.1109/LRA.2021.3057052"
     )
     stress: ClassVar[Any] = rft2d_stress
+    slope: ClassVar[Any] = rft2d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("scale",)
 
     A00: float

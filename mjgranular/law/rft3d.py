@@ -49,26 +49,38 @@ def polynomial(c, x1, x2, x3):
 
 
 @partial(compiled, inline=True)
-def polynomial_slope(c, x1, x2, x3):
-    """One of the three functions, and its derivatives by x1 and by x3."""
-    x23 = x2 * x3
-    a0 = (
-        c[0]
-        + x2 * (c[2] + x2 * (c[5] + x2 * c[11]))
-        + x3 * (c[3] + x3 * (c[6] + x3 * c[12] + x2 * c[15]) + x2 * (c[8] + x2 * c[16]))
+def polynomial_slope(c, x1, x2, x3, x22, x33, x23):
+    """One of the three functions, and its three derivatives.
+
+    As a polynomial in x1, its coefficients polynomials in x2 and x3 with derivatives of their own.
+
+    Args:
+        c: coefficients.
+        x1: see `generic_response`; x2, x3: likewise.
+        x2: see x1.
+        x3: see x1.
+        x22: x2 x2, which all three functions share.
+        x33: x3 x3.
+        x23: x2 x3.
+    """
+    a2 = c[4] + c[14] * x2 + c[17] * x3
+    a1 = (c[1] + c[7] * x2 + c[9] * x3) + (c[13] * x22 + c[18] * x33 + c[19] * x23)
+    a0 = (c[2] + c[5] * x2 + c[8] * x3) + (c[11] * x22 + c[15] * x33 + c[16] * x23)
+    a0 = (c[0] + x3 * (c[3] + c[6] * x3 + c[12] * x33)) + x2 * a0
+    a1_2 = c[7] + 2.0 * c[13] * x2 + c[19] * x3
+    a1_3 = c[9] + 2.0 * c[18] * x3 + c[19] * x2
+    a0_2 = (c[2] + 2.0 * c[5] * x2 + c[8] * x3) + (
+        3.0 * c[11] * x22 + c[15] * x33 + 2.0 * c[16] * x23
     )
-    a1 = c[1] + x2 * (c[7] + x2 * c[13]) + x3 * (c[9] + x3 * c[18]) + c[19] * x23
-    a2 = c[4] + x2 * c[14] + x3 * c[17]
-    by_x3 = (
-        c[3]
-        + x3 * (2.0 * (c[6] + x2 * c[15]) + 3.0 * x3 * c[12])
-        + x2 * (c[8] + x2 * c[16] + x1 * c[19])
-        + x1 * (c[9] + 2.0 * x3 * c[18] + x1 * c[17])
+    a0_3 = (c[3] + 2.0 * c[6] * x3 + c[8] * x2) + (
+        3.0 * c[12] * x33 + c[16] * x22 + 2.0 * c[15] * x23
     )
+    top = c[10] * x1
     return (
-        a0 + x1 * (a1 + x1 * (a2 + x1 * c[10])),
-        a1 + x1 * (2.0 * a2 + 3.0 * x1 * c[10]),
-        by_x3,
+        a0 + x1 * (a1 + x1 * (a2 + top)),
+        a1 + x1 * (2.0 * a2 + 3.0 * top),
+        a0_2 + x1 * (a1_2 + x1 * c[14]),
+        a0_3 + x1 * (a1_3 + x1 * c[17]),
     )
 
 
@@ -105,7 +117,7 @@ def rft3d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
         share = law.friction * normal / tangential
     # In one of 1,500 directions the fit would push the facet on. There the tangential part is cut
     # down to where the power is zero, so that the law is dissipative without a jump.
-    against = normal * (nx * vx + ny * vy + nz * vz)
+    against = max(normal * (nx * vx + ny * vy + nz * vz), 0.0)
     along_v = tx * vx + ty * vy + tz * vz
     if share * along_v > against:
         share = against / along_v
@@ -118,76 +130,71 @@ def rft3d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
 
 
 @partial(compiled, inline=True)
-def rft3d_slope(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
-    """The same, and its derivative by the direction v, row by row.
+def rft3d_slope(law, g, rise, down, lead):
+    """The same as factors of n, v and z, with their derivatives by the cosines: see `RftLaw.slope`.
 
-    With a = f1 n + f2 v - f3 z (flips included) and x1 = -v.z, x3 = +-n.v, the gradients of f are
-    combinations of n and z; normal and tangential part, limit and cut follow by the chain rule.
+    In the downward normal m = +-n, as in `generic_response`: a = f1 m + f2 v - f3 z, with the
+    tangential part t = f2 v - f3 z - tau m.
     """
-    down = nx * zx + ny * zy + nz * zz
     flip = -1.0 if down > 0.0 else 1.0
-    along_z = vx * zx + vy * zy + vz * zz
-    nv = nx * vx + ny * vy + nz * vz
-    x1, x2, x3 = -along_z, abs(down), flip * nv
-    f1, p11, p13 = polynomial_slope(C1, x1, x2, x3)
-    f2, p21, p23 = polynomial_slope(C2, x1, x2, x3)
-    f3, p31, p33 = polynomial_slope(C3, x1, x2, x3)
-    f1, p11 = flip * f1, flip * p11
-    p23, p33 = flip * p23, flip * p33
-    ax = f1 * nx + f2 * vx - f3 * zx
-    ay = f1 * ny + f2 * vy - f3 * zy
-    az = f1 * nz + f2 * vz - f3 * zz
-    along = f1 + f2 * nv - f3 * down
-    tx, ty, tz = ax - along * nx, ay - along * ny, az - along * nz
-    # The gradient of `along`, h = hn n - hz z; Dt = Da - n h = (v - nv n) g2 - (z - down n) g3
-    # + f2 (1 - n n), with g = pn n - pz z.
-    hn = p13 + nv * p23 - down * p33 + f2
-    hz = p11 + nv * p21 - down * p31
-    hx, hy, hz = hn * nx - hz * zx, hn * ny - hz * zy, hn * nz - hz * zz
-    g2x, g2y, g2z = p23 * nx - p21 * zx, p23 * ny - p21 * zy, p23 * nz - p21 * zz
-    g3x, g3y, g3z = p33 * nx - p31 * zx, p33 * ny - p31 * zy, p33 * nz - p31 * zz
-    ex, ey, ez = vx - nv * nx, vy - nv * ny, vz - nv * nz
-    qx, qy, qz = zx - down * nx, zy - down * ny, zz - down * nz
-    t0, t1, t2 = ex * g2x - qx * g3x, ex * g2y - qx * g3y, ex * g2z - qx * g3z
-    t3, t4, t5 = ey * g2x - qy * g3x, ey * g2y - qy * g3y, ey * g2z - qy * g3z
-    t6, t7, t8 = ez * g2x - qz * g3x, ez * g2y - qz * g3y, ez * g2z - qz * g3z
-    fx, fy, fz = f2 * nx, f2 * ny, f2 * nz
-    t0, t1, t2 = t0 + f2 - fx * nx, t1 - fx * ny, t2 - fx * nz
-    t3, t4, t5 = t3 - fy * nx, t4 + f2 - fy * ny, t5 - fy * nz
-    t6, t7, t8 = t6 - fz * nx, t7 - fz * ny, t8 + f2 - fz * nz
-    normal = abs(along)
-    if along < 0.0:
-        hx, hy, hz = -hx, -hy, -hz  # the gradient of `normal`
-    tangential = math.sqrt(tx * tx + ty * ty + tz * tz)
-    share, sx, sy, sz = 1.0, 0.0, 0.0, 0.0
-    if tangential > law.friction * normal:
-        share = law.friction * normal / tangential
-        c, w = law.friction / tangential, share / (tangential * tangential)
-        sx = c * hx - w * (tx * t0 + ty * t3 + tz * t6)
-        sy = c * hy - w * (tx * t1 + ty * t4 + tz * t7)
-        sz = c * hz - w * (tx * t2 + ty * t5 + tz * t8)
-    against = normal * nv
-    along_v = tx * vx + ty * vy + tz * vz
-    if share * along_v > against:
-        share = against / along_v
-        c = 1.0 / along_v
-        sx = c * (hx * nv + normal * nx - share * (tx + vx * t0 + vy * t3 + vz * t6))
-        sy = c * (hy * nv + normal * ny - share * (ty + vx * t1 + vy * t4 + vz * t7))
-        sz = c * (hz * nv + normal * nz - share * (tz + vx * t2 + vy * t5 + vz * t8))
-    k = law.stiffness * g
+    x1, x2, x3 = -rise, abs(down), flip * lead
+    x22, x33, x23 = x2 * x2, x3 * x3, x2 * x3
+    f, f_1, f_2, f_3 = polynomial_slope(C1, x1, x2, x3, x22, x33, x23)
+    p, p_1, p_2, p_3 = polynomial_slope(C2, x1, x2, x3, x22, x33, x23)
+    q, q_1, q_2, q_3 = polynomial_slope(C3, x1, x2, x3, x22, x33, x23)
+    tau = p * x3 + q * x2
+    t_1, t_2, t_3 = p_1 * x3 + q_1 * x2, p_2 * x3 + q_2 * x2 + q, p_3 * x3 + q_3 * x2 + p
+    along = f + tau
+    normal, sign = abs(along), math.copysign(1.0, along)
+    n_1, n_2, n_3 = sign * (f_1 + t_1), sign * (f_2 + t_2), sign * (f_3 + t_3)
+    # The tangential part's products with v and with z, of which m has none.
+    v_along = p + q * x1
+    along_v, z_along = v_along - tau * x3, q + p * x1
+    square = max(p * v_along + q * z_along - tau * tau, 0.0)
+    tangential = math.sqrt(square)
+    # The share of it that there is, a quotient.
+    top, bottom = 1.0, 1.0
+    limited = tangential > law.friction * normal
+    if limited:
+        top, bottom = law.friction * normal, tangential
+    against = max(normal * lead, 0.0)
+    cut = top * along_v > against * bottom
+    if cut:
+        top, bottom = against, along_v
+    inverse = 1.0 / bottom
+    share = top * inverse
+    # Its derivatives: that of the top is c times the normal part's, but for d; that of the bottom
+    # is a sum of those of p, q and tau.
+    c, d, by_p, by_q, by_tau = 0.0, 0.0, 0.0, 0.0, 0.0
+    if limited:
+        c, by_p, by_q, by_tau = law.friction, inverse * v_along, inverse * z_along, inverse * tau
+    if cut:
+        c, d, by_p, by_q, by_tau = max(lead, 0.0), (normal if lead > 0.0 else 0.0), 1.0, x1, x3
+    w = share * inverse
+    c, by_p, by_q, by_tau = inverse * c, w * by_p, w * by_q, w * by_tau
+    s_1 = c * n_1 - by_p * p_1 - by_q * q_1 + by_tau * t_1
+    s_2 = c * n_2 - by_p * p_2 - by_q * q_2 + by_tau * t_2
+    s_3 = c * n_3 - by_p * p_3 - by_q * q_3 + by_tau * t_3
+    # And of the cosines within it.
+    s_1 -= w * (q if cut else (p * q * inverse if limited else 0.0))
+    if cut:
+        s_3 += w * tau + inverse * flip * d
+    side = flip * share
+    turn = -flip
     return (
-        k * (share * tx - normal * nx),
-        k * (share * ty - normal * ny),
-        k * (share * tz - normal * nz),
-        k * (share * t0 + tx * sx - nx * hx),
-        k * (share * t1 + tx * sy - nx * hy),
-        k * (share * t2 + tx * sz - nx * hz),
-        k * (share * t3 + ty * sx - ny * hx),
-        k * (share * t4 + ty * sy - ny * hy),
-        k * (share * t5 + ty * sz - ny * hz),
-        k * (share * t6 + tz * sx - nz * hx),
-        k * (share * t7 + tz * sy - nz * hy),
-        k * (share * t8 + tz * sz - nz * hz),
+        law.stiffness * g,
+        -normal - side * tau,
+        share * p,
+        -share * q,
+        n_1 + flip * (s_1 * tau + share * t_1),
+        -(s_1 * p + share * p_1),
+        s_1 * q + share * q_1,
+        flip * n_2 + s_2 * tau + share * t_2,
+        turn * (s_2 * p + share * p_2),
+        flip * (s_2 * q + share * q_2),
+        turn * n_3 - (s_3 * tau + share * t_3),
+        flip * (s_3 * p + share * p_3),
+        turn * (s_3 * q + share * q_3),
     )
 
 
