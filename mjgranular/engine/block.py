@@ -115,10 +115,10 @@ def make_image(
     """
     slots = elements["slot"].astype(np.int64)
     room = np.zeros(_MOST_RELOCATIONS, RELOCATION_DTYPE)
-    share, (_, slots, elements, tunings, room) = _allocate(
-        [np.ones(1, SHARE_DTYPE), slots, elements, tunings, room]
+    share, (_, slots, laid, tunings, room) = _allocate(
+        [np.ones(1, SHARE_DTYPE), slots, kernel.lay(elements), tunings, room]
     )
-    binding = bind(model, data, elements, scene, scheme, kernel, within=True)
+    binding = bind(model, data, elements, laid, scene, scheme, kernel, within=True)
     head = np.zeros(1, HEADER_DTYPE)
     table, desk = binding.table, binding.desk
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and nobody

@@ -22,6 +22,7 @@ import math
 from functools import partial
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.lanes import choose
 
 # A division takes ten times as long as a product: each quotient is taken once.
 _THIRD, _TWELFTH = 1.0 / 3.0, 1.0 / 12.0
@@ -92,35 +93,36 @@ def wet_part(depth, a, b):
     Returns:
         The mean over the whole facet [m], and s and t of the centre of pressure.
     """
-    reach = abs(a) + abs(b)
-    if depth <= -reach:
-        return 0.0, 0.0, 0.0
-    if depth >= reach:
-        per_depth = _THIRD / depth
-        return depth, a * per_depth, b * per_depth
-    h, k = max(abs(a), abs(b)), min(abs(a), abs(b))
+    size_a, size_b = abs(a), abs(b)
+    reach, first = size_a + size_b, size_a >= size_b
+    h, k = choose(first, size_a, size_b), choose(first, size_b, size_a)
     per_h = 1.0 / h
-    if abs(depth) <= h - k:
-        y, ratio = (h + depth) * per_h, k * per_h
-        whole = 3.0 * y * y + ratio * ratio
-        mean = h * whole * _TWELFTH
-        per_whole = 1.0 / whole
-        along_h = (y * y * (3.0 - y) + (1.0 - y) * ratio * ratio) * per_whole
-        along_k = 2.0 * ratio * y * per_whole
-    else:
-        q = reach - abs(depth)
-        q_h, q_k = q * per_h, q / k
-        corner = q_h * q_k * q * (0.5 * _TWELFTH)
-        along_h, along_k = 1.0 - 0.25 * q_h, 1.0 - 0.25 * q_k
-        mean = corner
-        if depth > 0.0:  # the corner is what is dry: <x> = x + <-x>
-            mean = depth + corner
-            per_mean = 1.0 / mean
-            along_h = (h * _THIRD - corner * along_h) * per_mean
-            along_k = (k * _THIRD - corner * along_k) * per_mean
-    if abs(a) >= abs(b):
-        return mean, math.copysign(along_h, a), math.copysign(along_k, b)
-    return mean, math.copysign(along_k, a), math.copysign(along_h, b)
+    # A trapezium: mean depth, and moments times `whole`.
+    y, ratio = (h + depth) * per_h, k * per_h
+    whole = 3.0 * y * y + ratio * ratio
+    along_h = y * y * (3.0 - y) + (1.0 - y) * ratio * ratio
+    along_k = 2.0 * ratio * y
+    # A corner; what there is without a corner, <x> = x + <-x>; without even that, everything.
+    q = reach - abs(depth)
+    q_h, q_k = q * per_h, q / k
+    corner = q_h * q_k * q * (0.5 * _TWELFTH)
+    corner_h, corner_k = 1.0 - 0.25 * q_h, 1.0 - 0.25 * q_k
+    is_cut = q > 0.0
+    rest = depth + choose(is_cut, corner, 0.0)
+    rest_h = h * _THIRD - choose(is_cut, corner * corner_h, 0.0)
+    rest_k = k * _THIRD - choose(is_cut, corner * corner_k, 0.0)
+    is_corner, is_trapezium = depth <= 0.0, abs(depth) <= h - k
+    mean = choose(is_trapezium, h * whole * _TWELFTH, choose(is_corner, corner, rest))
+    scale = 1.0 / choose(is_trapezium, whole, choose(is_corner, 1.0, rest))
+    along_h = choose(is_trapezium, along_h, choose(is_corner, corner_h, rest_h)) * scale
+    along_k = choose(is_trapezium, along_k, choose(is_corner, corner_k, rest_k)) * scale
+    s, t = choose(first, along_h, along_k), choose(first, along_k, along_h)
+    is_wet = depth > -reach
+    return (
+        choose(is_wet, mean, 0.0),
+        choose(is_wet, choose(a < 0.0, -s, s), 0.0),
+        choose(is_wet, choose(b < 0.0, -t, t), 0.0),
+    )
 
 
 @compiled

@@ -63,16 +63,10 @@ from mjgranular.scheme.balance import (
     sum_wrenches,
     weigh,
 )
-from mjgranular.scheme.blocks import (
-    ARM,
-    FRESH,
-    NEXT,
-    SAME,
-    block_kernels,
-    head_records,
-)
+from mjgranular.scheme.blocks import FRESH, NEXT, SAME, block_kernels
 from mjgranular.scheme.constraints import leave, prepare_rows
 from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
+from mjgranular.scheme.layout import ARM, head_records
 from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.softness import fastest_of, goal_of, softness
