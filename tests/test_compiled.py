@@ -5,7 +5,13 @@ import os
 import subprocess
 import sys
 
+import mujoco
 import pytest
+
+from mjgranular import Plane, media
+from mjgranular.kernel.compiled import _identity
+from mjgranular.law.law import get_law, make_scene
+from mjgranular.scheme.scheme import get_scheme
 
 KERNELS = """
 import math, sys, time
@@ -179,3 +185,16 @@ def test_without_a_folder_to_write_to_it_says_so_in_every_process(tmp_path):
         (line,) = seen_on_a_terminal(tmp_path, code)
         assert "in every process" in line
         assert "NUMBA_CACHE_DIR" in line
+
+
+@pytest.mark.parametrize("law", ["link", "link_distributed", "rft2d", "rft3d", "depth_velocity"])
+@pytest.mark.parametrize("scheme", ["explicit", "implicit"])
+def test_programs_have_the_same_name_in_every_process(law, scheme):
+    # What is told by its address is compiled anew in each.
+    known_by = law.removesuffix("_distributed")
+    medium = next(medium for medium in media.values() if known_by in medium.constants)
+    law = get_law(law, medium)
+    surface, model = Plane(), mujoco.MjModel.from_xml_string("<mujoco/>")
+    scene = make_scene(law, medium, surface, model)
+    program = get_scheme(scheme).program(law.kernel(surface), scene.dtype)
+    assert " at 0x" not in repr(_identity(program))

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import mujoco
@@ -39,8 +40,9 @@ _PACKAGE_STAMP = _stamp(
 
 def _identity(value: Any) -> tuple[object, ...]:
     """Names a kernel, or a constant in one, in a way that is the same in every process."""
-    function = getattr(value, "py_func", None) or getattr(value, "_defn", None)
-    if function is not None:  # a kernel, or one of numba's intrinsics
+    # A kernel, one of numba's intrinsics, or a function that an intrinsic is made with.
+    function = getattr(value, "py_func", None) or getattr(value, "_defn", value)
+    if isinstance(function, FunctionType):
         path = Path(function.__code__.co_filename)
         name = (function.__module__, function.__qualname__)
         return (*name, _stamp([path]) if path.is_file() else None, *_parts(function))
