@@ -12,7 +12,8 @@ Integrals over these are polynomials in d/h, k/h or q, and each is written so th
 no quantity is divided by k or q that it does not vanish with. So a and b may be of any size, and
 zero. The signs of a and b only mirror the parallelogram.
 
-The functions are scalar kernels. A facet without edges and spread (a = b = 0) is wet, and leads, as
+`leading_part` is a scalar kernel; `wet_part` has no branches and takes numbers as well as lanes
+(`kernel.lanes`). A facet without edges and spread (a = b = 0) is wet, and leads, as
 a whole where d > 0.
 """
 
@@ -123,40 +124,3 @@ def wet_part(depth, a, b):
         choose(is_wet, choose(a < 0.0, -s, s), 0.0),
         choose(is_wet, choose(b < 0.0, -t, t), 0.0),
     )
-
-
-@compiled
-def acting_part(depth, h1, h2, c, a, b):
-    """What of a facet is pushed: the part that is in the sand and leads.
-
-    The leading part is replaced by a parallelogram around its centroid, narrowed by the distance
-    of that from the middle: exact where the edge of leading runs along an edge of the facet, and
-    close enough elsewhere. The force of a stress f(n, v) is then
-
-        area * load * f(n', v'),  n' = normal + ls spread[0] + lt spread[1], to be normalized,
-                                  v' = v + w x r,  r = s edges[0] + t edges[1],
-
-    and acts at `point + r`, whose velocity v' is, so that what f takes from the motion is what the
-    force takes. Where n'.v' <= 0, which is rare, there is none.
-
-    Args:
-        depth: of the facet's middle [m].
-        h1: rise of the depth along the first half edge [m].
-        h2: likewise along the second.
-        c: normal velocity at the facet's middle, in any unit.
-        a: its rise along the first half edge.
-        b: likewise along the second.
-
-    Returns:
-        load, the mean depth [m] of what acts, over the area of the whole facet; ls and lt, the
-        centroid of the leading part; s and t, the centre of pressure.
-    """
-    share, ls, lt = leading_part(c, a, b)
-    if share == 1.0:  # most facets
-        mean, s, t = wet_part(depth, h1, h2)
-        return mean, 0.0, 0.0, s, t
-    if share == 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    f1, f2 = 1.0 - abs(ls), 1.0 - abs(lt)
-    mean, s, t = wet_part(depth + ls * h1 + lt * h2, f1 * h1, f2 * h2)
-    return share * mean, ls, lt, ls + f1 * s, lt + f2 * t
