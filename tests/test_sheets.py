@@ -73,7 +73,9 @@ BODIES = """
   <worldbody>
     <body><freejoint/>
       <geom size=".03" mass=".1" pos=".05 0 .02"/><geom type="box" size=".04 .03 .02" mass=".2"/>
-      <body pos="0 .1 0"><joint axis="1 2 .5"/><geom type="capsule" size=".02 .04" mass=".1"/></body>
+      <body pos="0 .1 0">
+        <joint axis="1 2 .5"/><geom type="capsule" size=".02 .04" mass=".1"/>
+      </body>
     </body>
     <body pos=".3 0 0"><freejoint/><geom type="ellipsoid" size=".03 .05 .04" mass=".1"/></body>
     <body pos="-.3 0 0"><freejoint/><geom type="mesh" mesh="gem" mass=".1"/></body>

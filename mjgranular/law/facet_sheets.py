@@ -30,7 +30,7 @@ STILL = 1e-150
 # A face leads when its normal's share of the motion is above this. Chosen: a face that slides along
 # itself has a finite response in RFT, so rounding must not decide whether it leads.
 EDGE = 1e-9
-_ROUNDED = 1.0 + 1e-12
+_ROUNDED = 1.0 + 1e-12  # what is beyond a bound by more is so however it is rounded; chosen
 _THIRD = 1.0 / 3.0
 
 # The rows of a sheet, by the fields of the facets. On facets without an area there is no force.
@@ -43,7 +43,7 @@ _DEEPEST, _CENTRE, _DEPTH, _MEAN = 0, 2, 17, 20
 def lay_facets(facets: np.ndarray) -> np.ndarray:
     """The sheets of facets (`Sheets.lay`)."""
     rows = np.column_stack([facets[name].reshape(len(facets), -1) for name in _COLUMNS])
-    sheets = []
+    sheets = [np.zeros((0, _ROWS, LANES))]
     for count in np.bincount(facets["slot"]):
         mine, rows = rows[:count], rows[count:]
         room = np.repeat(mine[-1:], -count % LANES, axis=0)

@@ -118,9 +118,9 @@ def wet_part(depth, a, b):
     along_h = choose(is_trapezium, along_h, choose(is_corner, corner_h, rest_h)) * scale
     along_k = choose(is_trapezium, along_k, choose(is_corner, corner_k, rest_k)) * scale
     s, t = choose(first, along_h, along_k), choose(first, along_k, along_h)
-    is_wet = depth > -reach
+    is_dry = depth <= -reach
     return (
-        choose(is_wet, mean, 0.0),
-        choose(is_wet, choose(a < 0.0, -s, s), 0.0),
-        choose(is_wet, choose(b < 0.0, -t, t), 0.0),
+        choose(is_dry, 0.0, mean),
+        choose(is_dry, 0.0, choose(a < 0.0, -s, s)),
+        choose(is_dry, 0.0, choose(b < 0.0, -t, t)),
     )

@@ -160,6 +160,5 @@ def forces_on_sheets(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             if not dry:
                 for k in range(6):
                     body.wrench[k] = total(block, (_WRENCH + k) * lanes)
-        return
 
     return forces
