@@ -25,6 +25,7 @@ from mjgranular.engine.layout import Struct
 from mjgranular.engine.library import library, memory_at
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
+from mjgranular.kernel.lanes import LINE
 from mjgranular.law.kernel import LawKernel
 from mjgranular.sand.binding import bind
 from mjgranular.scheme import Scheme
@@ -66,7 +67,8 @@ RELOCATION_DTYPE = np.dtype(
         ("delta", np.int64),  # added to a pointer [bytes]
     ]
 )
-SHARE_DTYPE = np.dtype([("users", np.int64)])
+# What comes after it lies as rows of sheets should (`kernel.lanes`): MuJoCo's memory begins a line.
+SHARE_DTYPE = np.dtype({"names": ["users"], "formats": [np.int64], "itemsize": LINE})
 IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
 """Kinds of relocation. Those that read the model are the last two."""
 
@@ -115,10 +117,10 @@ def make_image(
     """
     slots = elements["slot"].astype(np.int64)
     room = np.zeros(_MOST_RELOCATIONS, RELOCATION_DTYPE)
-    share, (_, slots, elements, tunings, room) = _allocate(
-        [np.ones(1, SHARE_DTYPE), slots, elements, tunings, room]
+    share, (_, laid, slots, tunings, room) = _allocate(
+        [np.ones(1, SHARE_DTYPE), kernel.lay(elements), slots, tunings, room]
     )
-    binding = bind(model, data, elements, scene, scheme, kernel, within=True)
+    binding = bind(model, data, elements, laid, scene, scheme, kernel, within=True)
     head = np.zeros(1, HEADER_DTYPE)
     table, desk = binding.table, binding.desk
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and nobody

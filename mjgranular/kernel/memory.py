@@ -22,6 +22,7 @@ from numba import (
 )
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
 
@@ -37,7 +38,8 @@ def simulation_table(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     *,
-    elements: np.ndarray,
+    laid: np.ndarray,
+    count: int,
     bodies: np.ndarray,
     scene: np.ndarray,
     contacts: np.ndarray,
@@ -49,7 +51,8 @@ def simulation_table(
     Args:
         model: the model.
         data: its data.
-        elements: the law's elements, shape (n,).
+        laid: the law's elements as the program reads them.
+        count: of the elements, n.
         bodies: rows of `sand.binding.BODY_DTYPE`, shape (m,).
         scene: parameters of law, medium and surface, shape (1,).
         contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
@@ -72,14 +75,14 @@ def simulation_table(
         data.qacc_warmstart,
         data.xfrc_applied,
         data.warning.number,
-        elements,
+        laid,
         bodies,
         scene,
         contacts,
         spans,
         desk,
     )
-    sizes = (model.nbody, model.nv, len(elements), len(bodies))
+    sizes = (model.nbody, model.nv, count, len(bodies))
     return np.array([*sizes, *(array.ctypes.data for array in arrays)], dtype=np.int64)
 
 
@@ -183,6 +186,33 @@ def summed(count: int) -> Any:
         return types.float64(array, types.int64), codegen
 
     return intrinsic(add_up)
+
+
+@cache
+def scratch(count: int) -> Any:
+    """Makes a kernel `scratch()`: an array of so many numbers in the frame of the function.
+
+    It lasts as long as the call. What is in it at first is anything.
+    """
+
+    def make(typingctx: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
+            room.align = 64  # a line of the cache, and of the widest vectors
+            array = context.make_array(signature.return_type)(context, builder)
+            populate_array(
+                array,
+                data=builder.bitcast(room, ir.DoubleType().as_pointer()),
+                shape=[ir.Constant(ir.IntType(64), count)],
+                strides=[ir.Constant(ir.IntType(64), 8)],
+                itemsize=ir.Constant(ir.IntType(64), 8),
+                meminfo=None,
+            )
+            return array._getvalue()
+
+        return types.Array(types.float64, 1, "C")(), codegen
+
+    return intrinsic(make)
 
 
 def _hold(typingctx: Any, record: Any) -> Any:

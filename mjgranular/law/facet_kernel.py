@@ -8,34 +8,18 @@ from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.law.facet_sheets import EDGE, LANES, STILL, facet_sheets, lowered
 from mjgranular.law.facet_slope import RAMP, led_slope_kernel, simple_slope_kernel
 from mjgranular.law.kernel import LawKernel, grip_of_all, in_world, stray_of_all
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.shape.facets import facet_records
 
-# Below this speed [m/s] an element has no direction of motion. Chosen: far below any motion, far
-# above the square root of the smallest number.
-_STILL = 1e-150
-# A face leads when its normal's share of the motion is above this. Chosen: a face that slides along
-# itself has a finite response in RFT, so rounding must not decide whether it leads.
-_EDGE = 1e-9
 # Turn of the direction of motion for the derivative of a stress. Chosen: the square root of the
 # precision, and some more for the rounding of a fit of 60 terms.
 _TURN = 1e-6
 # The numbers of an immersed facet: depth of its deepest point, no length, centre of pressure; its
 # normal, that of the surface, both spreads; depth of its middle and rises along both half edges;
 # mean depth, area, inertial push.
-
-
-@compiled
-def facet_skim(facet, level):
-    """Depth of a facet's deepest point [m], from the plane of sand in its body's frame."""
-    nx, ny, nz, origin = level
-    point, edges = facet.point, facet.edges
-    middle = origin - (nx * point[0] + ny * point[1] + nz * point[2])
-    h1 = nx * edges[0, 0] + ny * edges[0, 1] + nz * edges[0, 2]
-    h2 = nx * edges[1, 0] + ny * edges[1, 1] + nz * edges[1, 2]
-    return middle + abs(h1) + abs(h2)
 
 
 @cache
@@ -48,7 +32,7 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
             resistance for an area and a depth of one [N/m^3].
         probe: the surface's.
         slope: see `RftLaw`.
-        level: the surface's, to skim facets with it.
+        level: the surface's, to take facets side by side (`facet_sheets`).
 
     The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
     turning body is lowered.
@@ -97,13 +81,13 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
             ax, ay, az, bx, by, bz, depth, h1, h2, mean, facet.area, push,
         )  # fmt: skip
 
-    @compiled
+    @partial(compiled, inline=True)
     def facet_resist(facet, law, g, v, d):
         nx, ny, nz, zx, zy, zz, ax, ay, az, bx, by, bz, depth, h1, h2, mean, area, push = facet[5:]
         vx, vy, vz = v
         fx, fy, fz = 0.0, 0.0, 0.0
         speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-        if speed > _STILL:
+        if speed > STILL:
             s = 1.0 / speed
             ux, uy, uz = s * vx, s * vy, s * vz
             c = ux * nx + uy * ny + uz * nz
@@ -111,12 +95,12 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
             b = ux * bx + uy * by + uz * bz
             load = 0.0
             mx, my, mz = nx, ny, nz
-            if c > abs(a) + abs(b) + _EDGE:  # leads as a whole, like most facets
+            if c > abs(a) + abs(b) + EDGE:  # leads as a whole, like most facets
                 load = mean
             elif c > -abs(a) - abs(b) and (a != 0.0 or b != 0.0):
                 load, ls, lt = load_of(depth, h1, h2, mean, c, a, b)
                 mx, my, mz = turned(nx, ny, nz, ls, ax, ay, az, lt, bx, by, bz)
-                if mx * ux + my * uy + mz * uz <= _EDGE:
+                if mx * ux + my * uy + mz * uz <= EDGE:
                     load = 0.0
             if load > 0.0:
                 sx, sy, sz = stress(law, g, mx, my, mz, ux, uy, uz, zx, zy, zz)
@@ -208,11 +192,13 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
         grip_of_all,
         stray_of_all,
         numbers=18,
-        lanes=8,
+        lanes=LANES,
         simple=None if slope is None else facet_simple,
         respond_simple=None if slope is None else facet_respond_simple,
     )
-    return kernel if level is None else replace(kernel, level=level, skim=facet_skim)
+    if level is None:
+        return kernel
+    return replace(kernel, level=level, sheets=facet_sheets(stress, facet_resist))
 
 
 @partial(compiled, inline=True)
@@ -220,7 +206,7 @@ def direction(p):
     """Size of a grip, and its direction; no grip is as good as none at all along z."""
     px, py, pz = p
     size = math.sqrt(px * px + py * py + pz * pz)
-    if size > _STILL:
+    if size > STILL:
         scale = 1.0 / size
         return size, scale * px, scale * py, scale * pz
     return 0.0, 0.0, 0.0, 1.0
@@ -310,31 +296,3 @@ def across(x, y, z):
         return 0.0, s * z, -s * y
     s = 1.0 / math.sqrt(x * x + z * z)
     return -s * z, 0.0, s * x
-
-
-@compiled
-def lowered(depth, pose, x, y, z, g):
-    """Depth below the surface that a turning body has lowered behind itself.
-
-    Agarwal et al. 2021: `r (r w^2 / g)` on the rear half of a wheel; here r is the element's own
-    distance from the axis through the body's centre of mass, and the rear half is where the body's
-    velocity points away from the element.
-
-    Args:
-        depth: below the undisturbed surface [m].
-        pose: of the body.
-        x: of the element [m], world; y, z: likewise.
-        y: see x.
-        z: see x.
-        g: gravity [m/s^2].
-    """
-    wx, wy, wz, lx, ly, lz = pose.motion
-    # From the axis to the element; velocity of the centre of mass, and the element's about it.
-    rx, ry, rz = x - pose.com[0], y - pose.com[1], z - pose.com[2]
-    cx, cy, cz = pose.com[0] - pose.tree[0], pose.com[1] - pose.tree[1], pose.com[2] - pose.tree[2]
-    tx, ty, tz = wy * rz - wz * ry, wz * rx - wx * rz, wx * ry - wy * rx
-    vx, vy, vz = lx + wy * cz - wz * cy, ly + wz * cx - wx * cz, lz + wx * cy - wy * cx
-    if vx * rx + vy * ry + vz * rz >= 0.0 or g == 0.0:
-        return depth
-    turning = tx * tx + ty * ty + tz * tz  # (r w)^2
-    return depth - turning / g

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from mjgranular.kernel.compiled import compiled
 
 Pose = namedtuple("Pose", ["position", "rotation", "com", "tree", "motion"])
@@ -40,6 +42,36 @@ def no_level(surface, pose):
 def look_closer(element, level):
     """Where nothing but `immerse` can tell whether an element is in the sand."""
     return math.inf
+
+
+@dataclass(frozen=True)
+class Sheets:
+    """A law's elements side by side under a surface that is a plane, and kernels for all of a few.
+
+    A sheet holds `LawKernel.lanes` elements of one body, in the order of the elements; it is rows
+    of numbers, one number for each lane. Lanes left over at a body's end hold elements on which no
+    force acts. A *block* is rows of what is known of the elements at an instant.
+
+    Attributes:
+        lay: function `lay(elements)`: the sheets, shape (number of sheets, rows, lanes), body by
+            body. It stands in the table in place of the elements.
+        rows: of a sheet.
+        skim: kernel `skim(sheet, level, depths)`: writes the depths of the deepest points [m], from
+            what `LawKernel.level` gave; how many of them are not negative or zero.
+        immerse: function `immerse(first)` that makes a kernel
+            `immerse(sheet, pose, level, up, law, g, block)`: writes the numbers that
+            `LawKernel.immerse` gives to the block, from index `first` on; `up` is the plane's
+            normal in the world. Where an element is dry no force may come of them.
+        resist: function `resist(first, velocity, drag, force)` that makes a kernel
+            `resist(block, law, g)`: what `LawKernel.resist` gives, from and to the rows of the
+            block that begin at these indices.
+    """
+
+    lay: Any
+    rows: int
+    skim: Any
+    immerse: Any
+    resist: Any
 
 
 @dataclass(frozen=True)
@@ -81,6 +113,8 @@ class LawKernel:
         skim: kernel `skim(element, level)`: the depth of the element's deepest point [m] at a
             fraction of the cost of `immerse`, which is asked where it is positive. For laws that
             cut bodies into many elements, most of which are above the sand.
+        sheets: the same for several elements at once; then `level` has to be there, and `immerse`,
+            `resist` and `skim` are not asked.
     """
 
     elements: Any
@@ -95,9 +129,19 @@ class LawKernel:
     respond_simple: Any = None
     level: Any = no_level
     skim: Any = look_closer
+    sheets: Sheets | None = None
+
+    def lay(self, elements: np.ndarray) -> np.ndarray:
+        """The elements as a program reads them: sheets, or the records that they are."""
+        return elements if self.sheets is None else self.sheets.lay(elements)
 
 
-@compiled
+_HERE = (0.0, 0.0, 0.0)
+WORLD = Pose(_HERE, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), _HERE, _HERE, (0.0,) * 6)
+"""Of the world itself."""
+
+
+@partial(compiled, inline=True)
 def in_world(pose, x, y, z):
     """World coordinates of a direction in the frame of a body."""
     r = pose.rotation

@@ -12,7 +12,8 @@ Integrals over these are polynomials in d/h, k/h or q, and each is written so th
 no quantity is divided by k or q that it does not vanish with. So a and b may be of any size, and
 zero. The signs of a and b only mirror the parallelogram.
 
-The functions are scalar kernels. A facet without edges and spread (a = b = 0) is wet, and leads, as
+`leading_part` is a scalar kernel; `wet_part` has no branches and takes numbers as well as lanes
+(`kernel.lanes`). A facet without edges and spread (a = b = 0) is wet, and leads, as
 a whole where d > 0.
 """
 
@@ -22,6 +23,7 @@ import math
 from functools import partial
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.lanes import choose
 
 # A division takes ten times as long as a product: each quotient is taken once.
 _THIRD, _TWELFTH = 1.0 / 3.0, 1.0 / 12.0
@@ -92,69 +94,33 @@ def wet_part(depth, a, b):
     Returns:
         The mean over the whole facet [m], and s and t of the centre of pressure.
     """
-    reach = abs(a) + abs(b)
-    if depth <= -reach:
-        return 0.0, 0.0, 0.0
-    if depth >= reach:
-        per_depth = _THIRD / depth
-        return depth, a * per_depth, b * per_depth
-    h, k = max(abs(a), abs(b)), min(abs(a), abs(b))
+    size_a, size_b = abs(a), abs(b)
+    reach, first = size_a + size_b, size_a >= size_b
+    h, k = choose(first, size_a, size_b), choose(first, size_b, size_a)
     per_h = 1.0 / h
-    if abs(depth) <= h - k:
-        y, ratio = (h + depth) * per_h, k * per_h
-        whole = 3.0 * y * y + ratio * ratio
-        mean = h * whole * _TWELFTH
-        per_whole = 1.0 / whole
-        along_h = (y * y * (3.0 - y) + (1.0 - y) * ratio * ratio) * per_whole
-        along_k = 2.0 * ratio * y * per_whole
-    else:
-        q = reach - abs(depth)
-        q_h, q_k = q * per_h, q / k
-        corner = q_h * q_k * q * (0.5 * _TWELFTH)
-        along_h, along_k = 1.0 - 0.25 * q_h, 1.0 - 0.25 * q_k
-        mean = corner
-        if depth > 0.0:  # the corner is what is dry: <x> = x + <-x>
-            mean = depth + corner
-            per_mean = 1.0 / mean
-            along_h = (h * _THIRD - corner * along_h) * per_mean
-            along_k = (k * _THIRD - corner * along_k) * per_mean
-    if abs(a) >= abs(b):
-        return mean, math.copysign(along_h, a), math.copysign(along_k, b)
-    return mean, math.copysign(along_k, a), math.copysign(along_h, b)
-
-
-@compiled
-def acting_part(depth, h1, h2, c, a, b):
-    """What of a facet is pushed: the part that is in the sand and leads.
-
-    The leading part is replaced by a parallelogram around its centroid, narrowed by the distance
-    of that from the middle: exact where the edge of leading runs along an edge of the facet, and
-    close enough elsewhere. The force of a stress f(n, v) is then
-
-        area * load * f(n', v'),  n' = normal + ls spread[0] + lt spread[1], to be normalized,
-                                  v' = v + w x r,  r = s edges[0] + t edges[1],
-
-    and acts at `point + r`, whose velocity v' is, so that what f takes from the motion is what the
-    force takes. Where n'.v' <= 0, which is rare, there is none.
-
-    Args:
-        depth: of the facet's middle [m].
-        h1: rise of the depth along the first half edge [m].
-        h2: likewise along the second.
-        c: normal velocity at the facet's middle, in any unit.
-        a: its rise along the first half edge.
-        b: likewise along the second.
-
-    Returns:
-        load, the mean depth [m] of what acts, over the area of the whole facet; ls and lt, the
-        centroid of the leading part; s and t, the centre of pressure.
-    """
-    share, ls, lt = leading_part(c, a, b)
-    if share == 1.0:  # most facets
-        mean, s, t = wet_part(depth, h1, h2)
-        return mean, 0.0, 0.0, s, t
-    if share == 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
-    f1, f2 = 1.0 - abs(ls), 1.0 - abs(lt)
-    mean, s, t = wet_part(depth + ls * h1 + lt * h2, f1 * h1, f2 * h2)
-    return share * mean, ls, lt, ls + f1 * s, lt + f2 * t
+    # A trapezium: mean depth, and moments times `whole`.
+    y, ratio = (h + depth) * per_h, k * per_h
+    whole = 3.0 * y * y + ratio * ratio
+    along_h = y * y * (3.0 - y) + (1.0 - y) * ratio * ratio
+    along_k = 2.0 * ratio * y
+    # A corner; what there is without a corner, <x> = x + <-x>; without even that, everything.
+    q = reach - abs(depth)
+    q_h, q_k = q * per_h, q / k
+    corner = q_h * q_k * q * (0.5 * _TWELFTH)
+    corner_h, corner_k = 1.0 - 0.25 * q_h, 1.0 - 0.25 * q_k
+    is_cut = q > 0.0
+    rest = depth + choose(is_cut, corner, 0.0)
+    rest_h = h * _THIRD - choose(is_cut, corner * corner_h, 0.0)
+    rest_k = k * _THIRD - choose(is_cut, corner * corner_k, 0.0)
+    is_corner, is_trapezium = depth <= 0.0, abs(depth) <= h - k
+    mean = choose(is_trapezium, h * whole * _TWELFTH, choose(is_corner, corner, rest))
+    scale = 1.0 / choose(is_trapezium, whole, choose(is_corner, 1.0, rest))
+    along_h = choose(is_trapezium, along_h, choose(is_corner, corner_h, rest_h)) * scale
+    along_k = choose(is_trapezium, along_k, choose(is_corner, corner_k, rest_k)) * scale
+    s, t = choose(first, along_h, along_k), choose(first, along_k, along_h)
+    is_dry = depth <= -reach
+    return (
+        choose(is_dry, 0.0, mean),
+        choose(is_dry, 0.0, choose(a < 0.0, -s, s)),
+        choose(is_dry, 0.0, choose(b < 0.0, -t, t)),
+    )

@@ -36,6 +36,7 @@ def bind(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     elements: np.ndarray,
+    laid: np.ndarray,
     scene: np.ndarray,
     scheme: Scheme,
     kernel: LawKernel,
@@ -48,6 +49,7 @@ def bind(
         model: the model.
         data: the simulation.
         elements: of the law.
+        laid: the same as the program reads them (`LawKernel.lay`).
         scene: parameters of law and surface.
         scheme: how forces become a step.
         kernel: of the law.
@@ -72,7 +74,8 @@ def bind(
     table = simulation_table(
         model,
         data,
-        elements=elements,
+        laid=laid,
+        count=len(elements),
         bodies=bodies,
         scene=scene,
         contacts=contacts,

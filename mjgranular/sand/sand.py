@@ -120,6 +120,7 @@ class Sand:
         self._scheme = asked.settle(model, len(self._elements))
         self._scene = make_scene(self._law, self._medium, self._surface, model)
         self._kernel = self._law.kernel(self._surface)
+        self._laid = self._kernel.lay(self._elements)
         program = guarded_program(self._scheme.program(self._kernel, self._scene.dtype))
         self._program = entry(program, types.int64, types.float64)
         self._finish = entry(finish_step, types.int64)
@@ -306,7 +307,15 @@ class Sand:
         return binding.address
 
     def _new_binding(self, data: mujoco.MjData) -> Binding:
-        return bind(self._model, data, self._elements, self._scene, self._scheme, self._kernel)
+        return bind(
+            self._model,
+            data,
+            self._elements,
+            self._laid,
+            self._scene,
+            self._scheme,
+            self._kernel,
+        )
 
     def _unstable(
         self,

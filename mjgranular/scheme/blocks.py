@@ -15,50 +15,30 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
-    ELEMENTS,
-    SCENE,
-    column,
-    floats,
-    held,
-    records,
-    summed,
-)
+from mjgranular.kernel.memory import column, held, summed
 from mjgranular.kernel.motion import velocity_at
-from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
+from mjgranular.scheme.immersion import immerse_kernel
+from mjgranular.scheme.layout import (
+    ARM,
+    BEND,
+    FORCE,
+    GRIP,
+    IMMERSED,
+    SLOPE,
+    STIFFNESS,
+    STRAY,
+    VELOCITY,
+    WEIGHT,
+    WRENCH,
+    block_size,
+)
 
-# Rows of a block: from the centre of the tree to where force acts [m]; velocity last looked at
-# [m/s] and the grip there; what `respond` gave for these (force, minus its derivative, bend:
-# `law.kernel`); 1, or nothing for a lane left over; number of the element; wrench about the centre
-# of the tree, moment first, and minus its derivative by the body's motion, row by row; and what
-# `immerse` gave.
-ARM, VELOCITY, GRIP, FORCE, SLOPE, BEND, WEIGHT, INDEX = 0, 3, 6, 9, 12, 21, 22, 23
-WRENCH, STIFFNESS, IMMERSED = 24, 30, 66
-STRAY = STIFFNESS  # which is summed by then
 _ANSWER = 13  # numbers that `respond` gives
-
-HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
-head_records = records(HEAD_DTYPE)
 
 # Not literals, for each of which numba would compile a function anew.
 FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
 """Where grips come from: the velocity itself, a step of Newton's method to it, what is there."""
-
-
-def block_size(kernel: LawKernel) -> int:
-    """How many numbers a block has."""
-    return (IMMERSED + 5 + kernel.numbers) * kernel.lanes
-
-
-def block_count(kernel: LawKernel, elements: np.ndarray) -> int:
-    """The most blocks that elements (field `slot`) may fill."""
-    return sum(-(-int(n) // kernel.lanes) for n in np.bincount(elements["slot"]))
 
 
 @dataclass(frozen=True)
@@ -102,79 +82,6 @@ def block_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> BlockKernels:
         add_kernel(kernel.lanes),
         follow_kernel(kernel),
     )
-
-
-def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """See `BlockKernels.immerse`."""
-    element_records, scene_records = kernel.elements, records(scene_dtype)
-    immerse, lanes, size = kernel.immerse, kernel.lanes, block_size(kernel)
-    level, skim = kernel.level, kernel.skim
-    three, numbers = column(3, lanes), column(5 + kernel.numbers, lanes)
-    write_three, write_numbers = three.write, numbers.write
-    rows = size // lanes
-
-    @compiled
-    def fill(block, live):
-        for lane in range(live, lanes):
-            for row in range(rows):
-                block[row * lanes + lane] = block[row * lanes + live - 1]
-            block[WEIGHT * lanes + lane] = 0.0
-
-    @compiled
-    def immerse_all(table, head_address, address):
-        elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
-        heads = head_records(head_address, table[ELEMENT_COUNT])
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        surface = scene[0].surface
-        g = gravity_of(table)
-        block = floats(address, size)
-        count = 0
-        first = 0
-        for slot in range(len(bodies)):
-            body = bodies[slot]
-            place = place_of(table, body)
-            around = level(surface, pose_at(place))
-            live = 0
-            for i in range(first, body.end):
-                element, contact = elements[i], contacts[i]
-                depth = skim(element, around)
-                if depth <= 0.0:
-                    contact.depth = depth
-                    continue
-                pose = pose_at(place)  # anew: numbers kept from above would cost more
-                immersed = immerse(element, pose, law, surface, g)
-                contact.depth = immersed[0]
-                if immersed[0] <= 0.0:
-                    continue
-                contact.length = immersed[1]
-                x, y, z = immersed[2], immersed[3], immersed[4]
-                contact.point[0], contact.point[1], contact.point[2] = x, y, z
-                tx, ty, tz = pose.tree
-                x, y, z = x - tx, y - ty, z - tz
-                v = velocity_at(pose.motion, x, y, z)
-                contact.velocity[0], contact.velocity[1], contact.velocity[2] = v[0], v[1], v[2]
-                if live == 0:
-                    block = floats(address + 8 * size * count, size)
-                    heads[count].body = body.body
-                    count += 1
-                write_three(block, ARM * lanes + live, (x, y, z))
-                write_three(block, VELOCITY * lanes + live, v)
-                write_numbers(block, IMMERSED * lanes + live, immersed)
-                block[WEIGHT * lanes + live] = 1.0
-                block[INDEX * lanes + live] = i
-                live += 1
-                heads[count - 1].live = live
-                if live == lanes:
-                    live = 0
-            if live > 0:
-                fill(block, live)
-            first = body.end
-        return count
-
-    return immerse_all
 
 
 def move_kernel(kernel: LawKernel) -> Any:

@@ -13,7 +13,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows
 from mjgranular.kernel.memory import floats, longs, records
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.blocks import HEAD_DTYPE, block_count, block_size
+from mjgranular.scheme.layout import HEAD_DTYPE, block_count, block_size
 from mjgranular.scheme.scheme import Desk
 
 ACCOUNT_DTYPE = np.dtype(

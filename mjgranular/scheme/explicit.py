@@ -33,6 +33,7 @@ from mjgranular.kernel.motion import add_force, velocity_at, velocity_change
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
+from mjgranular.scheme.sheets import forces_on_sheets
 from mjgranular.scheme.wrenches import (
     BAD_STATE,
     add_wrenches,
@@ -83,6 +84,23 @@ def lead_velocity(table, body, lead):
 @cache
 def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
+    forces = forces_of(kernel, scene_dtype)
+
+    @compiled
+    def program(address, lead):
+        table = table_at(address)
+        if is_bad(table):
+            return BAD_STATE
+        forces(table, lead)
+        return add_wrenches(table)
+
+    return program
+
+
+def forces_of(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """Makes a kernel `forces(table, lead)`: wrenches of bodies, contacts of elements."""
+    if kernel.sheets is not None:
+        return forces_on_sheets(kernel, scene_dtype)
     element_records, immerse, resist = kernel.elements, kernel.immerse, kernel.resist
     level, skim = kernel.level, kernel.skim
     scene_records = records(scene_dtype)
@@ -139,15 +157,7 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
                 add_force(body.wrench, fx, fy, fz, x - ix, y - iy, z - iz)
             first = body.end
 
-    @compiled
-    def program(address, lead):
-        table = table_at(address)
-        if is_bad(table):
-            return BAD_STATE
-        forces(table, lead)
-        return add_wrenches(table)
-
-    return program
+    return forces
 
 
 def largest_step(rate: float) -> float:

@@ -9,8 +9,8 @@ from mjgranular.kernel.engine import solve_inertia
 from mjgranular.kernel.memory import CONTACTS, ELEMENT_COUNT, floats, ints
 from mjgranular.kernel.records import contact_records
 from mjgranular.scheme import desk as d
-from mjgranular.scheme.blocks import FORCE, INDEX, head_records
 from mjgranular.scheme.constraints import rows_of
+from mjgranular.scheme.layout import FORCE, INDEX, head_records
 
 
 @compiled

@@ -57,15 +57,10 @@ from mjgranular.scheme.balance import (
     motion_of,
     prepare_inertia,
 )
-from mjgranular.scheme.blocks import (
-    ARM,
-    FRESH,
-    SAME,
-    block_kernels,
-    head_records,
-)
+from mjgranular.scheme.blocks import FRESH, SAME, block_kernels
 from mjgranular.scheme.constraints import prepare_rows
 from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
+from mjgranular.scheme.layout import ARM, head_records
 from mjgranular.scheme.newton import Way, newton_kernel
 from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes

@@ -26,8 +26,9 @@ from mjgranular.scheme.balance import (
     sum_wrenches,
     weigh,
 )
-from mjgranular.scheme.blocks import NEXT, block_kernels, head_records
+from mjgranular.scheme.blocks import NEXT, block_kernels
 from mjgranular.scheme.constraints import leave
+from mjgranular.scheme.layout import head_records
 from mjgranular.scheme.wrenches import gravity_of
 
 # Square of the difference of a grip and its velocity's: where the force may be taken for the law's,

@@ -12,7 +12,7 @@ import math
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import floats, ints
 from mjgranular.scheme import desk as d
-from mjgranular.scheme.blocks import ARM, VELOCITY, head_records
+from mjgranular.scheme.layout import ARM, VELOCITY, head_records
 
 # Speed at which a static force that holds lets go [m/s]: what holds for a year moves 0.03 mm at
 # 0.7 of its limit. Beside it, a share of the speeds that cancel in an element's own, the largest
