@@ -93,10 +93,11 @@ def _define(
             lanes = _lanes_among(args)
             return None if lanes is None else signature(result(lanes), *args)
 
-    infer_global(function)(Template)
+    known: Any = infer_global(function)
+    known(Template)
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        lanes = _lanes_among(sig.args)
+        lanes: Any = _lanes_among(sig.args)
         values = (
             _spread(context, builder, kind, value, lanes)
             for kind, value in zip(sig.args, args, strict=True)

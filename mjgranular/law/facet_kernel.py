@@ -158,7 +158,7 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
         )  # fmt: skip
 
     led_slope = turning_stress if slope is None else led_slope_kernel(slope)
-    simple_slope = None if slope is None else simple_slope_kernel(slope)
+    simple_slope: Any = None if slope is None else simple_slope_kernel(slope)
 
     @partial(compiled, inline=True)
     def facet_simple(facet, p):

@@ -131,6 +131,7 @@ def forces_on_sheets(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         ux, uy, uz, _ = level(surface, WORLD)
         address, address_of_contacts = table[ELEMENTS], table[CONTACTS]
         first = 0
+        change = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for slot in range(len(bodies)):
             body = bodies[slot]
             for k in range(6):
