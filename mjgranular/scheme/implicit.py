@@ -82,7 +82,7 @@ _SLOW = 1e-3
 _FINER = 1e-2  # from one softness to the next, where the direct way is lost
 _BEGUN = 10.0  # how much softer a hold may be at the velocity found for that to be tried
 # Of Newton's method; not literals, for each of which numba would compile anew.
-_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 24, 6))
+_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 40, 6))
 _NOTHING = 1e-150  # a momentum that may be divided by
 
 
