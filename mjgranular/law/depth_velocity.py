@@ -13,7 +13,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip_of_all, in_world, stray_of_all
+from mjgranular.law.kernel import LawKernel, grip_of_all, in_world
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
@@ -90,7 +90,6 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
         depth_velocity_resist,
         depth_velocity_respond,
         grip_of_all,
-        stray_of_all,
         numbers=1,
     )
 

@@ -10,7 +10,7 @@ from typing import Any
 from mjgranular.kernel.compiled import compiled
 from mjgranular.law.facet_sheets import EDGE, LANES, STILL, facet_sheets, lowered
 from mjgranular.law.facet_slope import RAMP, led_slope_kernel, simple_slope_kernel
-from mjgranular.law.kernel import LawKernel, grip_of_all, in_world, stray_of_all
+from mjgranular.law.kernel import LawKernel, grip_of_all, in_world
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.shape.facets import facet_records
 
@@ -190,7 +190,6 @@ def facet_kernel(stress: Any, probe: Any, slope: Any = None, level: Any = None) 
         facet_resist,
         facet_respond,
         grip_of_all,
-        stray_of_all,
         numbers=18,
         lanes=LANES,
         simple=None if slope is None else facet_simple,

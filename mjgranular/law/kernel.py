@@ -74,6 +74,13 @@ class Sheets:
     resist: Any
 
 
+@partial(compiled, inline=True)
+def stray_of_all(immersed, v, c, eps):
+    """How far a change of velocity leads, beside the speed (see `LawKernel.stray`)."""
+    far = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
+    return far / (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + eps * eps)
+
+
 @dataclass(frozen=True)
 class LawKernel:
     """The scalar kernels of a law under one kind of surface.
@@ -98,10 +105,10 @@ class LawKernel:
         grip: kernel `grip(immersed, v, p, c, eps)`: the grip after a step of Newton's method that
             changes the velocity `v` by `c`; `grip_of_all` where one limit holds against motion in
             all directions.
+        numbers: how many `immerse` gives of the geometry, behind the point.
         stray: kernel `stray(immersed, v, c, eps)`: the square of a change `c` of the velocity `v`,
             in parts of the speeds over which the force turns; `stray_of_all` where it turns with
             the velocity as a whole.
-        numbers: how many `immerse` gives of the geometry, behind the point.
         lanes: how many elements of a body `respond` and `grip` are asked for side by side. More
             than one pays where a body has many elements and both kernels, with all that they
             call, are `compiled(..., inline=True)` and pure arithmetic: then they are done in the
@@ -122,8 +129,8 @@ class LawKernel:
     resist: Any
     respond: Any
     grip: Any
-    stray: Any
     numbers: int
+    stray: Any = stray_of_all
     lanes: int = 1
     simple: Any = None
     respond_simple: Any = None
@@ -188,10 +195,3 @@ def next_grip(v, p, c, eps):
 def grip_of_all(immersed, v, p, c, eps):
     """`next_grip` for a law with one limit against motion in all directions."""
     return next_grip(v, p, c, eps)
-
-
-@partial(compiled, inline=True)
-def stray_of_all(immersed, v, c, eps):
-    """How far a change of velocity leads, beside the speed (see `LawKernel.stray`)."""
-    far = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
-    return far / (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + eps * eps)

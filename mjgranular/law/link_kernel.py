@@ -211,8 +211,8 @@ def link_kernel(limits: Any, probe: Any, level: Any = None, lanes: int = 1) -> L
         link_resist,
         link_respond,
         link_grip,
-        link_stray,
         numbers=9,
+        stray=link_stray,
         lanes=lanes,
     )
     return kernel if level is None else replace(kernel, level=level, skim=rod_skim)
