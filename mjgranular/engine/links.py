@@ -66,16 +66,3 @@ def _add_atomically(typingctx: Any, address: Any, change: Any) -> Any:
 
 call_program: Any = intrinsic(_call_program)
 add_atomically: Any = intrinsic(_add_atomically)
-
-
-def c_address(dispatcher: Any, *arguments: Any) -> int:
-    """The address of a compiled function with C's calling convention, compiled now if need be.
-
-    Args:
-        dispatcher: made by `kernel.compiled`.
-        arguments: numba's types of its arguments.
-    """
-    dispatcher.compile(arguments)
-    compiled = dispatcher.overloads[arguments]
-    name = compiled.fndesc.llvm_cfunc_wrapper_name
-    return compiled.library.get_pointer_to_function(name)

@@ -54,11 +54,11 @@ PREPARE = "mjgranular_prepare"
 FUNCTIONS = ("mju_error", "mju_free", "mjv_initGeom", "mjv_connector")
 """Functions of MuJoCo's that compiled code calls."""
 
-INIT_TYPES = (types.int64, types.int64, types.int32)
+INIT_TYPES = ("int64", "int64", "int32")
 """Of `init` and of the way into Python: mjModel*, mjData*, the number of the instance."""
 
-Callbacks = dict[str, tuple[Any, tuple[Any, ...]]]
-"""Compiled functions by the names of their fields in `mjpPlugin`, with numba's types of arguments.
+Callbacks = dict[str, tuple[Any, tuple[str, ...]]]
+"""Compiled functions by the names of their fields in `mjpPlugin`, with the types of their arguments.
 
 Beside them `start`, which is called from Python.
 """
@@ -66,11 +66,11 @@ Beside them `start`, which is called from Python.
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
 
-_address, _number = types.int64, types.int32
+_address, _number = "int64", "int32"
 _header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
 _bytes = records(np.dtype(np.uint8))
-_prepare = types.ExternalFunction(PREPARE, types.int64(*INIT_TYPES))
+_prepare = types.ExternalFunction(PREPARE, types.int64(types.int64, types.int64, types.int32))
 _error = types.ExternalFunction("mju_error", types.void(types.int64))
 _free = types.ExternalFunction("mju_free", types.void(types.int64))
 

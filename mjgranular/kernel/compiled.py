@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import logging
+import os
 import pickle
 import re
 import sys
 import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import cache, cached_property
+from importlib.metadata import version
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import llvmlite.binding as llvm
 import mujoco
-import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+
+from mjgranular.kernel.program import Program, can_be_kept, load, save
 
 _logger = logging.getLogger(__name__)
 
@@ -48,7 +54,9 @@ def _identity(value: Any) -> tuple[object, ...]:
     if isinstance(function, FunctionType):  # a kernel, one of numba's intrinsics, or part of one
         path = Path(function.__code__.co_filename)
         name = (function.__module__, function.__qualname__)
-        return (*name, _stamp([path]) if path.is_file() else None, *_parts(function))
+        # What a kernel is made of is in its name.
+        parts = () if isinstance(value, Kernel) else _parts(function)
+        return (*name, _stamp([path]) if path.is_file() else None, *parts)
     name = repr(value)
     if _ADDRESS.search(name):
         raise TypeError(f"a kernel's closure holds what every process names anew: {name}")
@@ -63,6 +71,25 @@ def _parts(function: Any) -> tuple[object, ...]:
 def _digest(value: object) -> str:
     """A short name for a value, the same in every process."""
     return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
+
+
+@cache
+def _machine() -> tuple[object, ...]:
+    """What machine code depends on beside its source."""
+    try:
+        features = llvm.get_host_cpu_features().flatten()
+    except RuntimeError:  # not known for this kind of processor
+        features = ""
+    told = ("CPU_NAME", "CPU_FEATURES", "ENABLE_AVX", "OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
+    return (
+        llvm.get_process_triple(),
+        llvm.get_host_cpu_name(),
+        features,
+        *(os.environ.get(f"NUMBA_{name}") for name in told),
+        version("numba"),
+        version("llvmlite"),
+        sys.implementation.cache_tag,
+    )
 
 
 class _Announcement:
@@ -159,7 +186,54 @@ class _NoCache(NullCache):
         _announcement.tell(self._function, ALWAYS)
 
 
-def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
+class Kernel:
+    """A function that is compiled where it is used: see `compiled`.
+
+    Called from Python it is compiled as it is, for the types of its arguments. What calls it in a
+    kernel has it compiled as a part; what is compiled as a whole is a program (`program_of`).
+    """
+
+    def __init__(self, function: Callable[..., Any], *, inline: bool) -> None:
+        self.py_func = function
+        self._inline = inline
+        functools.update_wrapper(self, function)
+
+    @cached_property
+    def part(self) -> Any:
+        """As other kernels see it (`parts.Part`)."""
+        from mjgranular.kernel.parts import Part
+
+        return Part(self.py_func, inline=self._inline, tell=_log)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return self.part._numba_type_
+
+    @cached_property
+    def _whole(self) -> Any:
+        from mjgranular.kernel.parts import Whole
+
+        whole: Any = Whole(self.py_func, inline=self._inline)
+        try:
+            whole._cache = _PackageCache(self.py_func)
+        except RuntimeError:  # numba: "no locator available"
+            whole._cache = _NoCache(self.py_func)
+        return whole
+
+    @property
+    def stats(self) -> Any:
+        """What was compiled, and what loaded, of what Python called."""
+        return self._whole.stats
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._whole(*arguments)
+
+
+def _log(function: Callable[..., Any]) -> None:
+    _logger.info("compiling %s.%s", function.__module__, function.__qualname__)
+
+
+def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
     """Compiles `function` in nopython mode on first call; later processes load it from disk.
 
     The machine code lies in `__pycache__` beside the source or, where that cannot be written, in
@@ -167,32 +241,60 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
     the kernel is compiled once a process.
 
     Args:
-        function: scalar arithmetic and loops over arrays, without Python objects. It may be made
-            by a factory, with other kernels in its closure.
+        function: scalar arithmetic and loops over arrays, without Python objects, exceptions or
+            arrays of its own. It may be made by a factory, with other kernels in its closure.
         inline: put its code where it is called. For small functions in loops over elements, and for
             those that hand on many numbers; more of it costs compile time.
 
     Returns:
-        numba's dispatcher, called like `function`.
+        A kernel, called like `function`.
     """
     parts = _parts(function)
     if parts:
         # numba names machine code by this and by a counter that begins anew in every process: code
         # of two kernels from one factory, loaded from the cache, would be taken for the same.
         function.__qualname__ = f"{function.__qualname__}_{_digest(parts)}"
-    # IEEE arithmetic (no fastmath): both doors and all platforms are to give the same numbers.
-    dispatcher: Any = numba.njit(error_model="numpy", forceinline=inline)(function)
-    try:
-        dispatcher._cache = _PackageCache(function)
-    except RuntimeError:  # numba: "no locator available"
-        dispatcher._cache = _NoCache(function)
-    return dispatcher
+    return Kernel(function, inline=inline)
 
 
-def entry(dispatcher: Any, *types: Any) -> Callable[..., Any]:
+_programs: dict[tuple[Kernel, tuple[str, ...]], Program] = {}
+_compiling = threading.RLock()
+
+
+def program_of(kernel: Kernel, *types: str) -> Program:
+    """A kernel and all that it calls as a program, compiled now if it was not yet.
+
+    Args:
+        kernel: of numbers, which gives a number or nothing.
+        types: of its arguments, by numba's names: `int64`, `int32`, `float64`.
+    """
+    with _compiling:
+        found = _programs.get((kernel, types))
+        if found is None:
+            found = _programs[kernel, types] = _kept_or_made(kernel, types)
+        return found
+
+
+def _kept_or_made(kernel: Kernel, types: tuple[str, ...]) -> Program:
+    function = kernel.py_func
+    made_for = (types, _machine(), mujoco.__version__, _identity(kernel))
+    name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
+    name = f"{name.removeprefix('mjgranular.')}.{_digest(made_for)}"
+    kept = load(function, name, _PACKAGE_STAMP)
+    if kept is None:
+        from mjgranular.kernel import parts
+
+        keeps = can_be_kept(function)
+        _announcement.tell(function, ONCE if keeps else ALWAYS)
+        kept = parts.build(kernel.part, tuple(getattr(parts.types, t) for t in types), name)
+        if keeps:
+            save(function, name, _PACKAGE_STAMP, kept)
+    return Program(name, kept)
+
+
+def entry(kernel: Kernel, *types: str) -> Callable[..., Any]:
     """The compiled function for exactly these argument types, compiled now if it was not yet.
 
     Calling it skips numba's choice among signatures, half of what a call from Python costs.
     """
-    dispatcher.compile(types)
-    return dispatcher.get_overload(types)
+    return program_of(kernel, *types).function

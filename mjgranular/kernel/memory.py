@@ -15,13 +15,10 @@ from typing import Any
 import mujoco
 import numpy as np
 from llvmlite import ir
-from numba import (
-    carray,  # pyright: ignore[reportPrivateImportUsage]
-    from_dtype,
-    types,
-)
+from numba import from_dtype, types
 from numba.core import cgutils
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
 
@@ -85,21 +82,24 @@ def simulation_table(
 
 def records(dtype: np.dtype) -> Any:
     """Makes a kernel `read(address, size)` that gives the array of such records at an address."""
-    record = from_dtype(dtype)
 
-    def cast(typingctx: Any, address: Any) -> Any:
+    def read(typingctx: Any, address: Any, size: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+            array = context.make_array(signature.return_type)(context, builder)
+            width = context.get_constant(types.intp, dtype.itemsize)
+            populate_array(
+                array,
+                data=builder.inttoptr(args[0], array.data.type),
+                shape=[args[1]],
+                strides=[width],
+                itemsize=width,
+                meminfo=None,
+            )
+            return array._getvalue()
 
-        return types.CPointer(record)(types.int64), codegen
+        return types.Array(from_dtype(dtype), 1, "C")(types.int64, types.int64), codegen
 
-    pointer: Any = intrinsic(cast)
-
-    @compiled
-    def read(address, size):
-        return carray(pointer(address), (size,))
-
-    return read
+    return intrinsic(read)
 
 
 @dataclass(frozen=True)
