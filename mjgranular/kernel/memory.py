@@ -14,13 +14,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from llvmlite import ir
-from numba import from_dtype, types
-from numba.core import cgutils
-from numba.extending import intrinsic
-from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.foreign import Intrinsic
 
 # The table: four sizes, then addresses. The order is that of `simulation_table`. Within `mj_step`
 # (`engine.block`) XFRC, WARNINGS and KEEP are 0: there they are MuJoCo's own business.
@@ -84,6 +80,9 @@ def records(dtype: np.dtype) -> Any:
     """Makes a kernel `read(address, size)` that gives the array of such records at an address."""
 
     def read(typingctx: Any, address: Any, size: Any) -> Any:
+        from numba import from_dtype, types
+        from numba.np.arrayobj import populate_array
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             array = context.make_array(signature.return_type)(context, builder)
             width = context.get_constant(types.intp, dtype.itemsize)
@@ -99,7 +98,7 @@ def records(dtype: np.dtype) -> Any:
 
         return types.Array(from_dtype(dtype), 1, "C")(types.int64, types.int64), codegen
 
-    return intrinsic(read)
+    return Intrinsic(read)
 
 
 @dataclass(frozen=True)
@@ -127,6 +126,8 @@ def column(count: int, stride: int) -> Column:
         return [builder.gep(data, [index]) for index in indices]
 
     def read(typingctx: Any, array: Any, first: Any) -> Any:
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             numbers = [builder.load(place) for place in places(context, builder, array, args)]
             return context.make_tuple(builder, signature.return_type, numbers)
@@ -134,6 +135,8 @@ def column(count: int, stride: int) -> Column:
         return types.UniTuple(types.float64, count)(array, types.int64), codegen
 
     def put(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             for k, place in enumerate(places(context, builder, array, args)):
                 builder.store(builder.extract_value(args[2], k), place)
@@ -142,6 +145,8 @@ def column(count: int, stride: int) -> Column:
         return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
 
     def add(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             for k, place in enumerate(places(context, builder, array, args)):
                 more = builder.extract_value(args[2], k)
@@ -150,7 +155,7 @@ def column(count: int, stride: int) -> Column:
 
         return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
 
-    return Column(intrinsic(read), intrinsic(put), intrinsic(add))
+    return Column(Intrinsic(read), Intrinsic(put), Intrinsic(add))
 
 
 @cache
@@ -162,6 +167,9 @@ def summed(count: int) -> Any:
     """
 
     def add_up(typingctx: Any, array: Any, first: Any) -> Any:
+        from llvmlite import ir
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             data = context.make_array(array)(context, builder, args[0]).data
             vector = ir.VectorType(ir.DoubleType(), count)
@@ -182,11 +190,13 @@ def summed(count: int) -> Any:
 
         return types.float64(array, types.int64), codegen
 
-    return intrinsic(add_up)
+    return Intrinsic(add_up)
 
 
 def _hold(typingctx: Any, record: Any) -> Any:
     """Gives a copy of a record that nothing else can change."""
+    from llvmlite import ir
+    from numba.core import cgutils
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         room = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(8), record.size))
@@ -197,7 +207,7 @@ def _hold(typingctx: Any, record: Any) -> Any:
     return record(record), codegen
 
 
-held: Any = intrinsic(_hold)
+held: Any = Intrinsic(_hold)
 """Kernel `held(record)`: a copy of a record that nothing else can change.
 
 A loop that writes elsewhere would read a record's fields again each time around, and could not be

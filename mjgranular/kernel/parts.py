@@ -118,7 +118,7 @@ class Part(CPUDispatcher):
         return make_concrete_template(name, key=name, signatures=[found]), signature, args, {}
 
     def compiled(self, args: tuple[Any, ...]) -> Any:
-        """numba's result for these types of arguments."""
+        """What numba made of the kernel for these types of arguments."""
         if args not in self.overloads:
             self._tell(self.py_func)
             with global_compiler_lock:
@@ -133,14 +133,6 @@ class Part(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         return self.compiled(tuple(sig)).entry_point
-
-
-class Whole(CPUDispatcher):
-    """A kernel as Python sees it."""
-
-    def __init__(self, function: Callable[..., Any], *, inline: bool) -> None:
-        options = {**OPTIONS, "forceinline": inline, "_nrt": False}
-        super().__init__(function, targetoptions=options)
 
 
 def _libraries(library: Any, seen: set[int]) -> Iterator[Any]:

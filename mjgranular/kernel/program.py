@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import llvmlite.binding as llvm
 
@@ -83,13 +84,12 @@ def save(function: Callable[..., Any], name: str, stamp: object, code: Code) -> 
     for folder in _folders(function):
         with suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
-            handle, written = tempfile.mkstemp(prefix=f"{name}.", dir=folder)
+            written = folder / f"{name}.{uuid4().hex[:16]}"
             try:
-                with open(handle, "wb") as file:
-                    file.write(content)
-                os.replace(written, folder / f"{name}.program")
+                written.write_bytes(content)
+                written.replace(folder / f"{name}.program")
             except OSError:
-                os.unlink(written)
+                written.unlink(missing_ok=True)
                 raise
             return
 
@@ -175,7 +175,9 @@ class _Memory:
                 self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
             missing = [need for need in code.needs if not llvm.address_of_symbol(need)]
             if missing:  # which would end the process
-                raise ImportError(f"{name} needs {', '.join(missing)}, which the process does not have")
+                raise ImportError(
+                    f"{name} needs {', '.join(missing)}, which the process does not have"
+                )
             self._engine.add_object_file(llvm.ObjectFileRef.from_data(code.object_code))
             self._engine.finalize_object()
             return self._engine.get_function_address(name)
