@@ -21,7 +21,7 @@ def log(function: Callable[..., Any]) -> None:
 
 
 class _Announcement:
-    """Tells that kernels are being compiled: each in the log, the first to who waits for it.
+    """Tells who waits that kernels are being compiled, once a process.
 
     Who waits looks at a terminal. Where the log is read, and the command line reads it, that is
     enough.
@@ -31,14 +31,12 @@ class _Announcement:
         self._lock = threading.Lock()
         self._told = False
 
-    def tell(self, function: Callable[..., Any], how_often: str) -> None:
-        """Tells that a kernel is compiled now.
+    def tell(self, how_often: str) -> None:
+        """Tells that kernels are compiled now.
 
         Args:
-            function: of the kernel.
             how_often: that will happen, in words.
         """
-        log(function)
         with self._lock:
             first, self._told = not self._told, True
         if first and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):

@@ -12,7 +12,7 @@ import mujoco
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.registry import CPUDispatcher
 
-from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement
+from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
 from mjgranular.kernel.identity import PACKAGE_STAMP, digest, parts_of
 from mjgranular.kernel.parts import OPTIONS
 
@@ -74,7 +74,8 @@ class _PackageCache(FunctionCache):
         except (OSError, EOFError, pickle.UnpicklingError):
             found = None
         if found is None:
-            announcement.tell(self._function, ONCE)
+            log(self._function)
+            announcement.tell(ONCE)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -89,4 +90,5 @@ class _NoCache(NullCache):
         self._function = py_func
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
-        announcement.tell(self._function, ALWAYS)
+        log(self._function)
+        announcement.tell(ALWAYS)

@@ -52,11 +52,11 @@ class Kernel:
 
 
 def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
-    """Compiles `function` in nopython mode on first call; later processes load it from disk.
+    """Compiles `function` in nopython mode when it is needed; later processes load it from disk.
 
     The machine code lies in `__pycache__` beside the source or, where that cannot be written, in
-    numba's folder for the user (`NUMBA_CACHE_DIR` overrides both). Where neither can be written
-    the kernel is compiled once a process.
+    the user's folder for caches (`NUMBA_CACHE_DIR` overrides both). Where neither can be written
+    it is compiled once a process.
 
     Args:
         function: scalar arithmetic and loops over arrays, without Python objects, exceptions or
@@ -103,7 +103,7 @@ def _kept_or_made(kernel: Kernel, types: tuple[str, ...]) -> Program:
         from mjgranular.kernel import parts
 
         keeps = can_be_kept(function)
-        announcement.tell(function, ONCE if keeps else ALWAYS)
+        announcement.tell(ONCE if keeps else ALWAYS)
         kept = parts.build(kernel.part, tuple(getattr(parts.types, t) for t in types), name)
         if keeps:
             save(function, name, PACKAGE_STAMP, kept)

@@ -214,7 +214,8 @@ def build(part: Part, args: tuple[Any, ...], name: str) -> Code:
     needs += [v.name for v in module.global_variables if v.is_declaration]
     return Code(
         codegen._tm.emit_object(module),
-        tuple(sorted(name for name in needs if not name.startswith("llvm."))),
+        needs=tuple(sorted(name for name in needs if not name.startswith("llvm."))),
+        python=f"{name}.python" in {function.name for function in module.functions},
     )
 
 

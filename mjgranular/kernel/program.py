@@ -32,10 +32,12 @@ class Code:
     Attributes:
         object_code: for this machine.
         needs: names of functions and of memory that it expects in the process.
+        python: whether Python can call it.
     """
 
     object_code: bytes
     needs: tuple[str, ...]
+    python: bool
 
 
 def _folders(function: Callable[..., Any]) -> Iterator[Path]:
@@ -79,7 +81,12 @@ def save(function: Callable[..., Any], name: str, stamp: object, code: Code) -> 
         stamp: of its source.
         code: the program.
     """
-    head = {"stamp": repr(stamp), "needs": code.needs, "sum": _sum(code.object_code)}
+    head = {
+        "stamp": repr(stamp),
+        "sum": _sum(code.object_code),
+        "needs": code.needs,
+        "python": code.python,
+    }
     content = json.dumps(head).encode() + b"\n" + code.object_code
     for folder in _folders(function):
         with suppress(OSError):
@@ -107,7 +114,7 @@ def load(function: Callable[..., Any], name: str, stamp: object) -> Code | None:
             head, _, object_code = (folder / f"{name}.program").read_bytes().partition(b"\n")
             said = json.loads(head)
             if (said["stamp"], said["sum"]) == (repr(stamp), _sum(object_code)):
-                return Code(object_code, tuple(said["needs"]))
+                return Code(object_code, tuple(said["needs"]), said["python"])
     return None
 
 
@@ -140,21 +147,28 @@ class Program:
 
     def __init__(self, name: str, code: Code) -> None:
         self.address = _memory.load(name, code)
-        self._name = name
+        self._name, self._code = name, code
         self._python: Callable[..., Any] | None = None
 
     @property
     def function(self) -> Callable[..., Any]:
-        """The same for Python: numbers of 64 bits to one.
+        """The same for Python.
 
-        Calling it costs some 60 ns; by `ctypes` it would be ten times as much.
+        Raises:
+            TypeError: it takes or gives what is no number of 64 bits.
         """
+        if not self._code.python:
+            raise TypeError(f"{self._name} takes or gives what is no number of 64 bits")
         if self._python is None:
             address = _memory.address(f"{self._name}.python")
             self._method = _Method(self._name.encode(), address, _METH_FASTCALL, None)
             self._python = _new_function(ctypes.addressof(self._method), None, None)
         assert self._python is not None
         return self._python
+
+
+def _missing(code: Code) -> list[str]:
+    return [name for name in code.needs if not llvm.address_of_symbol(name)]
 
 
 class _Memory:
@@ -173,11 +187,13 @@ class _Memory:
                     jit=True
                 )
                 self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-            missing = [need for need in code.needs if not llvm.address_of_symbol(need)]
-            if missing:  # which would end the process
-                raise ImportError(
-                    f"{name} needs {', '.join(missing)}, which the process does not have"
-                )
+            if _missing(code):  # numba has helpers of its own, which it publishes with all the rest
+                from numba.core.registry import cpu_target
+
+                cpu_target.target_context.refresh()
+            if _missing(code):  # to load it would end the process
+                lacks = ", ".join(_missing(code))
+                raise ImportError(f"{name} needs {lacks}, which the process does not have")
             self._engine.add_object_file(llvm.ObjectFileRef.from_data(code.object_code))
             self._engine.finalize_object()
             return self._engine.get_function_address(name)
