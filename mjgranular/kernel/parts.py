@@ -204,9 +204,10 @@ def build(part: Part, args: tuple[Any, ...], name: str) -> Code:
     doors = llvm.parse_assembly(cgutils.normalize_ir_text(str(_doors(context, result, name))))
     module.link_in(doors)
     exported = {name, f"{name}.python"}
-    for function in module.functions:
-        if not function.is_declaration and function.name not in exported:
-            function.linkage = "internal"
+    for values in (module.functions, module.global_variables):
+        for value in values:
+            if not value.is_declaration and value.name not in exported:
+                value.linkage = "internal"
     module.verify()
     manager, builder = codegen._module_pass_manager()
     manager.run(module, builder)
