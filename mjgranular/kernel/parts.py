@@ -6,6 +6,10 @@ is typed and translated once, as a part; a program, which is called from outside
 parts and optimized as a whole, once.
 """
 
+# numba's classes have no types, or wrong ones.
+# pyright: reportAttributeAccessIssue=false, reportIncompatibleMethodOverride=false
+# pyright: reportIncompatibleVariableOverride=false, reportCallIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator

@@ -190,7 +190,8 @@ class _Memory:
             if _missing(code):  # numba has helpers of its own, which it publishes with all the rest
                 from numba.core.registry import cpu_target
 
-                cpu_target.target_context.refresh()
+                context: Any = cpu_target.target_context
+                context.refresh()
             if _missing(code):  # to load it would end the process
                 lacks = ", ".join(_missing(code))
                 raise ImportError(f"{name} needs {lacks}, which the process does not have")
