@@ -132,6 +132,80 @@ def test_a_kernel_is_loaded_not_compiled_again(start):
     assert finish(start(another)) == ["0", "1"]
 
 
+PROGRAM = """
+from mjgranular.kernel import entry
+
+@compiled
+def add(n, x):
+    return n + int(twice(x))
+
+def sum_of(n, x):
+    seen = "numba" in sys.modules
+    print(entry(add, "int64", "float64")(n, x), seen, "numba" in sys.modules)
+"""
+
+
+@pytest.fixture
+def run(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", "") + PROGRAM, encoding="utf-8")
+
+    def run(code, cache="cache"):
+        command = [sys.executable, "-c", f"from kernels import *\n{code}"]
+        env = {
+            **os.environ,
+            "NUMBA_CACHE_DIR": str(tmp_path / cache),
+            "PYTHONPATH": str(tmp_path),
+        }
+        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    return run
+
+
+def test_a_program_is_loaded_without_the_compiler(run, tmp_path):
+    assert run("sum_of(2, 1.5)") == ["5", "False", "True"]
+    assert run("sum_of(2, 1.5)") == ["5", "False", "False"]
+    (kept,) = (tmp_path / "cache").rglob("*.program")
+    whole = kept.read_bytes()
+    for damaged in (whole[: len(whole) // 2], whole[:-9] + bytes(9), b""):
+        kept.write_bytes(damaged)
+        assert run("sum_of(2, 1.5)") == ["5", "False", "True"]
+        assert kept.read_bytes() == whole
+    another = "from kernels import *; import mujoco; mujoco.__version__ = '9.9'; sum_of(2, 1.5)"
+    assert run(another) == ["5", "False", "True"]
+
+
+def test_where_a_program_cannot_be_kept_it_is_compiled(run, tmp_path):
+    (tmp_path / "file").touch()
+    for _ in range(2):
+        assert run("sum_of(2, 1.5)", cache="file") == ["5", "False", "True"]
+
+
+def test_a_program_takes_numbers_and_nothing_else(run):
+    code = """
+program = entry(add, "int64", "float64")
+for arguments in ((1,), (1, 2.0, 3), ("1", 2.0), (1, None)):
+    try:
+        program(*arguments)
+    except TypeError:
+        print("refused")
+print(program(1, 2))
+"""
+    assert run(code) == 4 * ["refused"] + ["5"]
+
+
+def test_two_numbers_that_are_written_out_are_one_type(run):
+    code = """
+@compiled
+def both(x):
+    return twice(x) + add(1, 2.0) + add(2, 3.0)
+
+print(both(1.0), len(add.part.overloads))
+"""
+    assert run(code) == ["15.0", "1"]
+
+
 NAMES = (
     """
 import mujoco

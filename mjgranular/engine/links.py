@@ -11,9 +11,8 @@ from collections.abc import Iterable
 from typing import Any
 
 import llvmlite.binding as llvm
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+
+from mjgranular.kernel.foreign import Intrinsic
 
 
 def publish(name: str, address: int) -> None:
@@ -31,6 +30,9 @@ def symbol(name: str) -> Any:
     """A compiled function `address()` of what is published under that name."""
 
     def look_up(typingctx: Any) -> Any:
+        from llvmlite import ir
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             found = builder.module.globals.get(name)
             if found is None:
@@ -40,11 +42,13 @@ def symbol(name: str) -> Any:
 
         return types.int64(), codegen
 
-    return intrinsic(look_up)
+    return Intrinsic(look_up)
 
 
 def _call_program(typingctx: Any, function: Any, table: Any, lead: Any) -> Any:
     """Calls the program at an address, which takes a table's address and a time [s]."""
+    from llvmlite import ir
+    from numba import types
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         long, double = ir.IntType(64), ir.DoubleType()
@@ -56,6 +60,8 @@ def _call_program(typingctx: Any, function: Any, table: Any, lead: Any) -> Any:
 
 def _add_atomically(typingctx: Any, address: Any, change: Any) -> Any:
     """Adds to the int64 at an address, one thread at a time; gives what was there before."""
+    from llvmlite import ir
+    from numba import types
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = builder.inttoptr(args[0], ir.IntType(64).as_pointer())
@@ -64,18 +70,5 @@ def _add_atomically(typingctx: Any, address: Any, change: Any) -> Any:
     return types.int64(types.int64, types.int64), codegen
 
 
-call_program: Any = intrinsic(_call_program)
-add_atomically: Any = intrinsic(_add_atomically)
-
-
-def c_address(dispatcher: Any, *arguments: Any) -> int:
-    """The address of a compiled function with C's calling convention, compiled now if need be.
-
-    Args:
-        dispatcher: made by `kernel.compiled`.
-        arguments: numba's types of its arguments.
-    """
-    dispatcher.compile(arguments)
-    compiled = dispatcher.overloads[arguments]
-    name = compiled.fndesc.llvm_cfunc_wrapper_name
-    return compiled.library.get_pointer_to_function(name)
+call_program: Any = Intrinsic(_call_program)
+add_atomically: Any = Intrinsic(_add_atomically)

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numba import types
 
 from mjgranular.engine import sensor
 from mjgranular.engine.aside import aside, is_aside
@@ -27,13 +26,13 @@ from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
-from mjgranular.engine.links import c_address
 from mjgranular.engine.native import release, retain
 from mjgranular.engine.plugin import SENSOR_KEYS
 from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.kernel.compiled import program_of
 from mjgranular.law import get_law, make_scene
 from mjgranular.medium import media
 from mjgranular.medium.medium import get_medium
@@ -97,8 +96,8 @@ class Loader:
         self._prepared: OrderedDict[bytes, Prepared] = OrderedDict()
         self._fields: dict[bytes, dict[str, tuple[int, int]]] = {}
         function = ctypes.PYFUNCTYPE(None, ctypes.c_int64)
-        self._retain = function(c_address(retain, types.int64))
-        self._release = function(c_address(release, types.int64))
+        self._retain = function(program_of(retain, "int64").address)
+        self._release = function(program_of(release, "int64").address)
         self.draws = False
         """Whether anything was to be drawn so far."""
 
@@ -303,7 +302,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     kernel = law.kernel(surface)
     program = scheme.program(kernel, scene.dtype)
     values = {
-        "program": c_address(program, types.int64, types.float64),
+        "program": program_of(program, "int64", "float64").address,
         "whole": scheme.whole_state,
         "lead": scheme.lead,
         "draw": _drawing(model, config.draw),

@@ -7,7 +7,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import types
 
 from mjgranular.engine.adjust import adjuster
 from mjgranular.engine.block import (
@@ -30,6 +29,7 @@ from mjgranular.engine.rows import (
 from mjgranular.engine.sensor import sensor_compute
 from mjgranular.engine.tuning import INITIAL, STATE_SIZE
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.foreign import External
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -54,11 +54,11 @@ PREPARE = "mjgranular_prepare"
 FUNCTIONS = ("mju_error", "mju_free", "mjv_initGeom", "mjv_connector")
 """Functions of MuJoCo's that compiled code calls."""
 
-INIT_TYPES = (types.int64, types.int64, types.int32)
+INIT_TYPES = ("int64", "int64", "int32")
 """Of `init` and of the way into Python: mjModel*, mjData*, the number of the instance."""
 
-Callbacks = dict[str, tuple[Any, tuple[Any, ...]]]
-"""Compiled functions by the names of their fields in `mjpPlugin`, with numba's types of arguments.
+Callbacks = dict[str, tuple[Any, tuple[str, ...]]]
+"""Compiled functions by the names of their fields in `mjpPlugin`, and the types of their arguments.
 
 Beside them `start`, which is called from Python.
 """
@@ -66,13 +66,13 @@ Beside them `start`, which is called from Python.
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
 
-_address, _number = types.int64, types.int32
+_address, _number = "int64", "int32"
 _header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
 _bytes = records(np.dtype(np.uint8))
-_prepare = types.ExternalFunction(PREPARE, types.int64(*INIT_TYPES))
-_error = types.ExternalFunction("mju_error", types.void(types.int64))
-_free = types.ExternalFunction("mju_free", types.void(types.int64))
+_prepare = External(PREPARE, "int64", *INIT_TYPES)
+_error = External("mju_error", "void", "int64")
+_free = External("mju_free", "void", "int64")
 
 
 @partial(compiled, inline=True)

@@ -166,11 +166,11 @@ class Engine:
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
         """Compiles functions and has MuJoCo call them."""
-        from mjgranular.engine.links import c_address
+        from mjgranular.kernel.compiled import program_of
 
         registered = PluginStruct.from_address(library().mjp_getPlugin(plugin.encode(), None))
         for name, (function, types) in callbacks.items():
-            address = c_address(function, *types)
+            address = program_of(function, *types).address
             if name == "start":
                 self._start = ctypes.CFUNCTYPE(None, _address, _address, _int)(address)
             else:

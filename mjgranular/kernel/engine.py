@@ -17,7 +17,8 @@ import llvmlite.binding as llvm
 import mujoco
 import numpy as np
 from mujoco.introspect.structs import STRUCTS
-from numba import types
+
+from mjgranular.kernel.foreign import External
 
 _PATTERN = {"win32": "mujoco.dll", "darwin": "libmujoco*.dylib"}.get(sys.platform, "libmujoco.so*")
 
@@ -36,14 +37,14 @@ def library() -> ctypes.CDLL:
     return ctypes.CDLL(str(found[0]))
 
 
-def _function(name: str, *arguments: Any) -> Any:
+def _function(name: str, *arguments: str) -> External:
     """A function of the engine that returns nothing; pointers are passed as integers."""
     address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
     llvm.add_symbol(name, address)
-    return types.ExternalFunction(name, types.void(*arguments))
+    return External(name, "void", *arguments)
 
 
-_ADDRESS, _INT = types.int64, types.int32
+_ADDRESS, _INT = "int64", "int32"
 forward_actuation = _function("mj_fwdActuation", _ADDRESS, _ADDRESS)
 forward_acceleration = _function("mj_fwdAcceleration", _ADDRESS, _ADDRESS)
 bias_forces = _function("mj_rne", _ADDRESS, _ADDRESS, _INT, _ADDRESS)

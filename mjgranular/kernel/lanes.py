@@ -9,143 +9,26 @@ numbers and lanes. Each lane is IEEE arithmetic, the same on every processor.
 
 from __future__ import annotations
 
-import itertools
-import operator
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import (
-    intrinsic,
-    lower_builtin,
-    models,
-    register_model,
-)
+
+from mjgranular.kernel.foreign import Intrinsic
 
 LINE = 64
 """Bytes in a line of the cache, and in the widest vector. Rows that lie across two lines take up to
 twice as long to read."""
 
-_DOUBLE, _INT = ir.DoubleType(), ir.IntType(64)
-
-
-class Lanes(types.Type):
-    """So many numbers as one."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__(name=f"Lanes({count})")
-        self.count = count
-
-
-class Mask(types.Type):
-    """So many yes or no."""
-
-    def __init__(self, count: int) -> None:
-        super().__init__(name=f"Mask({count})")
-        self.count = count
-
-
-@register_model(Mask)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Mask) -> None:
-        super().__init__(dmm, fe_type, ir.VectorType(ir.IntType(1), fe_type.count))
-
-
-@register_model(Lanes)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Lanes) -> None:
-        super().__init__(dmm, fe_type, ir.VectorType(_DOUBLE, fe_type.count))
-
-
-def _lanes_among(args: Any) -> Lanes | None:
-    """The type of the result of arithmetic, None if that is no business of ours."""
-    found = next((arg for arg in args if isinstance(arg, Lanes)), None)
-    others = (arg for arg in args if arg != found)
-    if found is None or not all(isinstance(arg, (types.Float, types.Integer)) for arg in others):
-        return None
-    return found
-
-
-def _spread(context: Any, builder: Any, kind: Any, value: Any, lanes: Lanes) -> Any:
-    """A value as lanes: a number stands for as many alike."""
-    if isinstance(kind, Lanes):
-        return value
-    number = context.cast(builder, value, kind, types.float64)
-    vector = ir.VectorType(_DOUBLE, lanes.count)
-    first = builder.insert_element(ir.Constant(vector, ir.Undefined), number, _INT(0))
-    places = ir.Constant(ir.VectorType(ir.IntType(32), lanes.count), [0] * lanes.count)
-    return builder.shuffle_vector(first, first, places)
-
-
-def _define(
-    function: Any, emit: Callable[..., Any], result: Callable[[Lanes], Any], arguments: int
-) -> None:
-    """Makes an operator known for lanes."""
-
-    class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            lanes = _lanes_among(args)
-            return None if lanes is None else signature(result(lanes), *args)
-
-    known: Any = infer_global(function)
-    known(Template)
-
-    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        lanes: Any = _lanes_among(sig.args)
-        values = (
-            _spread(context, builder, kind, value, lanes)
-            for kind, value in zip(sig.args, args, strict=True)
-        )
-        return emit(builder, *values)
-
-    kinds = (Lanes, types.Number)
-    for pair in itertools.product(kinds, repeat=arguments):
-        if Lanes in pair:
-            lower_builtin(function, *pair)(lower)
-
-
-def _size(builder: Any, value: Any) -> Any:
-    kind = ir.FunctionType(value.type, [value.type])
-    name = f"llvm.fabs.v{value.type.count}f64"
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [value])
-
-
-def _same(lanes: Lanes) -> Lanes:
-    return lanes
-
-
-for _operator, _name in (
-    (operator.add, "fadd"),
-    (operator.sub, "fsub"),
-    (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
-):
-    _define(_operator, lambda builder, a, b, name=_name: getattr(builder, name)(a, b), _same, 2)
-_define(operator.neg, lambda builder, a: builder.fneg(a), _same, 1)
-_define(abs, _size, _same, 1)
-for _operator, _sign in (
-    (operator.lt, "<"),
-    (operator.le, "<="),
-    (operator.gt, ">"),
-    (operator.ge, ">="),
-):
-    _define(
-        _operator,
-        lambda builder, a, b, sign=_sign: builder.fcmp_ordered(sign, a, b),
-        lambda lanes: Mask(lanes.count),
-        2,
-    )
-
 
 def _choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
     """`yes if condition else no`, in each lane; both are worked out. Of numbers, too."""
-    result = _lanes_among((yes, no))
+    from numba import types
+
+    from mjgranular.kernel.lane_types import Lanes, Mask, lanes_among, spread
+
+    result = lanes_among((yes, no))
     if isinstance(condition, Mask):
         result = Lanes(condition.count)
     elif result is None:
@@ -153,7 +36,7 @@ def _choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         values = (
-            _spread(context, builder, kind, value, result)
+            spread(context, builder, kind, value, result)
             if isinstance(result, Lanes)
             else context.cast(builder, value, kind, result)
             for kind, value in zip(sig.args[1:], args[1:], strict=True)
@@ -165,18 +48,23 @@ def _choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
 
 def _count(typingctx: Any, mask: Any) -> Any:
     """In how many lanes it is so."""
+    from llvmlite import ir
+    from numba import types
+
+    from mjgranular.kernel.lane_types import Mask
+
     if not isinstance(mask, Mask):
         return None
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         bits = builder.bitcast(args[0], ir.IntType(mask.count))
-        return builder.zext(builder.ctpop(bits), _INT)
+        return builder.zext(builder.ctpop(bits), ir.IntType(64))
 
     return types.int64(mask), codegen
 
 
-choose: Any = intrinsic(_choose)
-count_of: Any = intrinsic(_count)
+choose: Any = Intrinsic(_choose)
+count_of: Any = Intrinsic(_count)
 
 
 @dataclass(frozen=True)
@@ -195,10 +83,11 @@ class Rows:
 @cache
 def rows(count: int, lanes: int) -> Rows:
     """Makes the kernels for so many rows of so many lanes."""
-    row = Lanes(lanes)
-    vector = ir.VectorType(_DOUBLE, lanes)
 
     def places(context: Any, builder: Any, array: Any, args: Any) -> list[Any]:
+        from llvmlite import ir
+
+        vector = ir.VectorType(ir.DoubleType(), lanes)
         data = context.make_array(array)(context, builder, args[0]).data
         indices = (builder.add(args[1], args[1].type(k * lanes)) for k in range(count))
         return [
@@ -206,28 +95,36 @@ def rows(count: int, lanes: int) -> Rows:
         ]
 
     def read(typingctx: Any, array: Any, first: Any) -> Any:
+        from numba import types
+
+        from mjgranular.kernel.lane_types import Lanes
+
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             numbers = [
                 builder.load(place, align=8) for place in places(context, builder, array, args)
             ]
             return context.make_tuple(builder, sig.return_type, numbers)
 
-        return types.UniTuple(row, count)(array, types.int64), codegen
+        return types.UniTuple(Lanes(lanes), count)(array, types.int64), codegen
 
     def write(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
+        from numba import types
+
+        from mjgranular.kernel.lane_types import Lanes, spread
+
         if len(numbers) != count:
             return None
 
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             for k, place in enumerate(places(context, builder, array, args)):
                 value = builder.extract_value(args[2], k)
-                value = _spread(context, builder, sig.args[2][k], value, row)
+                value = spread(context, builder, sig.args[2][k], value, Lanes(lanes))
                 builder.store(value, place, align=8)
             return context.get_dummy_value()
 
         return types.void(array, types.int64, numbers), codegen
 
-    return Rows(intrinsic(read), intrinsic(write))
+    return Rows(Intrinsic(read), Intrinsic(write))
 
 
 def aligned(numbers: np.ndarray) -> np.ndarray:

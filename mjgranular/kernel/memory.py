@@ -14,17 +14,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from llvmlite import ir
-from numba import (
-    carray,  # pyright: ignore[reportPrivateImportUsage]
-    from_dtype,
-    types,
-)
-from numba.core import cgutils
-from numba.extending import intrinsic
-from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.foreign import Intrinsic
 
 # The table: four sizes, then addresses. The order is that of `simulation_table`. Within `mj_step`
 # (`engine.block`) XFRC, WARNINGS and KEEP are 0: there they are MuJoCo's own business.
@@ -88,21 +80,27 @@ def simulation_table(
 
 def records(dtype: np.dtype) -> Any:
     """Makes a kernel `read(address, size)` that gives the array of such records at an address."""
-    record = from_dtype(dtype)
 
-    def cast(typingctx: Any, address: Any) -> Any:
+    def read(typingctx: Any, address: Any, size: Any) -> Any:
+        from numba import from_dtype, types
+        from numba.np.arrayobj import populate_array
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+            array = context.make_array(signature.return_type)(context, builder)
+            width = context.get_constant(types.intp, dtype.itemsize)
+            populate_array(
+                array,
+                data=builder.inttoptr(args[0], array.data.type),
+                shape=[args[1]],
+                strides=[width],
+                itemsize=width,
+                meminfo=None,
+            )
+            return array._getvalue()
 
-        return types.CPointer(record)(types.int64), codegen
+        return types.Array(from_dtype(dtype), 1, "C")(types.int64, types.int64), codegen
 
-    pointer: Any = intrinsic(cast)
-
-    @compiled
-    def read(address, size):
-        return carray(pointer(address), (size,))
-
-    return read
+    return Intrinsic(read)
 
 
 @dataclass(frozen=True)
@@ -130,6 +128,8 @@ def column(count: int, stride: int) -> Column:
         return [builder.gep(data, [index]) for index in indices]
 
     def read(typingctx: Any, array: Any, first: Any) -> Any:
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             numbers = [builder.load(place) for place in places(context, builder, array, args)]
             return context.make_tuple(builder, signature.return_type, numbers)
@@ -137,6 +137,8 @@ def column(count: int, stride: int) -> Column:
         return types.UniTuple(types.float64, count)(array, types.int64), codegen
 
     def put(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             for k, place in enumerate(places(context, builder, array, args)):
                 builder.store(builder.extract_value(args[2], k), place)
@@ -145,6 +147,8 @@ def column(count: int, stride: int) -> Column:
         return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
 
     def add(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             for k, place in enumerate(places(context, builder, array, args)):
                 more = builder.extract_value(args[2], k)
@@ -153,7 +157,7 @@ def column(count: int, stride: int) -> Column:
 
         return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
 
-    return Column(intrinsic(read), intrinsic(put), intrinsic(add))
+    return Column(Intrinsic(read), Intrinsic(put), Intrinsic(add))
 
 
 @cache
@@ -165,6 +169,9 @@ def summed(count: int) -> Any:
     """
 
     def add_up(typingctx: Any, array: Any, first: Any) -> Any:
+        from llvmlite import ir
+        from numba import types
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             data = context.make_array(array)(context, builder, args[0]).data
             vector = ir.VectorType(ir.DoubleType(), count)
@@ -185,7 +192,7 @@ def summed(count: int) -> Any:
 
         return types.float64(array, types.int64), codegen
 
-    return intrinsic(add_up)
+    return Intrinsic(add_up)
 
 
 @cache
@@ -196,6 +203,11 @@ def scratch(count: int) -> Any:
     """
 
     def make(typingctx: Any) -> Any:
+        from llvmlite import ir
+        from numba import types
+        from numba.core import cgutils
+        from numba.np.arrayobj import populate_array
+
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
             room.align = 64  # a line of the cache, and of the widest vectors
@@ -212,11 +224,13 @@ def scratch(count: int) -> Any:
 
         return types.Array(types.float64, 1, "C")(), codegen
 
-    return intrinsic(make)
+    return Intrinsic(make)
 
 
 def _hold(typingctx: Any, record: Any) -> Any:
     """Gives a copy of a record that nothing else can change."""
+    from llvmlite import ir
+    from numba.core import cgutils
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         room = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(8), record.size))
@@ -227,7 +241,7 @@ def _hold(typingctx: Any, record: Any) -> Any:
     return record(record), codegen
 
 
-held: Any = intrinsic(_hold)
+held: Any = Intrinsic(_hold)
 """Kernel `held(record)`: a copy of a record that nothing else can change.
 
 A loop that writes elsewhere would read a record's fields again each time around, and could not be

@@ -9,7 +9,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import types
 
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.kernel import entry
@@ -122,8 +121,8 @@ class Sand:
         self._kernel = self._law.kernel(self._surface)
         self._laid = self._kernel.lay(self._elements)
         program = guarded_program(self._scheme.program(self._kernel, self._scene.dtype))
-        self._program = entry(program, types.int64, types.float64)
-        self._finish = entry(finish_step, types.int64)
+        self._program = entry(program, "int64", "float64")
+        self._finish = entry(finish_step, "int64")
         self._lead = self._scheme.lead
         self._shared = shared
         self._options = model.opt  # its `timestep` may change between steps

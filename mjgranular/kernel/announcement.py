@@ -1,0 +1,49 @@
+"""Tells who waits that kernels are being compiled."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+_logger = logging.getLogger("mjgranular.kernel.compiled")
+
+ONCE = "once on a machine, up to half a minute"
+ALWAYS = "in every process, as no folder to keep them in can be written (see NUMBA_CACHE_DIR)"
+
+
+def log(function: Callable[..., Any]) -> None:
+    """Notes in the log that a kernel is compiled."""
+    _logger.info("compiling %s.%s", function.__module__, function.__qualname__)
+
+
+class _Announcement:
+    """Tells who waits that kernels are being compiled, once a process.
+
+    Who waits looks at a terminal. Where the log is read, and the command line reads it, that is
+    enough.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._told = False
+
+    def tell(self, how_often: str) -> None:
+        """Tells that kernels are compiled now.
+
+        Args:
+            how_often: that will happen, in words.
+        """
+        with self._lock:
+            first, self._told = not self._told, True
+        if first and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
+            # There is no stderr in a program without a console, and a closed one cannot be asked.
+            with suppress(AttributeError, OSError, ValueError):
+                if sys.stderr.isatty():
+                    print(f"mjgranular: compiling kernels: {how_often}", file=sys.stderr)
+
+
+announcement = _Announcement()

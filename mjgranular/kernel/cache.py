@@ -1,0 +1,94 @@
+"""Kernels as Python calls them, one by one, kept on disk by numba's own means."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
+from numba.core.registry import CPUDispatcher
+
+from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
+from mjgranular.kernel.identity import PACKAGE_STAMP, digest, parts_of
+from mjgranular.kernel.parts import OPTIONS
+
+
+class Whole(CPUDispatcher):
+    """A kernel as Python sees it: compiled when it is called, for the types of its arguments."""
+
+    def __init__(self, function: Callable[..., Any], *, inline: bool) -> None:
+        options = {**OPTIONS, "forceinline": inline, "_nrt": False}
+        super().__init__(function, targetoptions=options)
+        try:
+            self._cache: Any = _PackageCache(function)
+        except RuntimeError:  # numba: "no locator available"
+            self._cache = _NoCache(function)
+
+
+class _NamedFiles(IndexDataCacheFile):
+    """Code files named by what they hold, and written before the index that points to them.
+
+    numba numbers them by what it found in the index: two processes that compile at once choose the
+    same number for different code.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        name = f"{Path(self._index_name).stem}.{digest(key)}.nbc"
+        self._save_data(name, data)
+        self._save_index({**self._load_index(), key: name})
+
+
+class _PackageCache(FunctionCache):
+    """numba's cache on disk, made safe for a package of kernels that are made of each other.
+
+    Four things differ. numba drops a cached kernel when the file that defines it changes, but
+    not when a file of a kernel that it *calls* does: after an update the old physics would go
+    on running; here the stamp covers all folders with kernels. numba tells kernels from one
+    factory apart by pickling their closures, which differ in every process, so that they are
+    compiled anew each time; here by the names of the kernels in the closure. MuJoCo's structs and
+    enumerations are constants of the code, which is compiled anew for another version of it. And a
+    cache that cannot be read or written (full disk, read-only folder) costs a compilation, never an
+    exception.
+    """
+
+    def __init__(self, py_func: Callable[..., Any]) -> None:
+        super().__init__(py_func)
+        self._function = py_func
+        self._made_of = parts_of(py_func)
+        self._cache_file = _NamedFiles(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=PACKAGE_STAMP,
+        )
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return sig, codegen.magic_tuple(), mujoco.__version__, self._made_of
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            found = super().load_overload(sig, target_context)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            found = None
+        if found is None:
+            log(self._function)
+            announcement.tell(ONCE)
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(OSError):
+            super().save_overload(sig, data)
+
+
+class _NoCache(NullCache):
+    """Where there is no folder to write to."""
+
+    def __init__(self, py_func: Callable[..., Any]) -> None:
+        self._function = py_func
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        log(self._function)
+        announcement.tell(ALWAYS)
