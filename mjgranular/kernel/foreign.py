@@ -28,7 +28,7 @@ class Intrinsic:
         from numba.extending import intrinsic
 
         self._made: Any = intrinsic(self._defn)
-        context = cpu_target.typing_context
+        context: Any = cpu_target.typing_context
         context.refresh()
         return context.resolve_value_type(self._made)
 
@@ -48,6 +48,9 @@ class External:
 
     def __repr__(self) -> str:
         return f"External({self._name!r}, {self._types})"
+
+    def __call__(self, *arguments: Any) -> Any:
+        raise TypeError(f"{self._name} is called by kernels alone")
 
     @cached_property
     def _numba_type_(self) -> Any:

@@ -22,9 +22,9 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from numba.core.typed_passes import NativeLowering
-from numba.core.typing import make_concrete_template
+from numba.core.typing.templates import make_concrete_template
 
 from mjgranular.kernel import lane_types  # noqa: F401  (numba is to know them before it types)
 from mjgranular.kernel.program import Code
