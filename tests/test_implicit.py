@@ -430,7 +430,6 @@ CONTACTS = {
     for condim in (3, 6)
 }
 INTEGRATORS = ("Euler", "implicit", "implicitfast")
-EULER_DAMPING = {"polynomial damping", "damping by actuators"}
 
 
 def tree(integrator="Euler", root=FREE, joint="", world="", more="", option=""):
@@ -465,10 +464,7 @@ def surprise(model, steps=40, **options):
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 @pytest.mark.parametrize("case", SMOOTH)
-def test_the_step_is_foreseen(case, integrator, request):
-    if integrator == "Euler" and case in EULER_DAMPING:
-        reason = "Euler's implicit damping is that of dof_damping alone in the scheme"
-        request.applymarker(pytest.mark.xfail(reason=reason))
+def test_the_step_is_foreseen(case, integrator):
     # Measured: at most 2e-10.
     assert surprise(tree(integrator, **SMOOTH[case])) < 1e-9
 

@@ -29,11 +29,13 @@ from mjgranular.kernel.lanes import LINE
 from mjgranular.law.kernel import LawKernel
 from mjgranular.sand.binding import bind
 from mjgranular.scheme import Scheme
+from mjgranular.scheme.status import REFUSED
 
 # What each step reads comes first, in two cache lines.
 HEADER_DTYPE = np.dtype(
     [
         ("refused", np.int64),  # not 0: the sand does nothing, and behind the header stands why
+        ("refusals", np.int64),  # address, in the share: texts for `scheme.status.REFUSED`
         ("tuning_count", np.int64),  # 0 where it has none
         ("of_model", np.int64),  # address: relocations that read the model
         ("of_model_count", np.int64),
@@ -71,6 +73,9 @@ RELOCATION_DTYPE = np.dtype(
 SHARE_DTYPE = np.dtype({"names": ["users"], "formats": [np.int64], "itemsize": LINE})
 IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
 """Kinds of relocation. Those that read the model are the last two."""
+
+REFUSAL_SIZE = 480
+"""Bytes of a text, its end included: MuJoCo cuts at 500."""
 
 _WORD = 8  # bytes
 _MOST_RELOCATIONS = 256
@@ -117,8 +122,9 @@ def make_image(
     """
     slots = elements["slot"].astype(np.int64)
     room = np.zeros(_MOST_RELOCATIONS, RELOCATION_DTYPE)
-    share, (_, laid, slots, tunings, room) = _allocate(
-        [np.ones(1, SHARE_DTYPE), kernel.lay(elements), slots, tunings, room]
+    texts = refusals(scheme)
+    share, (_, laid, slots, tunings, room, texts) = _allocate(
+        [np.ones(1, SHARE_DTYPE), kernel.lay(elements), slots, tunings, room, texts]
     )
     binding = bind(model, data, elements, laid, scene, scheme, kernel, within=True)
     head = np.zeros(1, HEADER_DTYPE)
@@ -138,6 +144,7 @@ def make_image(
         **values,
         "size": sum(map(_padded, own)),
         "share": share,
+        "refusals": texts.ctypes.data,
         "of_model": of_model.ctypes.data,
         "of_model_count": count,
         "relocations": room.ctypes.data,
@@ -170,6 +177,12 @@ def make_image(
         first = places[array.ctypes.data]
         content[first : first + array.nbytes] = _bytes(array)
     return Image(content, share)
+
+
+def refusals(scheme: Scheme) -> np.ndarray:
+    """What MuJoCo is to say for each of `REFUSED`: texts of `REFUSAL_SIZE` bytes."""
+    texts = [f"mjgranular: {scheme.refusal(status)}".encode() for status in REFUSED]
+    return np.array(texts, f"S{REFUSAL_SIZE}")
 
 
 def load(content: np.ndarray) -> int:

@@ -15,6 +15,7 @@ from mjgranular.engine.block import (
     IN_MODEL,
     POINTER_IN_DATA,
     POINTER_IN_MODEL,
+    REFUSAL_SIZE,
     RELOCATION_DTYPE,
 )
 from mjgranular.engine.layout import Layout
@@ -47,6 +48,7 @@ from mjgranular.kernel.memory import (
     table_at,
 )
 from mjgranular.kernel.records import body_records
+from mjgranular.scheme.status import BAD_TIMESTEP
 
 PREPARE = "mjgranular_prepare"
 """Name by which compiled code finds the way into Python."""
@@ -255,7 +257,10 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         lead = 0.0
         if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
             lead = header.lead * floats(model + timestep, 1)[0]
-        call_program(header.program, header.table, lead)
+        status = call_program(header.program, header.table, lead)
+        if status <= BAD_TIMESTEP:
+            _error(header.refusals + REFUSAL_SIZE * (BAD_TIMESTEP - status))
+            return
         add_wrenches(table_at(header.table), header.qfrc, header.awake)
 
     return {

@@ -19,6 +19,7 @@ import numpy as np
 from mujoco.introspect.structs import STRUCTS
 
 from mjgranular.kernel.foreign import External
+from mjgranular.kernel.structs import record_of
 
 _PATTERN = {"win32": "mujoco.dll", "darwin": "libmujoco*.dylib"}.get(sys.platform, "libmujoco.so*")
 
@@ -37,11 +38,11 @@ def library() -> ctypes.CDLL:
     return ctypes.CDLL(str(found[0]))
 
 
-def _function(name: str, *arguments: str) -> External:
-    """A function of the engine that returns nothing; pointers are passed as integers."""
+def _function(name: str, *arguments: str, result: str = "void") -> External:
+    """A function of the engine; pointers are passed as integers."""
     address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
     llvm.add_symbol(name, address)
-    return External(name, "void", *arguments)
+    return External(name, result, *arguments)
 
 
 _ADDRESS, _INT = "int64", "int32"
@@ -53,6 +54,8 @@ constraint_references = _function("mj_referenceConstraint", _ADDRESS, _ADDRESS)
 forward_constraint = _function("mj_fwdConstraint", _ADDRESS, _ADDRESS)
 solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)
 smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
+is_sparse = _function("mj_isSparse", _ADDRESS, result=_INT)
+actuator_damping = _function("mj_actuatorDamping", _ADDRESS, _INT, _INT, _ADDRESS, result="float64")
 
 
 # Offsets in `mjData` of what describes its constraint rows [bytes], and the size of a contact. The
@@ -148,16 +151,4 @@ def _first(rows: dict[str, int], data: mujoco.MjData, name: str) -> Any:
     return np.frombuffer(ctypes.string_at(pointer, CONTACT_DTYPE.itemsize), CONTACT_DTYPE)[0][name]
 
 
-def _contact_dtype() -> np.dtype:
-    """`mjContact` as a record, as MuJoCo describes it."""
-    kinds = {"mjtNum": np.float64, "int": np.int32}
-    fields = []
-    described: Any = STRUCTS["mjContact"].fields
-    for field in described:
-        kind, _, size = str(field.type).partition(" [")
-        shape = tuple(int(n) for n in size.rstrip("]").split("][")) if size else ()
-        fields.append((field.name, kinds[kind], shape))
-    return np.dtype(fields, align=True)
-
-
-CONTACT_DTYPE = _contact_dtype()
+CONTACT_DTYPE = record_of("mjContact")

@@ -18,12 +18,14 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.foreign import Intrinsic
 
-# The table: four sizes, then addresses. The order is that of `simulation_table`. Within `mj_step`
-# (`engine.block`) XFRC, WARNINGS and KEEP are 0: there they are MuJoCo's own business.
-NBODY, NV, ELEMENT_COUNT, BODY_COUNT = range(4)
-GRAVITY, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(4, 14)
-WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, KEEP, DESK = range(14, 21)
-TABLE_SIZE = 21
+# The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
+# bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
+# Within `mj_step` (`engine.block`) XFRC, WARNINGS and KEEP are 0: there they are MuJoCo's own
+# business.
+NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
+OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
+WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, KEEP, DESK = range(16, 23)
+TABLE_SIZE = 23
 
 
 def simulation_table(
@@ -37,6 +39,9 @@ def simulation_table(
     contacts: np.ndarray,
     spans: np.ndarray,
     desk: np.ndarray,
+    options: int,
+    integrators: int,
+    longest_step: int,
 ) -> np.ndarray:
     """Makes the table of sizes and addresses.
 
@@ -50,13 +55,15 @@ def simulation_table(
         contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
         spans: what is kept of the state (`kernel.keep`).
         desk: what the scheme works with (`Scheme.desk`).
+        options: address of the model's options (`kernel.options`).
+        integrators: that can be stepped, a bit each.
+        longest_step: the longest time step that can be taken [ns].
 
     Returns:
-        The table, shape (21,), int64. It keeps nothing alive: all of the arguments must outlive
+        The table, shape (23,), int64. It keeps nothing alive: all of the arguments must outlive
         every use of it.
     """
     arrays = (
-        model.opt.gravity,
         model.dof_parentid,
         data.xpos,
         data.xmat,
@@ -74,8 +81,9 @@ def simulation_table(
         spans,
         desk,
     )
-    sizes = (model.nbody, model.nv, count, len(bodies))
-    return np.array([*sizes, *(array.ctypes.data for array in arrays)], dtype=np.int64)
+    numbers = (model.nbody, model.nv, count, len(bodies), integrators, longest_step)
+    addresses = (options, *(array.ctypes.data for array in arrays))
+    return np.array([*numbers, *addresses], dtype=np.int64)
 
 
 def records(dtype: np.dtype) -> Any:

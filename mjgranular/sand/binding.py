@@ -10,9 +10,11 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.keep import Kept
 from mjgranular.kernel.memory import simulation_table
+from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.scheme import Desk, Scheme
+from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
 from mjgranular.shape.select import last_dof
 
 
@@ -70,6 +72,8 @@ def bind(
     bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     kept = Kept.of(model, data)
+    # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
+    anywhere = within and not scheme.whole_state
     desk = scheme.desk(model, data, elements, kernel, within=within)
     table = simulation_table(
         model,
@@ -81,5 +85,8 @@ def bind(
         contacts=contacts,
         spans=kept.spans,
         desk=desk.table,
+        options=options_address(model),
+        integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
+        longest_step=nanoseconds(scheme.longest_step),
     )
     return Binding(table, table.ctypes.data, bodies, contacts, kept, desk)

@@ -8,10 +8,8 @@ from typing import Any
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.keep import keep
 from mjgranular.kernel.memory import table_at
-from mjgranular.scheme.wrenches import BAD_STATE, is_bad, take_back_wrenches
-
-FINE = -1
-"""What a program returns when all is well."""
+from mjgranular.scheme.status import BAD_STATE, FINE
+from mjgranular.scheme.wrenches import is_bad, take_back_wrenches
 
 
 @cache

@@ -16,9 +16,10 @@ from mjgranular.law import Law, get_law, make_scene
 from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.company import company_of, refuse_sand_of_its_own
-from mjgranular.sand.guard import FINE, finish_step, guarded_program
+from mjgranular.sand.guard import finish_step, guarded_program
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.scheme import Scheme, get_scheme
+from mjgranular.scheme.status import FINE, REFUSED
 from mjgranular.shape import select_geoms
 from mjgranular.shape.select import body_name
 from mjgranular.surface import Plane, Surface
@@ -182,8 +183,10 @@ class Sand:
             UnstableError: a force is not finite, and then the step is not finished; or MuJoCo has
                 found the state bad, and then `data` holds the last good state, its time, controls
                 and `xfrc_applied` included.
-            InputError: at the first step with this `data`: it belongs to another model, or another
-                `Sand` acts on one of the bodies.
+            InputError: the time step is not a positive number, or the model's integrator was
+                changed to one that cannot be stepped (RK4): the step is not made. At the first step
+                with this `data`: it belongs to another model, or another `Sand` acts on one of the
+                bodies.
         """
         recent, address = self._recent
         if recent() is not data:
@@ -192,11 +195,11 @@ class Sand:
         _step1(model, data)
         failed = self._program(address, self._lead * self._options.timestep)
         if failed != FINE:
-            raise self._unstable(data, failed)
+            raise self._failure(data, failed)
         _step2(model, data)
         failed = self._finish(address)
         if failed != FINE:
-            raise self._unstable(data, failed)
+            raise self._failure(data, failed)
 
     def apply(self, data: mujoco.MjData) -> None:
         """Adds the sand's wrenches to `data.xfrc_applied`, for a stepping loop of your own.
@@ -215,7 +218,7 @@ class Sand:
             address = self._bind(data)
         failed = self._program(address, self._lead * self._options.timestep)
         if failed != FINE:
-            raise self._unstable(data, failed, own=False)
+            raise self._failure(data, failed, own=False)
 
     def release(self, data: mujoco.MjData) -> None:
         """Lets a simulation go, so that another `Sand` may act on the same bodies of it.
@@ -250,7 +253,7 @@ class Sand:
         binding.bodies["written"] = np.nan  # what is there now is the user's
         failed = self._program(binding.address, lead)
         if failed != FINE:
-            raise self._unstable(data, failed, binding)
+            raise self._failure(data, failed, binding)
         probe.time = data.time
         report = describe(
             probe,
@@ -316,15 +319,15 @@ class Sand:
             self._kernel,
         )
 
-    def _unstable(
+    def _failure(
         self,
         data: mujoco.MjData,
         failed: int,
         binding: Binding | None = None,
         *,
         own: bool = True,
-    ) -> UnstableError:
-        """What to raise when a program has failed; brings the last good state back.
+    ) -> UnstableError | InputError:
+        """What to raise when a program has failed; brings the last good state back, if it is bad.
 
         Args:
             data: the simulation.
@@ -333,6 +336,8 @@ class Sand:
             own: whether `xfrc_applied` was wholly the user's when the state was kept.
         """
         model = self._model
+        if failed in REFUSED:
+            return InputError(self._scheme.refusal(failed))
         if binding is None:
             binding = self._bindings[data]
         advice = f"a time step below {self._options.timestep:g} s may do better"

@@ -21,6 +21,7 @@ _logger = logging.getLogger(__name__)
 # the implicit one costs milliseconds.
 FINE_STEP = 2e-5  # [s]
 MANY_ELEMENTS = 5000
+_FINE_OF_MANY = 1e-4  # [s]
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,14 @@ class Auto(Scheme):
     def choose(self, timestep: float, elements: int) -> tuple[Scheme, str]:
         """The scheme for a time step [s] and a number of elements, and why, in words."""
         if timestep <= FINE_STEP:
-            return Explicit(), (
+            return Explicit(longest_step=FINE_STEP), (
                 f"the time step of {timestep:g} s is fine enough for forces as they come, which "
                 "are of second order"
             )
-        if elements > MANY_ELEMENTS and timestep <= 1e-4:
-            return Explicit(), f"{elements} elements are many, and {timestep:g} s is a fine step"
+        if elements > MANY_ELEMENTS and timestep <= _FINE_OF_MANY:
+            return Explicit(longest_step=_FINE_OF_MANY), (
+                f"{elements} elements are many, and {timestep:g} s is a fine step"
+            )
         return Implicit(), f"at steps of {timestep:g} s it holds still what the sand can hold"
 
     @property

@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 from functools import partial
 
+import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import smooth_derivative
-from mjgranular.kernel.memory import floats, ints
+from mjgranular.kernel.engine import actuator_damping, smooth_derivative
+from mjgranular.kernel.memory import floats, ints, scratch
 from mjgranular.scheme import desk as d
 
-# Not literals, for each of which numba would compile a function anew.
-_ALL, _LOWER = np.bool_(True), np.bool_(False)
+_JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
+
+poly_room = scratch(d.POLY)
 
 
 @compiled
@@ -39,8 +41,8 @@ def copy(target, source):
 def prepare_inertia(desk, room, h):
     """What resists a change of velocity over a step: inertia, and what the integrator adds to it.
 
-    Euler adds the damping of joints, h B; the implicit integrators add -h times the derivative of
-    all smooth forces by velocity.
+    Euler adds h times the derivative of joints' damping; the implicit integrators add -h times the
+    derivative of all smooth forces by velocity.
     """
     nv = desk[d.NV]
     inertia = floats(room.inertia, nv * nv)
@@ -71,53 +73,79 @@ def add_extra(desk, room, h):
     extra = floats(room.extra, nv * nv)
     clear(extra)
     if kind == d.DAMPED:
-        damping = floats(desk[d.DAMPING], nv)
-        for i in range(nv):
-            extra[i * nv + i] = h * damping[i]
+        take_damping(desk, extra, h)
+    elif kind == d.IMPLICIT_FULL:
+        smooth_derivative(desk[d.MODEL], desk[d.DATA], 1)
+        take_derivative(desk, extra, h)
     else:
-        full = kind == d.IMPLICIT_FULL
-        if full or desk[d.LONE_COUNT] > 0:
+        # implicitfast leaves out the derivative of the bias, and reads the lower half of what is
+        # left; but of lone free bodies it takes all.
+        smooth_derivative(desk[d.MODEL], desk[d.DATA], 0)
+        take_derivative(desk, extra, h)
+        mirror(extra, nv)
+        if desk[d.LONE_COUNT] > 0:
             smooth_derivative(desk[d.MODEL], desk[d.DATA], 1)
-            take_derivative(desk, extra, h, _ALL)
-        if not full:
-            # implicitfast leaves out the bias, but for lone free bodies.
-            if desk[d.LONE_COUNT] > 0:
-                keep_lone(desk, extra)
-            smooth_derivative(desk[d.MODEL], desk[d.DATA], 0)
-            take_derivative(desk, extra, h, _LOWER)
+            take_lone_derivative(desk, extra, h)
     for k in range(nv * nv):
         inertia[k] += extra[k]
 
 
 @compiled
-def take_derivative(desk, extra, h, whole):
-    """Sets -h times the derivative of the smooth forces, where `extra` holds nothing yet."""
+def take_damping(desk, extra, h):
+    """Sets h times the derivative of the damping of joints, that of their actuators included.
+
+    Damping of a joint at the speed v is (b + p_1 |v| + p_2 v^2) v.
+    """
+    nv = desk[d.NV]
+    velocity = floats(desk[d.QVEL], nv)
+    damping, more = floats(desk[d.DAMPING], nv), floats(desk[d.DAMPING_POLY], d.POLY * nv)
+    joints = ints(desk[d.DOF_JOINT], nv)
+    poly = poly_room()
+    for j in range(nv):
+        for k in range(d.POLY):
+            poly[k] = more[d.POLY * j + k]
+        slope = damping[j]
+        if d.joint_actuator(desk, joints[j]) != -1:
+            slope += actuator_damping(desk[d.MODEL], _JOINT, joints[j], poly.ctypes.data)
+        power = 1.0
+        for k in range(d.POLY):
+            power *= abs(velocity[j])
+            slope += (k + 2) * poly[k] * power
+        extra[j * nv + j] = h * slope
+
+
+@compiled
+def take_derivative(desk, extra, h):
+    """Sets -h times the derivative of the smooth forces, where it is not zero."""
     nv = desk[d.NV]
     size, start = ints(desk[d.D_SIZE], nv), ints(desk[d.D_START], nv)
     total = start[nv - 1] + size[nv - 1]
     column, values = ints(desk[d.D_COLUMN], total), floats(desk[d.DERIVATIVE], total)
     for i in range(nv):
         for k in range(start[i], start[i] + size[i]):
-            j = column[k]
-            if whole:
-                extra[i * nv + j] = -h * values[k]
-            elif j <= i and extra[i * nv + j] == 0.0:  # implicitfast reads the lower half
-                extra[i * nv + j] = -h * values[k]
-                extra[j * nv + i] = -h * values[k]
+            extra[i * nv + column[k]] = -h * values[k]
 
 
 @compiled
-def keep_lone(desk, extra):
-    """Clears all but the blocks of lone free bodies."""
+def mirror(matrix, n):
+    """Sets the upper half to the lower one."""
+    for i in range(n):
+        for j in range(i):
+            matrix[j * n + i] = matrix[i * n + j]
+
+
+@compiled
+def take_lone_derivative(desk, extra, h):
+    """Sets the rows of lone free bodies, whose trees have no other degrees of freedom."""
     nv = desk[d.NV]
+    size, start = ints(desk[d.D_SIZE], nv), ints(desk[d.D_START], nv)
+    total = start[nv - 1] + size[nv - 1]
+    column, values = ints(desk[d.D_COLUMN], total), floats(desk[d.DERIVATIVE], total)
     lone = ints(desk[d.LONE], desk[d.LONE_COUNT])
-    for i in range(nv):
-        for j in range(nv):
-            within = False
-            for k in range(len(lone)):
-                within = within or (lone[k] <= i < lone[k] + 6 and lone[k] <= j < lone[k] + 6)
-            if not within:
-                extra[i * nv + j] = 0.0
+    for number in range(len(lone)):
+        for i in range(lone[number], lone[number] + 6):
+            for k in range(start[i], start[i] + size[i]):
+                extra[i * nv + column[k]] = -h * values[k]
 
 
 @compiled

@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows
-from mjgranular.kernel.memory import floats, longs, records
+from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows, is_sparse
+from mjgranular.kernel.memory import floats, ints, longs, records
+from mjgranular.kernel.options import options_at
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.layout import HEAD_DTYPE, block_count, block_size
 from mjgranular.scheme.scheme import Desk
@@ -31,8 +32,9 @@ account_records = records(ACCOUNT_DTYPE)
 
 # The desk's table: sizes and switches, then addresses, in the order of `make_desk`. WITHIN is 1
 # where the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the
-# step is not there yet; WARM where the engine's constraint solver ends no farther off than it
-# begins. A block of elements (`scheme.blocks`) has so many LANES and numbers.
+# step is not there yet. INTEGRATOR, SPARSE and WARM follow from the model's options, and are read
+# at each step (`read_options`); WARM where the engine's constraint solver ends no farther off than
+# it begins. A block of elements (`scheme.blocks`) has so many LANES and numbers.
 NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN, WARM, LANES, BLOCK_SIZE = range(11)
 OF_MODEL = (
     "M_rownnz",
@@ -48,6 +50,9 @@ OF_MODEL = (
     "body_dofadr",
     "body_dofnum",
     "dof_damping",
+    "dof_dampingpoly",
+    "dof_jntid",
+    "jnt_actuatorid",
 )
 OF_DATA = (
     "qvel",
@@ -71,7 +76,8 @@ NUMBERS, HEADS, BLOCKS, ACCOUNT, ROWS, LONE = range(
 DESK_SIZE = LONE + 1
 (
     M_SIZE, M_START, M_COLUMN, D_SIZE, D_START, D_COLUMN,
-    DOF_BODY, DOF_PARENT, BODY_PARENT, BODY_ROOT, BODY_DOF, BODY_DOFS, DAMPING,
+    DOF_BODY, DOF_PARENT, BODY_PARENT, BODY_ROOT, BODY_DOF, BODY_DOFS, DAMPING, DAMPING_POLY,
+    DOF_JOINT, JOINT_ACTUATOR,
 ) = range(FIRST_OF_MODEL, FIRST_OF_DATA)  # fmt: skip
 (
     QVEL, CDOF, INERTIA, DERIVATIVE, SMOOTH, ACCELERATION, TREE_COM, COM,
@@ -80,6 +86,15 @@ DESK_SIZE = LONE + 1
 
 # What moves a body's velocity at the end of a step besides its inertia and the forces at the start.
 PLAIN, DAMPED, IMPLICIT_FAST, IMPLICIT_FULL = range(4)
+
+POLY = int(mujoco.mjNPOLY)
+"""Coefficients of damping beyond the linear one."""
+
+_IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICIT)
+_IMPLICIT_FAST = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+_CG, _NEWTON = int(mujoco.mjtSolver.mjSOL_CG), int(mujoco.mjtSolver.mjSOL_NEWTON)
+_NO_DAMPING = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+_NO_WARMSTART = int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
 
 Room = namedtuple(
     "Room",
@@ -194,11 +209,11 @@ def make_desk(
         model.nv,
         model_address,
         data_address,
-        integrator_of(model),
-        int(mujoco.mj_isSparse(model)),
+        0,  # INTEGRATOR, SPARSE
+        0,
         len(lone),
         int(within),
-        int(descends(model)),
+        0,  # WARM
         kernel.lanes,
         block_size(kernel),
     )
@@ -211,42 +226,69 @@ def make_desk(
     return Desk(np.array([*sizes, *addresses], np.int64), holds, account)
 
 
-def integrator_of(model: mujoco.MjModel) -> int:
-    """How the model's integrator turns forces into velocities, one of the four above."""
-    kind = model.opt.integrator
-    if kind == mujoco.mjtIntegrator.mjINT_IMPLICIT:
+@compiled
+def read_options(table, desk):
+    """Notes what the model's options are in this step.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+        desk: the solver's.
+    """
+    options = options_at(table)
+    desk[INTEGRATOR] = integrator_of(desk, options)
+    desk[SPARSE] = is_sparse(desk[MODEL])
+    desk[WARM] = descends(options)
+
+
+@compiled
+def integrator_of(desk, options):
+    """How the integrator turns forces into velocities, one of the four above."""
+    if options.integrator == _IMPLICIT:
         return IMPLICIT_FULL
-    if kind == mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+    if options.integrator == _IMPLICIT_FAST:
         return IMPLICIT_FAST
-    off = mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_DAMPER
-    if model.opt.disableflags & off or not model.dof_damping.any():
+    if options.disableflags & _NO_DAMPING != 0:
         return PLAIN
-    return DAMPED
+    nv = desk[NV]
+    damping, poly = floats(desk[DAMPING], nv), floats(desk[DAMPING_POLY], POLY * nv)
+    joints = ints(desk[DOF_JOINT], nv)
+    for j in range(nv):
+        if damping[j] > 0.0 or joint_actuator(desk, joints[j]) != -1:
+            return DAMPED
+    for k in range(POLY * nv):
+        if poly[k] != 0.0:
+            return DAMPED
+    return PLAIN
 
 
-def descends(model: mujoco.MjModel) -> bool:
+@compiled
+def joint_actuator(desk, joint):
+    """The actuator that damps a joint, -1 for none, less for several."""
+    return ints(desk[JOINT_ACTUATOR], joint + 1)[joint]
+
+
+@compiled
+def descends(options):
     """Whether the engine's constraint solver begins where it is told and only gets closer.
 
     Its primal solvers lower the cost at each step, and the cost bounds the distance.
     """
-    primal = (mujoco.mjtSolver.mjSOL_CG, mujoco.mjtSolver.mjSOL_NEWTON)
-    return (
-        model.opt.solver in primal
-        and model.opt.noslip_iterations == 0
-        and not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_WARMSTART
-    )
+    primal = options.solver == _CG or options.solver == _NEWTON
+    warm = options.disableflags & _NO_WARMSTART == 0
+    return np.int64(primal and options.noslip_iterations == 0 and warm)
 
 
 def lone_free_joints(model: mujoco.MjModel) -> np.ndarray:
-    """First degree of freedom of each free body that carries no joint, int32.
+    """First degree of freedom of each free body that carries no joint and no mass, int32.
 
-    For these `implicitfast` takes the gyroscopic moment implicitly too (measured with MuJoCo 4.0).
+    For these `implicitfast` takes the gyroscopic moment implicitly too, without symmetry
+    (`mj_isFreeBody` and `mjd_freeMhat` in MuJoCo's engine_derivative.c).
     """
     root_dofs = np.bincount(model.body_rootid[model.dof_bodyid], minlength=model.nbody)
-    lone = [
-        int(model.jnt_dofadr[joint])
-        for joint in range(model.njnt)
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        and root_dofs[model.body_rootid[model.jnt_bodyid[joint]]] == 6
-    ]
+    lone = []
+    for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
+        body = model.jnt_bodyid[joint]
+        alone = model.body_jntnum[body] == 1 and root_dofs[model.body_rootid[body]] == 6
+        if alone and model.body_subtreemass[body] == model.body_mass[body]:
+            lone.append(int(model.jnt_dofadr[joint]))
     return np.array(lone, np.int32)

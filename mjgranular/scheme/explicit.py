@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import (
     BODIES,
@@ -34,8 +35,8 @@ from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.sheets import forces_on_sheets
+from mjgranular.scheme.status import BAD_STATE, FINE, check_options
 from mjgranular.scheme.wrenches import (
-    BAD_STATE,
     add_wrenches,
     gravity_of,
     is_bad,
@@ -51,12 +52,21 @@ class Explicit(Scheme):
     Attributes:
         half_step: take velocities where positions are, half a step ahead of `qvel`. Without it
             the scheme is of first order in depth too.
+        longest_step: the longest time step that may be set later [s]: the sand then refuses to go
+            on, since longer ones may give energy.
     """
 
     name: ClassVar[str] = "explicit"
     title: ClassVar[str] = "the law at the current state, once a step; needs small steps"
 
     half_step: bool = True
+    longest_step: float = 1e9  # any
+
+    def __post_init__(self) -> None:
+        if not self.longest_step > 0.0:
+            raise InputError(
+                f"Explicit: longest_step must be positive, not {self.longest_step:g} s"
+            )
 
     @property
     def lead(self) -> float:
@@ -91,6 +101,9 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         table = table_at(address)
         if is_bad(table):
             return BAD_STATE
+        status = check_options(table)
+        if status != FINE:
+            return status
         forces(table, lead)
         return add_wrenches(table)
 

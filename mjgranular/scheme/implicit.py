@@ -65,8 +65,8 @@ from mjgranular.scheme.newton import Way, newton_kernel
 from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
 from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.softness import fastest_of, goal_of, softness
+from mjgranular.scheme.status import BAD_STATE, FINE, bits_of, check_options
 from mjgranular.scheme.wrenches import (
-    BAD_STATE,
     add_wrenches,
     is_bad,
     withdraw_wrenches,
@@ -98,6 +98,7 @@ class Implicit(Scheme):
     name: ClassVar[str] = "implicit"
     title: ClassVar[str] = "forces at the end of the step: exact rest, large steps"
     whole_state: ClassVar[bool] = True
+    integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST")
 
     evaluations: int = 80
 
@@ -134,8 +135,7 @@ class Implicit(Scheme):
 
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
-        known = ("EULER", "IMPLICIT", "IMPLICITFAST")
-        if model.opt.integrator not in [getattr(mujoco.mjtIntegrator, f"mjINT_{k}") for k in known]:
+        if not bits_of(self.integrators) >> int(model.opt.integrator) & 1:
             raise InputError(
                 "the implicit scheme foresees the steps of the integrators Euler, implicit and "
                 "implicitfast: set one of them, or scheme='explicit'"
@@ -221,7 +221,11 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         table = table_at(address)
         if is_bad(table):
             return BAD_STATE
+        status = check_options(table)
+        if status != FINE:
+            return status
         desk = d.desk_at(table[DESK])
+        d.read_options(table, desk)
         bodies = body_records(table[BODIES], table[BODY_COUNT])
         withdraw_wrenches(table)
         for slot in range(len(bodies)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -12,8 +13,11 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
 from mjgranular.registry import Registry
+from mjgranular.scheme.status import refusal
 
 schemes: Registry[type[Scheme]] = Registry("scheme")
+
+_SPELLED = {"EULER": "Euler"}
 
 
 @dataclass(frozen=True)
@@ -39,11 +43,27 @@ class Scheme(ABC):
         title: one line for lists.
         whole_state: whether its forces depend on more than `qpos` and `qvel`: on actuators, applied
             and passive forces, constraints.
+        integrators: of MuJoCo's that can be stepped from outside.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
     whole_state: ClassVar[bool] = False
+    integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST", "DISCRETE")
+
+    @property
+    def longest_step(self) -> float:
+        """The longest time step that may be set later [s]."""
+        return math.inf
+
+    def refusal(self, status: int) -> str:
+        """Says what the program has refused (`scheme.status.REFUSED`), and what it would take."""
+        *first, last = (_SPELLED.get(name, name.lower()) for name in self.integrators)
+        return refusal(
+            status,
+            longest_step=self.longest_step,
+            integrators=f"{', '.join(first)} or {last}",
+        )
 
     @property
     @abstractmethod
@@ -55,8 +75,8 @@ class Scheme(ABC):
         """One compiled call that takes a law's kernels to `xfrc_applied`.
 
         Called as `program(address, lead)` with the address of the simulation's table
-        (`kernel.memory`) and the lead in seconds; returns -1, the row of the
-        first body whose wrench is not finite, or -2 if MuJoCo has found the state bad.
+        (`kernel.memory`) and the lead in seconds; returns one of `scheme.status`, or the row of
+        the first body whose wrench is not finite.
 
         Args:
             kernel: of the law.

@@ -12,7 +12,6 @@ from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
     CVEL,
-    GRAVITY,
     NBODY,
     SUBTREE_COM,
     WARNINGS,
@@ -24,6 +23,7 @@ from mjgranular.kernel.memory import (
     ints,
     table_at,
 )
+from mjgranular.kernel.options import NO_GRAVITY, options_at
 from mjgranular.kernel.records import body_records
 from mjgranular.law.kernel import Pose
 
@@ -71,8 +71,11 @@ def pose_at(place):
 
 @compiled
 def gravity_of(table):
-    """Size of gravity [m/s^2]."""
-    g = floats(table[GRAVITY], 3)
+    """Size of gravity [m/s^2]; nothing where the model's gravity is disabled."""
+    options = options_at(table)
+    if options.disableflags & NO_GRAVITY != 0:
+        return 0.0
+    g = options.gravity
     return math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
 
 
@@ -134,9 +137,6 @@ def take_back_wrenches(address):
             xfrc[6 * body.body + k] = body.own[k]
             body.written[k] = body.own[k]
 
-
-BAD_STATE = -2
-"""What a program returns when MuJoCo has found numbers in the state that are none."""
 
 _BAD = tuple(
     2 * int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")

@@ -1,0 +1,65 @@
+"""The options of a model, which a user may change between any two steps.
+
+Nothing that depends on them is kept: compiled code reads `mjOption` where it lies in `mjModel`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache, partial
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import OPTIONS, records
+from mjgranular.kernel.structs import record_of
+
+OPTION_DTYPE = record_of("mjOption")
+option_records = records(OPTION_DTYPE)
+
+NO_GRAVITY = int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+
+
+def options_address(model: mujoco.MjModel) -> int:
+    """The address of a model's `mjOption`.
+
+    Raises:
+        ImportError: this MuJoCo lays it out in another way than its own description says.
+    """
+    _verify()
+    return _address_of(model)
+
+
+@partial(compiled, inline=True)
+def options_at(table):
+    """The options of the model as they are now, a record of `OPTION_DTYPE`."""
+    return option_records(table[OPTIONS], 1)[0]
+
+
+def _address_of(model: mujoco.MjModel) -> int:
+    offset: int = OPTION_DTYPE.fields["gravity"][1]  # pyright: ignore[reportOptionalSubscript]
+    return model.opt.gravity.ctypes.data - offset
+
+
+@cache
+def _verify() -> None:
+    """Plants numbers in the options of a small model, and looks for them in the record.
+
+    Raises:
+        ImportError: they are not there.
+    """
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    names = OPTION_DTYPE.names or ()
+    for number, name in enumerate(names, start=2):
+        if isinstance(getattr(model.opt, name), np.ndarray):
+            getattr(model.opt, name)[:] = number
+        else:
+            setattr(model.opt, name, number)
+    raw = ctypes.string_at(_address_of(model), OPTION_DTYPE.itemsize)
+    found = np.frombuffer(raw, OPTION_DTYPE)[0]
+    if any((found[name] != number).any() for number, name in enumerate(names, start=2)):
+        raise ImportError(
+            f"mjOption of MuJoCo {mujoco.mj_versionString()} is not laid out as MuJoCo describes "
+            "it: mjgranular was tested with MuJoCo 3.17 and 4.0"
+        )

@@ -1,0 +1,91 @@
+"""What a scheme's program returns, and the options of the model that it looks at first.
+
+Options may be changed between any two steps, by a viewer's switch for example. What a scheme cannot
+step then is refused, in words, before anything is computed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import partial
+
+import mujoco
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import INTEGRATORS, LONGEST_STEP
+from mjgranular.kernel.options import options_at
+
+FINE = -1
+"""All is well."""
+BAD_STATE = -2
+"""MuJoCo has found numbers in the state that are none."""
+BAD_TIMESTEP = -3
+"""The time step is not a positive number."""
+LONG_TIMESTEP = -4
+"""The time step has grown beyond what the scheme was chosen for."""
+BAD_INTEGRATOR = -5
+"""The integrator is not one that the scheme can step."""
+
+# Numbered downwards, one after the other.
+REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR)
+"""What `check_options` says no with."""
+
+EVERY_INTEGRATOR = 0xFF  # a bit for each
+_LONGEST = 10**18  # [ns]: any step
+_NANO = 1e-9
+
+
+@partial(compiled, inline=True)
+def check_options(table):
+    """Looks whether the model can be stepped with the options that it has now.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+
+    Returns:
+        `FINE`, or one of `REFUSED`.
+    """
+    options = options_at(table)
+    step = options.timestep
+    if not 0.0 < step < math.inf:
+        return BAD_TIMESTEP
+    if step > _NANO * table[LONGEST_STEP]:
+        return LONG_TIMESTEP
+    integrator = options.integrator
+    if not 0 <= integrator < 8 or table[INTEGRATORS] >> integrator & 1 == 0:
+        return BAD_INTEGRATOR
+    return FINE
+
+
+def nanoseconds(longest_step: float) -> int:
+    """A longest time step [s] as the table has it [ns], with room for its rounding."""
+    return math.ceil(min((1 + 1e-9) * longest_step / _NANO, _LONGEST))
+
+
+def bits_of(integrators: Iterable[str]) -> int:
+    """A bit for each of these integrators that this MuJoCo has."""
+    known = mujoco.mjtIntegrator.__members__
+    return sum(1 << int(known[f"mjINT_{name}"]) for name in integrators if f"mjINT_{name}" in known)
+
+
+def refusal(status: int, *, longest_step: float, integrators: str) -> str:
+    """Says what is wrong with the options of a model, and what would have been right.
+
+    Args:
+        status: one of `REFUSED`.
+        longest_step: that the scheme was chosen for [s].
+        integrators: that the scheme can step, in words.
+    """
+    if status == BAD_TIMESTEP:
+        return "the time step of the model (opt.timestep) must be a positive number"
+    if status == LONG_TIMESTEP:
+        return (
+            f"the explicit scheme was chosen for time steps up to {longest_step:g} s, and that of "
+            "the model (opt.timestep) is longer now: prepare the sand anew, or with "
+            "scheme='implicit'"
+        )
+    return (
+        "the sand cannot be stepped with the integrator that the model has now (opt.integrator; "
+        f"RK4 is such a one): set it to {integrators}"
+    )
