@@ -150,6 +150,27 @@ def test_the_explicit_scheme_was_chosen_for_fine_steps(door):
         run.step()
 
 
+def test_disabled_passive_forces_are_refused_by_the_plugin():
+    both = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+    run = Run(boxes(), "plugin")
+    run.step()
+    for one in (mujoco.mjtDisableBit.mjDSBL_SPRING, mujoco.mjtDisableBit.mjDSBL_DAMPER):
+        run.model.opt.disableflags = int(one)
+        run.step()
+        assert abs(run.data.qfrc_passive).max() > 0
+    run.model.opt.disableflags = both
+    with pytest.raises(mujoco.FatalError, match="springs and dampers both disabled"):
+        run.step()
+    spec = mujoco.MjSpec.from_string(boxes())
+    spec.option.disableflags = both
+    add_sand(spec, **SAND)
+    with pytest.raises(ValueError, match="springs and dampers both disabled"):
+        spec.compile()
+    sand = Run(boxes(), "step")  # from outside there is nothing amiss
+    sand.model.opt.disableflags = both
+    sand.step()
+
+
 @pytest.mark.parametrize("scheme", ["explicit", "implicit"])
 def test_disabled_gravity_is_no_gravity(scheme):
     forces = []

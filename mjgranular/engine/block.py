@@ -35,7 +35,7 @@ from mjgranular.scheme.status import REFUSED
 HEADER_DTYPE = np.dtype(
     [
         ("refused", np.int64),  # not 0: the sand does nothing, and behind the header stands why
-        ("refusals", np.int64),  # address, in the share: texts for `scheme.status.REFUSED`
+        ("refusals", np.int64),  # address, in the share: texts (`refusals`)
         ("tuning_count", np.int64),  # 0 where it has none
         ("of_model", np.int64),  # address: relocations that read the model
         ("of_model_count", np.int64),
@@ -73,6 +73,11 @@ RELOCATION_DTYPE = np.dtype(
 SHARE_DTYPE = np.dtype({"names": ["users"], "formats": [np.int64], "itemsize": LINE})
 IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
 """Kinds of relocation. Those that read the model are the last two."""
+
+NOT_ASKED = (
+    "with springs and dampers both disabled (opt.disableflags) MuJoCo computes no passive forces, "
+    "and sand inside mj_step is one of them: enable one of the two"
+)
 
 REFUSAL_SIZE = 480
 """Bytes of a text, its end included: MuJoCo cuts at 500."""
@@ -180,9 +185,13 @@ def make_image(
 
 
 def refusals(scheme: Scheme) -> np.ndarray:
-    """What MuJoCo is to say for each of `REFUSED`: texts of `REFUSAL_SIZE` bytes."""
-    texts = [f"mjgranular: {scheme.refusal(status)}".encode() for status in REFUSED]
-    return np.array(texts, f"S{REFUSAL_SIZE}")
+    """What MuJoCo is to say: for each of `REFUSED`, then where nobody asks for the sand's forces.
+
+    Returns:
+        Texts of `REFUSAL_SIZE` bytes.
+    """
+    texts = [*(scheme.refusal(status) for status in REFUSED), NOT_ASKED]
+    return np.array([f"mjgranular: {text}".encode() for text in texts], f"S{REFUSAL_SIZE}")
 
 
 def load(content: np.ndarray) -> int:

@@ -21,7 +21,7 @@ import numpy as np
 
 from mjgranular.engine import sensor
 from mjgranular.engine.aside import aside, is_aside
-from mjgranular.engine.block import HEADER_DTYPE, Image, load, make_image
+from mjgranular.engine.block import HEADER_DTYPE, NOT_ASKED, Image, load, make_image
 from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
@@ -33,6 +33,7 @@ from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_of
+from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.law import get_law, make_scene
 from mjgranular.medium import media
 from mjgranular.medium.medium import get_medium
@@ -260,6 +261,8 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     Raises:
         InputError: a text cannot be read, or does not fit the model.
     """
+    if model.opt.disableflags & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
+        raise InputError(NOT_ASKED)
     config = read_config(texts)
     given = config.arguments
     medium = given.get("medium") or get_medium(DEFAULT_MEDIUM)

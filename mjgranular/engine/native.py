@@ -47,8 +47,9 @@ from mjgranular.kernel.memory import (
     row_of,
     table_at,
 )
+from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE_FORCES
 from mjgranular.kernel.records import body_records
-from mjgranular.scheme.status import BAD_TIMESTEP
+from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
 PREPARE = "mjgranular_prepare"
 """Name by which compiled code finds the way into Python."""
@@ -239,6 +240,7 @@ def sand_callbacks(layout: Layout) -> Callbacks:
     """The compiled functions of `mjgranular.sand`."""
     find_block, adjust = block_finder(layout), adjuster(layout)
     timestep, integrator = layout.timestep, layout.integrator
+    flags = integrator + DISABLEFLAGS_BEHIND_INTEGRATOR
     begin = HEADER_DTYPE.itemsize
 
     @compiled
@@ -263,9 +265,20 @@ def sand_callbacks(layout: Layout) -> Callbacks:
             return
         add_wrenches(table_at(header.table), header.qfrc, header.awake)
 
+    @compiled
+    def advance(model, data, instance):
+        """Refuses to go on where MuJoCo computes no passive forces: it does not ask for ours."""
+        disabled = ints(model + flags, 1)[0]
+        if disabled & NO_PASSIVE_FORCES != NO_PASSIVE_FORCES:
+            return
+        block = find_block(data, instance)
+        if block != 0:
+            _error(_header(block, 1)[0].refusals + REFUSAL_SIZE * len(REFUSED))
+
     return {
         **life(layout),
         "compute": (compute, (_address, _address, _number, _number)),
+        "advance": (advance, (_address, _address, _number)),
     }
 
 

@@ -17,8 +17,16 @@ from mjgranular.kernel.structs import record_of
 
 OPTION_DTYPE = record_of("mjOption")
 option_records = records(OPTION_DTYPE)
+_OFFSETS: dict[str, int] = {
+    name: OPTION_DTYPE.fields[name][1]  # pyright: ignore[reportOptionalSubscript]
+    for name in OPTION_DTYPE.names or ()
+}
 
 NO_GRAVITY = int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+NO_PASSIVE_FORCES = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+"""With both of these disabled `mj_passive` computes nothing, the forces of plugins included."""
+
+DISABLEFLAGS_BEHIND_INTEGRATOR = int(_OFFSETS["disableflags"] - _OFFSETS["integrator"])  # [bytes]
 
 
 def options_address(model: mujoco.MjModel) -> int:
@@ -38,8 +46,7 @@ def options_at(table):
 
 
 def _address_of(model: mujoco.MjModel) -> int:
-    offset: int = OPTION_DTYPE.fields["gravity"][1]  # pyright: ignore[reportOptionalSubscript]
-    return model.opt.gravity.ctypes.data - offset
+    return model.opt.gravity.ctypes.data - _OFFSETS["gravity"]
 
 
 @cache
