@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import mujoco
+import numpy as np
 
 from mjgranular.surface import Plane
 
@@ -41,13 +42,16 @@ def add_bed(spec: mujoco.MjSpec, surface: Plane) -> None:
     half, thick = 3.0, 0.05
     position = -thick * surface.normal
     position[2] += surface.height
+    # From z to the normal: a turn about the horizontal axis across the slope. As a quaternion, since
+    # angles are read in the unit of the model's compiler.
+    half_turn = surface.slope / 2
+    across = np.array([math.sin(surface.uphill), -math.cos(surface.uphill), 0.0])
     spec.worldbody.add_geom(
         name=_BED,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=[half, half, thick],
         pos=position,
-        # From z to the normal: a turn about the horizontal axis across the slope.
-        axisangle=[math.sin(surface.uphill), -math.cos(surface.uphill), 0.0, surface.slope],
+        quat=[math.cos(half_turn), *(math.sin(half_turn) * across)],
         material=_BED,
         contype=0,
         conaffinity=0,
