@@ -42,7 +42,7 @@ def add_bed(spec: mujoco.MjSpec, surface: Plane) -> None:
     half, thick = 3.0, 0.05
     position = -thick * surface.normal
     position[2] += surface.height
-    # From z to the normal: a turn about the horizontal axis across the slope. As a quaternion, since
+    # From z to the normal: a turn about the horizontal axis across the slope. A quaternion, since
     # angles are read in the unit of the model's compiler.
     half_turn = surface.slope / 2
     across = np.array([math.sin(surface.uphill), -math.cos(surface.uphill), 0.0])
