@@ -18,6 +18,7 @@ from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
 from mjgranular.sand import Sand
+from mjgranular.sand.work import WorkMeter
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
 LARGEST_STEP = 1e-4
@@ -244,8 +245,10 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     )
     recorder.due()
     recorder.take(0.0, data.qpos, data.qvel)
+    meter = WorkMeter(sand, data)
     for step in range(1, total + 1):
         sand.step(data)
+        meter.add()
         if tip is not None:
             tip.follow(data)
         if recorder.due() or step == total:
@@ -256,7 +259,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         if progress is not None and step % _PROGRESS_STEPS == 0:
             progress(data.time - begin)
     stop = None if tip is None else tip.stop
-    return _result(drop, xml, sand, recorder.rows(), stop, rest)
+    return _result(drop, xml, sand, recorder.rows(), -meter.work, stop, rest)
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
@@ -345,6 +348,7 @@ def _result(
     xml: str,
     sand: Sand,
     rows: np.ndarray,
+    energy: np.ndarray,
     stop: tuple[float, float] | None,
     rest: float | None,
 ) -> DropResult:
@@ -375,7 +379,7 @@ def _result(
                 body=body.body,
                 greatest_depth=float(depth[:, k].max()),
                 greatest_force=float(np.linalg.norm(force[:, k], axis=1).max()),
-                energy_into_sand=float(-np.trapezoid(power[:, k], t)),
+                energy_into_sand=float(energy[k]),
                 within_validity=sum(r.valid for r in mine) / len(mine) if mine else None,
                 exceeded=exceeded,
             )

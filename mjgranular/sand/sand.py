@@ -287,6 +287,10 @@ class Sand:
                     applied[row["body"]] = row["own"]
         return applied
 
+    def table_of(self, data: mujoco.MjData) -> int:
+        """The address of a simulation's table (`kernel.memory`), which lives as long as `data`."""
+        return self._bind(data)
+
     def _check_owner(self, data: mujoco.MjData) -> None:
         if data.model is not self._model and data.model._address != self._model._address:
             raise InputError(

@@ -1,0 +1,97 @@
+"""The work of the sand on each body, by the velocities that steps really end with."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel import entry
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CDOF,
+    CVEL,
+    DOF_PARENT,
+    NV,
+    SUBTREE_COM,
+    XIPOS,
+    floats,
+    ints,
+    row_of,
+    table_at,
+)
+from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.records import body_records
+from mjgranular.sand.sand import Sand
+
+
+@compiled
+def add_work(address, velocity, work, h):
+    """Adds the work of the last step's wrenches.
+
+    A constant force F turns the velocity v into v' and does the work h F (v + v') / 2, to the last
+    bit of the kinetic energy, however large the step. Neither the power at its start nor that at
+    its end says that.
+
+    Args:
+        address: of the simulation's table (`kernel.memory`).
+        velocity: address of `qvel` as the step has left it; all else is of the step's start.
+        work: address of a number for each body [J].
+        h: time step [s].
+
+    Returns:
+        The number of bodies.
+    """
+    table = table_at(address)
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    total = floats(work, len(bodies))
+    parent, qvel = ints(table[DOF_PARENT], table[NV]), floats(velocity, table[NV])
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        begin = row_of(table[CVEL], body.body, 6)
+        wx, wy, wz, vx, vy, vz = begin[0], begin[1], begin[2], begin[3], begin[4], begin[5]
+        dof = body.last_dof
+        while dof >= 0:
+            axis, speed = row_of(table[CDOF], dof, 6), qvel[dof]
+            wx += speed * axis[0]
+            wy += speed * axis[1]
+            wz += speed * axis[2]
+            vx += speed * axis[3]
+            vy += speed * axis[4]
+            vz += speed * axis[5]
+            dof = parent[dof]
+        com, tree = row_of(table[XIPOS], body.body, 3), row_of(table[SUBTREE_COM], body.root, 3)
+        vx, vy, vz = velocity_at(
+            (wx, wy, wz, vx, vy, vz), com[0] - tree[0], com[1] - tree[1], com[2] - tree[2]
+        )
+        force = body.wrench
+        power = force[0] * vx + force[1] * vy + force[2] * vz
+        power += force[3] * wx + force[4] * wy + force[5] * wz
+        total[slot] += 0.5 * h * power
+    return len(bodies)
+
+
+class WorkMeter:
+    """Counts the work of the sand on the bodies of one simulation.
+
+    Args:
+        sand: that acts on it by `Sand.step`.
+        data: the simulation.
+    """
+
+    def __init__(self, sand: Sand, data: mujoco.MjData) -> None:
+        self._model, self._data = sand.model, data
+        self._table = sand.table_of(data)
+        self._add = entry(add_work, "int64", "int64", "int64", "float64")
+        self._work = np.zeros(len(np.unique(sand.elements["body"])))
+
+    def add(self) -> None:
+        """Adds the work of a step: to be called after each `Sand.step`."""
+        velocity = self._data.qvel.ctypes.data
+        self._add(self._table, velocity, self._work.ctypes.data, self._model.opt.timestep)
+
+    @property
+    def work(self) -> np.ndarray:
+        """Work of the sand on each body so far [J], in the order of the bodies' ids."""
+        return self._work.copy()
