@@ -81,7 +81,7 @@ def draw(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
 
 
 def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
-    """Draws free bodies that lie side by side, far apart: sand is all that they touch."""
+    """Draws free bodies that lie side by side in sand, and perhaps on a floor under it."""
     law, _, scheme = program
     draft = Draft(rng, program)
     timestep = rng.choice(TIMESTEPS[4:7])
@@ -97,7 +97,8 @@ def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Dra
         f'<option timestep="{timestep}" integrator="{rng.choice(INTEGRATORS[:3])}" '
         f'jacobian="{rng.choice(["dense", "sparse", "auto"])}"/>'
     )
-    xml = f"<mujoco>{option}<worldbody>{''.join(draft.bodies)}</worldbody></mujoco>"
+    floor = '<geom type="plane" size="9 9 0.1" pos="0 0 -0.08"/>' if draft.chance(0.5) else ""
+    xml = f"<mujoco>{option}<worldbody>{floor}{''.join(draft.bodies)}</worldbody></mujoco>"
     sand = f"{LAWS[law][0]}, scheme='{scheme}'"
     return Drawn(xml, sand, (law, "plane", scheme))
 
@@ -195,12 +196,12 @@ class Draft:
     def assets(self, sand_geom: str) -> str:
         rows = "".join(self.meshes)
         if "hfield" in sand_geom:
-            heights = self.numbers(0, 1, 35)
-            size = f"{self.rng.uniform(0.6, 1.5):.3g} {self.rng.uniform(0.6, 1.5):.3g}"
-            rows += (
-                f'<hfield name="dunes" nrow="5" ncol="7" size="{size} '
-                f'{self.rng.uniform(0.01, 0.15):.3g} 0.1" elevation="{heights}"/>'
-            )
+            size = f"{self.numbers(0.6, 1.5, 2)} {self.numbers(0.01, 0.15, 1)} 0.1"
+            # Many heights, so that what reads beyond them meets no memory.
+            grid = f'nrow="5" ncol="7" elevation="{self.numbers(0, 1, 35)}"'
+            if self.chance(0.1):
+                grid = 'nrow="1200" ncol="1200"'
+            rows += f'<hfield name="dunes" size="{size}" {grid}/>'
         return f"<asset>{rows}</asset>"
 
     def place(self, surface: str) -> tuple[str, str]:

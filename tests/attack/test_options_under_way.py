@@ -98,7 +98,7 @@ from mjgranular.engine import add_sand
 
 def run(door, scheme, line):
     spec = mujoco.MjSpec.from_string(
-        '<mujoco><worldbody><body pos="0 0 -.05"><freejoint/>'
+        '<mujoco><option timestep="1e-4"/><worldbody><body pos="0 0 -.05"><freejoint/>'
         '<geom type="capsule" size=".02 .1"/></body></worldbody></mujoco>'
     )
     if door == "plugin":
