@@ -1,0 +1,218 @@
+"""What happens to a simulation under way: controls, switched options, hostile numbers.
+
+Each event is a line of Python with the names `model`, `data`, `mujoco`, `np` and `random` (a seeded
+generator), so that a list of events can be read, repeated and pasted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+FLAGS = len(mujoco.mjtDisableBit.__members__) - 1
+ENABLES = len(mujoco.mjtEnableBit.__members__) - 1
+_OFF, _ON = "model.opt.disableflags ^= 1 << {}", "model.opt.enableflags ^= 1 << {}"
+_HARMLESS_OFF = (
+    "WARMSTART", "REFSAFE", "SENSOR", "MIDPHASE", "EULERDAMP", "NATIVECCD", "ISLAND", "MULTICCD",
+)  # fmt: skip
+_HARMLESS_ON = ("ENERGY", "FWDINV", "INVDISCRETE", "DIAGEXACT")
+
+OPTIONS = (
+    *(f"model.opt.jacobian = {value}" for value in (0, 1, 2)),
+    *(f"model.opt.integrator = {value}" for value in (0, 2, 3)),
+    *(f"model.opt.solver = {value}" for value in (0, 1, 2)),
+    *(f"model.opt.cone = {value}" for value in (0, 1)),
+    *(f"model.opt.tolerance = {value}" for value in ("0", "1e-4", "1e-12")),
+    *(f"model.opt.timestep = {value}" for value in (1e-5, 1e-3, 4e-3, 1e-2)),
+)
+"""After any of these what is at rest stays at rest."""
+
+RARE_OPTIONS = (
+    *(f"model.opt.integrator = {value}" for value in (1, 4)),  # RK4, discrete
+    *(f"model.opt.iterations = {value}" for value in (0, 1, 3, 500)),
+    *(f"model.opt.ls_iterations = {value}" for value in (0, 1)),
+    *(f"model.opt.noslip_iterations = {value}" for value in (0, 3)),
+    *(f"model.opt.impratio = {value}" for value in (0.01, 1, 100)),
+    *(f"model.opt.density = {value}" for value in (0, 1000)),
+    *(f"model.opt.viscosity = {value}" for value in (0, 1, 1e6)),
+    "model.opt.wind = [3, -20, 5]",
+    "model.opt.gravity = [0, 0, 0]",
+    "model.opt.gravity = [4, 5, 6]",
+    "model.opt.gravity = [0, 0, -1e5]",
+    *(_OFF.format(bit) for bit in range(FLAGS)),
+    *(_ON.format(bit) for bit in range(ENABLES)),
+)
+"""Legal all of them, and not all without effect."""
+
+BAD_OPTIONS = (
+    *(f"model.opt.timestep = {value}" for value in ("0", "-1e-3", "np.nan", "np.inf", "1e-30")),
+    *(f"model.opt.timestep = {value}" for value in ("1.0", "1e10", "1e-9")),
+    "model.opt.gravity = [0, np.nan, -9.81]",
+    "model.opt.gravity = [np.inf, 0, 0]",
+    "model.opt.tolerance = np.nan",
+    "model.opt.impratio = np.nan",
+    "model.opt.impratio = 0",
+    "model.opt.density = np.nan",
+    "model.opt.viscosity = np.inf",
+    "model.opt.integrator = 77",
+    "model.opt.solver = -3",
+    "model.opt.jacobian = 9",
+    "model.opt.cone = 5",
+)
+"""Numbers that no option should have."""
+
+FIELDS = (
+    *(f"model.dof_damping = {value}" for value in (0, 0.01, 1, 100)),
+    *(f"model.dof_armature = {value}" for value in (0, 0.1)),
+    *(f"model.dof_frictionloss = {value}" for value in (0, 0.5)),
+    *(f"model.jnt_stiffness = {value}" for value in (0, 30)),
+    "model.body_mass *= 3",
+    "model.body_inertia *= 0.2",
+    "model.body_ipos += random.normal(scale=0.05, size=model.body_ipos.shape)",
+    "model.geom_size *= 2",
+    "model.geom_pos += 0.02",
+    "model.geom_friction *= 0.1",
+    "model.hfield_data = random.uniform(size=model.hfield_data.size)",
+    "model.hfield_data = 0",
+    "model.eq_data *= 0.5",
+    "model.tendon_damping = 1",
+    "model.tendon_stiffness = 20",
+    "model.actuator_gainprm *= -1",
+    "model.actuator_biasprm *= 5",
+)
+"""Of the model, that may be changed while it runs."""
+
+BAD_FIELDS = (
+    "model.hfield_data = np.nan",
+    "model.hfield_data[::3] = np.inf",
+    "model.hfield_data = -1e30",
+    "model.body_mass = 0",
+    "model.body_mass *= -1",
+    "model.body_mass *= 1e12",
+    "model.body_inertia = 0",
+    "model.dof_damping = np.nan",
+    "model.dof_damping = -100",
+    "model.dof_armature = -1e3",
+    "model.body_pos[1:] = np.nan",
+    "model.body_ipos[1:] = np.inf",
+    "model.geom_size = 0",
+    "model.geom_size = -1",
+    "model.geom_size = np.nan",
+    "model.jnt_stiffness = 1e12",
+    "model.actuator_gainprm = np.nan",
+)
+"""Models that are none."""
+
+BAD_STATES = (
+    *(f"data.ctrl = {value}" for value in ("np.nan", "np.inf", "1e10", "-1e300")),
+    *(f"data.act = {value}" for value in ("np.nan", "1e200")),
+    *(f"data.qvel[{where}] = {value}" for where in ("0", ":") for value in ("np.nan", "np.inf")),
+    *(f"data.qvel *= {value}" for value in ("1e3", "1e8", "1e150", "1e308")),
+    *(f"data.qvel = {value}" for value in ("1e4", "1e9", "-1e200")),
+    *(f"data.qpos[{where}] = {value}" for where in ("0", ":", "-1") for value in ("np.nan", "1e9")),
+    "data.qpos = np.inf",
+    "data.qpos[2] = -1e5",
+    "data.qpos = 0",
+    "data.qacc_warmstart = np.nan",
+    "data.qacc_warmstart = 1e300",
+    *(f"data.xfrc_applied = {value}" for value in ("np.nan", "1e12", "-np.inf")),
+    *(f"data.xfrc_applied[-1] = {value}" for value in ("np.nan", "1e300")),
+    *(f"data.qfrc_applied = {value}" for value in ("np.nan", "1e9", "1e300")),
+    *(f"data.mocap_pos = {value}" for value in ("np.nan", "np.inf", "1e300", "1e6")),
+    *(f"data.mocap_quat = {value}" for value in ("np.nan", "0", "1e200")),
+    *(f"data.time = {value}" for value in ("np.nan", "1e300")),
+)
+"""States and controls that are none, or nearly."""
+
+CALM_FLAGS = tuple(
+    template.format(int(getattr(flags, f"{prefix}_{name}")).bit_length() - 1)
+    for template, flags, prefix, names in (
+        (_OFF, mujoco.mjtDisableBit, "mjDSBL", _HARMLESS_OFF),
+        (_ON, mujoco.mjtEnableBit, "mjENBL", _HARMLESS_ON),
+    )
+    for name in names
+    if hasattr(flags, f"{prefix}_{name}")
+)
+"""Flags that change nothing for bodies that touch nothing but sand."""
+
+KINDS = ("plain", "options", "hostile", "rest")
+"""Nothing but controls; legal changes under way; illegal ones too; changes while all lies still."""
+
+
+@dataclass
+class Plan:
+    """What is done, and when.
+
+    Attributes:
+        events: lines of Python by the step before which they come.
+        settled: step at which everything is to lie still, and from then on; None if nothing is.
+    """
+
+    events: dict[int, list[str]]
+    settled: int | None = None
+
+    def add(self, step: int, line: str) -> None:
+        self.events.setdefault(step, []).append(line)
+
+
+def plan(rng: np.random.Generator, kind: str, steps: int) -> Plan:
+    """Draws events for a simulation of so many steps."""
+    made = Plan({})
+    if kind == "rest":
+        made.settled = (3 * steps) // 4
+        at = rng.integers(made.settled, steps, 3)
+        for step in at:
+            made.add(int(step), str(rng.choice(OPTIONS + CALM_FLAGS)))
+        return made
+    begin(rng, made)
+    for step in range(0, steps, 8):
+        push(rng, made, step)
+    if kind == "plain":
+        return made
+    lines: tuple[str, ...] = OPTIONS + OPTIONS + RARE_OPTIONS + FIELDS
+    for step in rng.integers(1, steps, rng.integers(2, 9)):
+        made.add(int(step), seeded(rng, str(rng.choice(lines))))
+    if kind == "hostile":
+        lines = BAD_OPTIONS + BAD_FIELDS + BAD_STATES + BAD_STATES
+        for step in rng.integers(1, steps, rng.integers(1, 5)):
+            made.add(int(step), str(rng.choice(lines)))
+    return made
+
+
+def begin(rng: np.random.Generator, made: Plan) -> None:
+    """Begins in motion, and somewhere else than the model says."""
+    speed = rng.choice([0, 0.1, 1, 1, 5, 30])
+    made.add(0, seeded(rng, f"data.qvel = random.normal(scale={speed}, size=model.nv)"))
+    if rng.random() < 0.6:
+        turned = "random.normal(scale=0.2, size=model.nv)"
+        made.add(0, seeded(rng, f"mujoco.mj_integratePos(model, data.qpos, {turned}, 1)"))
+
+
+def push(rng: np.random.Generator, made: Plan, step: int) -> None:
+    """Controls, forces from outside, a mocap body that is moved, an equality switched."""
+    lines = (
+        ("data.ctrl = random.normal(scale=2, size=model.nu)", 0.5),
+        ("data.qfrc_applied = random.normal(scale=0.5, size=model.nv)", 0.1),
+        ("data.xfrc_applied = random.normal(scale=0.5, size=(model.nbody, 6))", 0.1),
+        ("data.mocap_pos += random.normal(scale=0.01, size=data.mocap_pos.shape)", 0.3),
+        ("data.eq_active = random.integers(0, 2, model.neq)", 0.1),
+        ("report", 0.05),
+    )
+    for line, chance in lines:
+        if rng.random() < chance:
+            made.add(step, seeded(rng, line))
+
+
+def seeded(rng: np.random.Generator, line: str) -> str:
+    """The line with a generator of its own in the place of `random`."""
+    return line.replace("random.", f"np.random.default_rng({rng.integers(1 << 31)}).")
+
+
+def run(line: str, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Makes an event happen; what the model has nothing for does not happen."""
+    try:
+        exec(line, {"model": model, "data": data, "mujoco": mujoco, "np": np})
+    except (IndexError, ValueError, TypeError):
+        return

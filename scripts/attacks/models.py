@@ -1,0 +1,410 @@
+"""Random models, with random sand in them: all that MJCF has joints, bodies and forces for.
+
+A model is drawn from a seed and a number alone, so that either can be told to somebody else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+SHAPES = ("capsule", "sphere", "box", "cylinder", "ellipsoid", "mesh")
+RODS = ("capsule", "cylinder")
+INTEGRATORS = ("Euler", "implicit", "implicitfast", "RK4", "discrete")
+TIMESTEPS = (1e-5, 1e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
+
+# Arguments of `Sand`, as they would be written.
+LAWS = {
+    "link": ("medium='play_sand', law='link'",),
+    "link_distributed": (
+        "medium='play_sand', law='link_distributed'",
+        "law=DistributedLinkLaw(eta_d=3.0, eta_h=20.0, eta_v=50.0, exponent=1.3, pieces=7)",
+    ),
+    "rft2d": (
+        "medium='poppy_seed_loose', law='rft2d', resolution=4",
+        "medium='glass_beads', law='rft2d', resolution=3",
+    ),
+    "rft3d": ("medium='quikrete_medium', law='rft3d', resolution=4",),
+    "depth_velocity": (
+        "law=DepthVelocityLaw(constant=0.3, stiffness=30.0, linear=0.1, quadratic=2.0)",
+        "law=DepthVelocityLaw(stiffness=300.0, exponent=1.5, linear=3.0)",
+    ),
+}
+SURFACES = ("plane", "bed", "height_field")
+SCHEMES = ("implicit", "explicit")
+PROGRAMS = tuple(
+    (law, surface, scheme) for scheme in SCHEMES for surface in SURFACES for law in LAWS
+)
+"""Laws, surfaces and schemes: each of these is compiled once on a machine."""
+
+SMALLEST = """
+<mujoco>
+  <asset><hfield name="dunes" nrow="2" ncol="2" size="1 1 0.1 0.1"/></asset>
+  <worldbody>
+    <geom name="dunes" type="hfield" hfield="dunes"/>
+    <geom name="tray" type="box" size="1 1 0.2" pos="0 0 -0.2"/>
+    <body pos="0 0 -0.01"><freejoint/><geom name="g" type="capsule" size="0.05 0.1"/></body>
+  </worldbody>
+</mujoco>
+"""
+"""A model for any law on any surface."""
+
+
+@dataclass
+class Drawn:
+    """A model and the sand in it.
+
+    Attributes:
+        xml: MJCF of the model without sand.
+        sand: arguments of `Sand`, as they would be written.
+        program: law, surface and scheme.
+    """
+
+    xml: str
+    sand: str
+    program: tuple[str, str, str]
+
+
+def draw(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
+    """Draws a model that MuJoCo can compile, for a law, a surface and a scheme."""
+    while True:
+        draft = Draft(rng, program)
+        drawn = draft.finish()
+        try:
+            model = mujoco.MjModel.from_xml_string(drawn.xml)
+        except ValueError:  # an inertia that is none, an equality that cannot be
+            continue
+        if model.nv and np.isfinite(model.body_mass).all():
+            return drawn
+
+
+def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
+    """Draws free bodies that lie side by side in sand, and perhaps on a floor under it."""
+    law, _, scheme = program
+    draft = Draft(rng, program)
+    timestep = rng.choice(TIMESTEPS[4:7])
+    for number in range(rng.integers(1, 13)):
+        shape = rng.choice(RODS if law.startswith("link") else SHAPES[:5])
+        draft.geoms.append(f"g{number}")
+        draft.bodies.append(
+            f'<body pos="{0.3 * number:g} 0 -0.02" quat="{draft.turn()}"><freejoint/>'
+            f'<geom name="g{number}" type="{shape}" size="{draft.numbers(0.04, 0.09, 3)}" '
+            f'density="{rng.uniform(300, 2500):.4g}"/></body>'
+        )
+    option = (
+        f'<option timestep="{timestep}" integrator="{rng.choice(INTEGRATORS[:3])}" '
+        f'jacobian="{rng.choice(["dense", "sparse", "auto"])}"/>'
+    )
+    floor = '<geom type="plane" size="9 9 0.1" pos="0 0 -0.08"/>' if draft.chance(0.5) else ""
+    xml = f"<mujoco>{option}<worldbody>{floor}{''.join(draft.bodies)}</worldbody></mujoco>"
+    sand = f"{LAWS[law][0]}, scheme='{scheme}'"
+    return Drawn(xml, sand, (law, "plane", scheme))
+
+
+@dataclass
+class Draft:
+    """Parts of a model that is being drawn."""
+
+    rng: np.random.Generator
+    program: tuple[str, str, str]
+    bodies: list[str] = field(default_factory=list)
+    geoms: list[str] = field(default_factory=list)  # that can meet the sand
+    dry: int = 0  # other geoms
+    joints: list[tuple[str, str]] = field(default_factory=list)  # name and type
+    sites: list[str] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)  # of bodies
+    mocaps: list[str] = field(default_factory=list)
+    meshes: list[str] = field(default_factory=list)
+    cords: list[str] = field(default_factory=list)  # tendons
+
+    def chance(self, probability: float) -> bool:
+        return bool(self.rng.random() < probability)
+
+    def numbers(self, low: float, high: float, count: int) -> str:
+        return " ".join(f"{x:.4g}" for x in self.rng.uniform(low, high, count))
+
+    def turn(self) -> str:
+        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=4))
+
+    def arrow(self) -> str:
+        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=3))
+
+    # The whole
+
+    def finish(self) -> Drawn:
+        """Draws all parts."""
+        rng, (law, surface, scheme) = self.rng, self.program
+        fine = scheme == "explicit" and self.chance(0.8)
+        timestep = float(rng.choice(TIMESTEPS[:3] if fine else TIMESTEPS))
+        integrator = str(
+            rng.choice(INTEGRATORS, p=(0.3, 0.25, 0.35, 0.06, 0.04))
+            if hasattr(mujoco.mjtIntegrator, "mjINT_DISCRETE")
+            else rng.choice(INTEGRATORS[:4], p=(0.3, 0.3, 0.35, 0.05))
+        )
+        trees = "".join(self.tree(number) for number in range(rng.integers(1, 5)))
+        place, sand_geom = self.place(surface)
+        parts = [self.equalities(), self.tendons()]
+        xml = (
+            f"<mujoco>{self.option(timestep, integrator)}{self.assets(sand_geom)}"
+            f"<worldbody>{sand_geom}{self.floor()}{trees}</worldbody>"
+            f"{''.join(parts)}{self.actuators()}</mujoco>"
+        )
+        sand = f"{rng.choice(LAWS[law])}, surface={place}, "
+        sand += f"scheme='{'auto' if self.chance(0.1) else scheme}'"
+        if law.startswith("link") or self.chance(0.2):
+            chosen = [name for name in self.geoms if self.chance(0.9)] or self.geoms[:1]
+            sand += f", geoms={chosen}"
+        return Drawn(xml, sand, self.program)
+
+    def option(self, timestep: float, integrator: str) -> str:
+        rng = self.rng
+        gravity = {0: "0 0 0", 1: self.numbers(-9, 9, 3), 2: "0 0 -300"}.get(
+            int(rng.choice(4, p=(0.08, 0.2, 0.02, 0.7))), "0 0 -9.81"
+        )
+        words = [
+            f'timestep="{timestep}" integrator="{integrator}" gravity="{gravity}"',
+            f'cone="{rng.choice(["pyramidal", "elliptic"])}"',
+            f'solver="{rng.choice(["PGS", "CG", "Newton"], p=(0.2, 0.2, 0.6))}"',
+            f'jacobian="{rng.choice(["dense", "sparse", "auto"])}"',
+        ]
+        if self.chance(0.08):
+            words.append(f'iterations="{rng.choice([1, 2, 10])}"')
+        if self.chance(0.1):
+            words.append(f'tolerance="{rng.choice(["0", "1e-4", "1e-12"])}"')
+        if self.chance(0.06):
+            words.append(f'noslip_iterations="{rng.integers(1, 6)}"')
+        if self.chance(0.15):
+            words.append(f'density="{rng.choice([1.2, 1000])}" viscosity="{rng.choice([0, 1e-3])}"')
+            words.append(f'wind="{self.numbers(-3, 3, 3)}"')
+        if self.chance(0.1):
+            words.append(f'impratio="{rng.choice([0.1, 10, 100])}"')
+        flags = []
+        if self.chance(0.2):
+            flags.append('eulerdamp="disable"')
+        if self.chance(0.1):
+            flags.append('sleep="enable"')
+        for name in ("warmstart", "refsafe", "island", "autoreset", "filterparent", "midphase"):
+            if self.chance(0.05):
+                flags.append(f'{name}="disable"')
+        for name in ("energy", "fwdinv", "invdiscrete"):
+            if self.chance(0.04):
+                flags.append(f'{name}="enable"')
+        return f"<option {' '.join(words)}><flag {' '.join(flags)}/></option>"
+
+    def assets(self, sand_geom: str) -> str:
+        rows = "".join(self.meshes)
+        if "hfield" in sand_geom:
+            size = f"{self.numbers(0.6, 1.5, 2)} {self.numbers(0.01, 0.15, 1)} 0.1"
+            # Many heights, so that what reads beyond them meets no memory.
+            grid = f'nrow="5" ncol="7" elevation="{self.numbers(0, 1, 35)}"'
+            if self.chance(0.1):
+                grid = 'nrow="1200" ncol="1200"'
+            rows += f'<hfield name="dunes" size="{size}" {grid}/>'
+        return f"<asset>{rows}</asset>"
+
+    def place(self, surface: str) -> tuple[str, str]:
+        """The surface as it would be written, and the geom that it is made of."""
+        tilt = f"{self.rng.normal(scale=0.15):.3g} {self.rng.normal(scale=0.15):.3g} 0"
+        if surface == "bed":
+            return "Bed('tray')", (
+                f'<geom name="tray" type="box" size="1 1 0.2" pos="0 0 -0.2" euler="{tilt}"/>'
+            )
+        if surface == "height_field":
+            return "HeightField('dunes')", (
+                '<geom name="dunes" type="hfield" hfield="dunes" pos="0 0 -0.05" '
+                f'euler="{tilt if self.chance(0.5) else "0 0 0"}"/>'
+            )
+        if self.chance(0.5):
+            return "None", ""
+        height, slope = self.rng.uniform(-0.05, 0.1), self.rng.uniform(-0.4, 0.4)
+        return f"Plane(height={height:.3g}, slope={slope:.3g}, uphill=1.0)", ""
+
+    def floor(self) -> str:
+        if not self.chance(0.35):
+            return ""
+        return f'<geom type="plane" size="9 9 0.1" pos="0 0 {self.rng.uniform(-0.3, -0.05):.3g}"/>'
+
+    # Bodies
+
+    def tree(self, number: int) -> str:
+        rng = self.rng
+        pos = (
+            f"{0.25 * number - 0.3:.3g} {rng.normal(scale=0.1):.3g} {rng.uniform(-0.12, 0.15):.3g}"
+        )
+        kind = rng.choice(["free", "fixed", "stack", "ball", "mocap"], p=(0.5, 0.1, 0.2, 0.1, 0.1))
+        if kind == "mocap":
+            name = f"m{len(self.mocaps)}"
+            self.mocaps.append(name)
+            return (
+                f'<body name="{name}" mocap="true" pos="{pos}">{self.body(1, self.joint())}</body>'
+            )
+        if kind == "free":
+            joints = '<freejoint align="false"/>' if self.chance(0.7) else "<freejoint/>"
+        elif kind == "stack":
+            kinds = [str(rng.choice(["slide", "hinge"])) for _ in range(rng.integers(2, 5))]
+            joints = "".join(self.joint(kind) for kind in kinds)
+        else:
+            joints = self.joint("ball" if kind == "ball" else "")
+        return self.body(0, joints, f'pos="{pos}" quat="{self.turn()}"')
+
+    def body(self, level: int, joints: str, where: str = "") -> str:
+        rng = self.rng
+        name = f"b{len(self.names)}"
+        self.names.append(name)
+        skin = self.geom(first=not self.geoms or self.chance(0.7))
+        if self.chance(0.25):
+            skin += self.geom()
+        if self.chance(0.4):
+            self.sites.append(f"s{len(self.sites)}")
+            skin += f'<site name="{self.sites[-1]}" pos="{self.numbers(-0.05, 0.05, 3)}"/>'
+        limbs = ""
+        for chance in (0.6, 0.3):
+            if level < 4 and self.chance(chance):
+                where = f'pos="{self.numbers(-0.1, 0.1, 3)}" quat="{self.turn()}"'
+                limbs += self.body(level + 1, self.limb_joints(), where)
+        caught = f'gravcomp="{rng.uniform(0, 1.5):.2g}"' if self.chance(0.05) else ""
+        return f'<body name="{name}" {where} {caught}>{joints}{self.inertial()}{skin}{limbs}</body>'
+
+    def limb_joints(self) -> str:
+        if self.chance(0.05):
+            return ""  # welded to its parent
+        if self.chance(0.2):
+            return self.joint("slide") + self.joint("hinge")
+        return self.joint()
+
+    def inertial(self) -> str:
+        """Of its own, off the origin and turned; or none, for that of the geoms."""
+        if not self.chance(0.35):
+            return ""
+        rng = self.rng
+        mass = 10 ** rng.uniform(-2.5, 0.8)
+        a, b, c = (rng.uniform(0.01, 0.15, 3)) ** 2
+        moments = " ".join(f"{mass * x:.6g}" for x in (b + c, a + c, a + b))
+        return (
+            f'<inertial mass="{mass:.4g}" pos="{self.numbers(-0.12, 0.12, 3)}" '
+            f'quat="{self.turn()}" diaginertia="{moments}"/>'
+        )
+
+    def geom(self, *, first: bool = False) -> str:
+        rng = self.rng
+        rods_only = self.program[0].startswith("link")
+        shape = str(rng.choice(RODS if rods_only and first else SHAPES))
+        if shape in RODS or not rods_only:
+            name = f"g{len(self.geoms)}"
+            self.geoms.append(name)
+        else:
+            name = f"dry{self.dry}"
+            self.dry += 1
+        what = f'size="{self.numbers(0.02, 0.08, 3)}"'
+        if shape == "mesh":
+            number = len(self.meshes)
+            what = f'mesh="mesh{number}"'
+            corners = self.numbers(-0.08, 0.08, 3 * int(rng.integers(4, 9)))
+            self.meshes.append(f'<mesh name="mesh{number}" vertex="{corners}"/>')
+        pos = self.numbers(-0.1, 0.1, 3) if self.chance(0.3) else "0 0 0"
+        touches = int(self.chance(0.4))
+        dims = rng.choice([1, 3, 4, 6], p=(0.1, 0.6, 0.15, 0.15))
+        return (
+            f'<geom name="{name}" type="{shape}" {what} pos="{pos}" quat="{self.turn()}" '
+            f'density="{10 ** rng.uniform(2, 3.7):.4g}" contype="1" conaffinity="{touches}" '
+            f'condim="{dims}" friction="{self.numbers(0.1, 1.5, 1)} 0.01 0.001"/>'
+        )
+
+    def joint(self, kind: str = "") -> str:
+        rng = self.rng
+        kind = kind or str(rng.choice(["hinge", "slide", "ball"], p=(0.6, 0.2, 0.2)))
+        name = f"j{len(self.joints)}"
+        self.joints.append((name, kind))
+        words = [f'name="{name}" type="{kind}" pos="{self.numbers(-0.04, 0.04, 3)}"']
+        if kind != "ball":
+            words.append(f'axis="{self.arrow()}"')
+        if self.chance(0.35):
+            reach = {"ball": "0 50", "hinge": "-40 40", "slide": "-0.1 0.1"}[kind]
+            words.append(f'limited="true" range="{reach}" margin="{rng.choice([0, 0.01])}"')
+        else:
+            words.append('limited="false"')
+        if self.chance(0.25):
+            words.append(f'stiffness="{10 ** rng.uniform(-1, 3):.3g}"')
+        if self.chance(0.35):
+            words.append(f'damping="{10 ** rng.uniform(-3, 1):.3g}"')
+        if self.chance(0.2):
+            words.append(f'frictionloss="{10 ** rng.uniform(-3, 0.5):.3g}"')
+        if self.chance(0.3):
+            words.append(f'armature="{10 ** rng.uniform(-4, 0):.3g}"')
+        return f"<joint {' '.join(words)}/>"
+
+    # What ties bodies together, and what drives them
+
+    def equalities(self) -> str:
+        rows, rng = "", self.rng
+        scalars = [name for name, kind in self.joints if kind != "ball"]
+        if len(self.names) > 1 and self.chance(0.2):
+            first, second = rng.choice(self.names, 2, replace=False)
+            if self.chance(0.5):
+                rows += f'<connect body1="{first}" body2="{second}" anchor="0 0 0.05"/>'
+            else:
+                rows += f'<weld body1="{first}" body2="{second}"/>'
+        if self.mocaps and self.chance(0.5):
+            rows += f'<weld body1="{self.mocaps[0]}" body2="{rng.choice(self.names)}"/>'
+        if self.chance(0.15):
+            rows += f'<connect body1="{rng.choice(self.names)}" anchor="0.02 0 0"/>'
+        if len(scalars) > 1 and self.chance(0.2):
+            first, second = rng.choice(scalars, 2, replace=False)
+            rows += f'<joint joint1="{first}" joint2="{second}" polycoef="0 0.5 0 0 0"/>'
+        return f"<equality>{rows}</equality>"
+
+    def tendons(self) -> str:
+        rows, rng = "", self.rng
+        scalars = [name for name, kind in self.joints if kind != "ball"]
+        more = ""
+        if self.chance(0.5):
+            more += f' stiffness="{10 ** rng.uniform(-1, 2):.3g}"'
+        if self.chance(0.5):
+            more += f' damping="{10 ** rng.uniform(-3, 0.5):.3g}"'
+        if self.chance(0.3):
+            more += f' frictionloss="{10 ** rng.uniform(-3, 0):.3g}"'
+        if self.chance(0.3):
+            more += ' limited="true" range="0 0.3"'
+        if self.chance(0.2):
+            more += ' armature="0.01"'
+        if len(scalars) > 1 and self.chance(0.2):
+            chosen = rng.choice(scalars, 2, replace=False)
+            ends = "".join(f'<joint joint="{name}" coef="{rng.normal():.3g}"/>' for name in chosen)
+            rows += f'<fixed name="t0"{more}>{ends}</fixed>'
+        if len(self.sites) > 1 and self.chance(0.25):
+            first, second = rng.choice(self.sites, 2, replace=False)
+            rows += (
+                f'<spatial name="t1"{more}><site site="{first}"/><site site="{second}"/></spatial>'
+            )
+        self.cords += [name for name in ("t0", "t1") if f'"{name}"' in rows]
+        return f"<tendon>{rows}</tendon>"
+
+    def actuators(self) -> str:
+        rng, rows = self.rng, ""
+        targets = [f'joint="{name}"' for name, kind in self.joints if kind != "ball"]
+        targets = [target for target in targets if self.chance(0.4)]
+        targets += [f'tendon="{name}"' for name in self.cords if self.chance(0.5)]
+        for target in targets:
+            kind = rng.choice(["motor", "position", "velocity", "intvelocity", "general", "damper"])
+            size = 10 ** rng.uniform(-1, 1.7)
+            words = {
+                "motor": f'gear="{size / 10:.3g}"',
+                "position": f'kp="{size:.3g}" kv="{size / 20:.3g}"'
+                + (' timeconst="0.02"' if self.chance(0.2) else ""),
+                "velocity": f'kv="{size / 10:.3g}"',
+                "intvelocity": f'kp="{size:.3g}" actrange="-1 1"',
+                "general": f'dyntype="{rng.choice(["filter", "filterexact", "integrator"])}" '
+                f'dynprm="0.03" gainprm="{size:.3g}" biastype="affine" '
+                f'biasprm="0 {-size:.3g} {-size / 20:.3g}"',
+                "damper": f'kv="{size / 20:.3g}" ctrlrange="0 2"',
+            }[str(kind)]
+            if kind != "damper" and self.chance(0.3):
+                words += ' ctrllimited="true" ctrlrange="-1 1"'
+            if self.chance(0.2):
+                words += ' forcelimited="true" forcerange="-5 5"'
+            rows += f"<{kind} {target} {words}/>"
+        if self.sites and self.chance(0.1):
+            rows += f'<motor site="{self.sites[0]}" gear="0 0 1 0 0.1 0"/>'
+        return f"<actuator>{rows}</actuator>"

@@ -1,0 +1,697 @@
+"""One random model through both doors, step by step, and what is asked of each step.
+
+`Sand.step` walks; before each step the plugin's simulation is brought to the same state, so that a
+difference between the doors belongs to one step. What is asked:
+
+- nothing that is not finite comes without a word: an error, or a warning of MuJoCo's, at the latest
+  in the next step;
+- both doors end a step with the same velocities, to 1e-8;
+- the implicit scheme's sand gives no energy: its momentum times the velocity that the step has
+  really ended with is at most 1e-10 of the kinetic energy and 1e-12 J, unless a counter or a
+  warning says why not;
+- what lies still goes on lying still when options change;
+- no error but those that the package raises on purpose.
+"""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from attacks import changes, models
+
+import mjgranular
+from mjgranular import GranularError, Sand, UnstableError
+from mjgranular.engine import add_sand
+
+KINDS_OF_RUN = changes.KINDS
+SHARES = (0.4, 0.3, 0.2, 0.1)
+ALIKE = 1e-8  # doors, in parts of the speeds at hand
+OF_KINETIC, JOULES = 1e-10, 1e-12
+SAME_AS_FORESEEN = 1e-6
+STILL, MOVED = 1e-7, 1e-5  # [m/s, rad/s]
+TROUBLES = 8  # after which a model is left
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_BAD = tuple(
+    int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")
+)
+_RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
+_DISCRETE = int(getattr(mujoco.mjtIntegrator, "mjINT_DISCRETE", -1))
+_NO_PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+_DAMPER = int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
+_SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
+# Of the model, what events change.
+_FIELDS = (
+    "dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "body_mass", "body_inertia",
+    "body_ipos", "body_pos", "geom_size", "geom_pos", "geom_friction", "hfield_data", "eq_data",
+    "tendon_damping", "tendon_stiffness", "actuator_gainprm", "actuator_biasprm",
+)  # fmt: skip
+_OPTIONS = (
+    "timestep", "impratio", "tolerance", "ls_tolerance", "noslip_tolerance", "gravity", "wind",
+    "density", "viscosity", "integrator", "cone", "jacobian", "solver", "iterations",
+    "ls_iterations", "noslip_iterations", "disableflags", "enableflags",
+)  # fmt: skip
+
+
+@dataclass
+class Finding:
+    """Something that should not be.
+
+    Attributes:
+        kind: a word or two, the same for all of one kind.
+        failed: whether it is against what is promised, or only worth knowing.
+    """
+
+    seed: int
+    number: int
+    step: int
+    door: str
+    kind: str
+    text: str
+    value: float = 0.0
+    failed: bool = True
+    about: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Drawn:
+    """What belongs to a seed and a number."""
+
+    model: models.Drawn
+    kind: str
+    plan: changes.Plan
+
+
+def draw(
+    seed: int,
+    number: int,
+    steps: int,
+    programs: tuple[tuple[str, str, str], ...] = models.PROGRAMS,
+    kind: str | None = None,
+) -> Drawn:
+    """Draws a model, its sand, and what is done to it."""
+    rng = np.random.default_rng([seed, number])
+    chosen = str(rng.choice(KINDS_OF_RUN, p=SHARES))
+    program = programs[int(rng.integers(len(programs)))]
+    kind = kind or chosen
+    if kind == "rest":
+        laws = ("link_distributed", "rft2d", "rft3d")  # under which everything comes to rest
+        still = [p for p in programs if p[0] in laws and p[1:] == ("plane", "implicit")]
+        still = still or [("link_distributed", "plane", "implicit")]
+        made = models.draw_at_rest(rng, still[int(rng.integers(len(still)))])
+    else:
+        made = models.draw(rng, program)
+    return Drawn(made, kind, changes.plan(rng, kind, steps))
+
+
+def arguments(sand: str) -> dict[str, Any]:
+    """Arguments of `Sand`, from how they are written."""
+    return eval(f"dict({sand})", vars(mjgranular).copy())
+
+
+class Walk:
+    """One model.
+
+    Args:
+        seed: of all that is drawn.
+        number: of the model.
+        steps: how many.
+        drawn: the model, if it is not what is drawn for seed and number.
+        place: is told the number of the step and the door before each.
+        bare: steps without sand, to see whether what happens is MuJoCo's own.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        number: int,
+        steps: int,
+        drawn: Drawn,
+        *,
+        place: Callable[[int, int], None] = lambda step, door: None,
+        bare: bool = False,
+    ) -> None:
+        self.seed, self.number, self.steps, self.drawn = seed, number, steps, drawn
+        self.place, self.bare = place, bare
+        self.findings: list[Finding] = []
+        self.counts: Counter[str] = Counter()
+        self.told: list[str] = []  # of Python's warnings and MuJoCo's
+        self.troubles = 0
+        self.pending = False  # NaN in the state of the first door, of which nobody has heard yet
+        self.step = -1
+        self.begun = 0  # the step at which it last began
+        self.asked, self.last_answer = 0, ""
+        self.dry_until = 0  # steps that the scheme has counted
+
+    # The beginning
+
+    def run(self) -> None:
+        """Walks to the end, or until it makes no sense any more."""
+        mujoco.set_mju_user_warning(lambda text: self.told.append(str(text)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.showwarning = lambda message, *rest, **more: self.told.append(str(message))
+            if not self.prepare():
+                return
+            for step in range(self.steps):
+                self.step = step
+                lines = self.drawn.plan.events.get(step, ())
+                for line in lines:
+                    self.happen(line)
+                self.one_step(touched=bool(lines))
+                if self.troubles > TROUBLES:
+                    self.counts["left"] += 1
+                    break
+            if self.pending:
+                self.one_step(touched=True)
+
+    def prepare(self) -> bool:
+        """Makes both simulations; whether there is anything to walk."""
+        given = arguments(self.drawn.model.sand)
+        self.model = mujoco.MjModel.from_xml_string(self.drawn.model.xml)
+        self.sand: Sand | None = None
+        self.inside: mujoco.MjModel | None = None
+        refused: dict[str, str] = {}
+        if not self.bare:
+            try:
+                self.place(-1, 0)
+                self.sand = Sand(self.model, **given)
+            except GranularError as error:
+                refused["step"] = str(error)
+            except Exception as error:
+                self.find("step", "exception", f"Sand: {error!r}")
+            try:
+                self.place(-1, 1)
+                spec = mujoco.MjSpec.from_string(self.drawn.model.xml)
+                add_sand(spec, **given)
+                self.inside = spec.compile()
+                self.inner = mujoco.MjData(self.inside)
+            except (ValueError, mujoco.FatalError, GranularError) as error:
+                refused["plugin"] = str(error)
+                self.inside = None
+            except Exception as error:
+                self.find("plugin", "exception", f"add_sand: {error!r}")
+                self.inside = None
+        self.data = mujoco.MjData(self.model)
+        # Explicit sand may be stepped by RK4 from inside alone.
+        by_itself = self.model.opt.integrator == _RK4 and "plugin" not in refused
+        if len(refused) == 1 and not by_itself:
+            self.find(*refused, "only one door refuses", next(iter(refused.values())))  # type: ignore[call-arg]
+        if refused:
+            self.counts["refused when made"] += 1
+        self.start = self.state()
+        self.original = self.kept_model(self.model)
+        self.implicit = "implicit" in (self.sand.scheme.name if self.sand else "")
+        if self.inside is None and self.sand is None and not self.bare:
+            return False
+        if self.inside is not None and self.sand is None:
+            self.implicit = False  # explicit, RK4
+        self.product = np.zeros(self.model.nv)
+        return True
+
+    # What happens
+
+    def happen(self, line: str) -> None:
+        """Makes an event happen on both sides."""
+        if line == "report":
+            self.ask_for_report()
+            return
+        changes.run(line, self.model, self.data)
+        if self.inside is not None:
+            changes.run(line, self.inside, self.inner)
+
+    def ask_for_report(self) -> None:
+        if self.sand is None:
+            return
+        try:
+            report = self.sand.report(self.data)
+        except GranularError:
+            self.counts["reports refused"] += 1
+            return
+        except Exception as error:
+            self.find("report", "exception", repr(error))
+            return
+        self.counts["reports"] += 1
+        finite = all(np.isfinite(body.force).all() for body in report.bodies)
+        if not finite:
+            self.find("report", "silent NaN", "a report with forces that are not finite")
+
+    def one_step(self, *, touched: bool) -> None:
+        """One step by each door, from one state."""
+        self.told.clear()
+        before = self.state()
+        speed = self.data.qvel.copy()
+        heard = None
+        if self.bare:
+            self.place(self.step, 2)
+            mujoco.mj_step(self.model, self.data)
+            self.counts["steps"] += 1
+            return
+        if self.inside is not None:
+            mujoco.mj_setState(self.inside, self.inner, before, _STATE)
+        if self.sand is not None:
+            heard = self.outer_step(before, speed)
+        if self.inside is not None:
+            self.inner_step(before, speed, heard)
+        if heard in ("trouble", "refused"):
+            self.recover()
+
+    def outer_step(self, before: np.ndarray, speed: np.ndarray) -> str:
+        """One `Sand.step`; says "fine", "announced", "trouble" or "refused"."""
+        assert self.sand is not None
+        data, model = self.data, self.model
+        must_refuse = self.must_refuse(model, inside=False)
+        quiet(data)
+        counted = self.counters()
+        applied = data.xfrc_applied.copy()
+        self.place(self.step, 0)
+        self.counts["steps"] += 1
+        try:
+            self.sand.step(data)
+        except UnstableError as error:
+            self.counts["unstable"] += 1
+            self.pending = False
+            finite = np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()
+            if not finite and np.isfinite(before).all():
+                self.find("step", "silent NaN", f"the state restored is not finite: {error}")
+            return "trouble"
+        except GranularError:
+            self.counts["refused under way"] += 1
+            self.pending = False
+            return "refused"
+        except mujoco.FatalError as error:
+            self.fatal("step", before, error)
+            return "trouble"
+        except Exception as error:
+            self.find("step", "exception", repr(error))
+            return "trouble"
+        if must_refuse:
+            self.find("step", f"{must_refuse} without a word", "Sand.step goes on")
+            return "refused"
+        if data.xfrc_applied.tobytes() != applied.tobytes():
+            self.find("step", "xfrc_applied changed", "not what it was before the step")
+        announced = (
+            bool(self.told)
+            or bool(data.warning.number.any())
+            or any(
+                now > then for now, then in zip(self.counters(), counted or 9 * (0,), strict=False)
+            )
+        )
+        if self.pending and not announced:
+            self.find("step", "silent NaN", "the step after does not speak of it either")
+            return "trouble"
+        self.pending = False
+        if not self.all_finite(data):
+            if not announced:
+                self.pending = True
+            return "announced"
+        if self.implicit:
+            self.weigh_work(
+                "step", model, data, sand_momentum(self.sand, data), speed, announced, before
+            )
+            self.compare_foreseen(speed, announced)
+        self.watch_rest()
+        return "announced" if announced else "fine"
+
+    def inner_step(self, before: np.ndarray, speed: np.ndarray, heard: str | None) -> None:
+        """One `mj_step` with the plugin; compared with the other door's."""
+        assert self.inside is not None
+        data, model = self.inner, self.inside
+        must_refuse = self.must_refuse(model, inside=True)
+        self.told.clear()
+        quiet(data)
+        self.place(self.step, 1)
+        self.counts["steps inside"] += 1
+        try:
+            mujoco.mj_step(model, data)
+        except mujoco.FatalError as error:
+            if "mjgranular" in str(error):
+                self.counts["refused under way, inside"] += 1
+                if heard in ("fine", "announced") and not must_refuse:
+                    self.find("plugin", "only one door refuses", str(error))
+            else:
+                self.fatal("plugin", before, error)
+            if heard is None:
+                self.recover()
+            return
+        except Exception as error:
+            self.find("plugin", "exception", repr(error))
+            return
+        bad = bool(data.warning.number[list(_BAD)].any())
+        announced = bool(data.warning.number.any()) or bool(self.told)
+        if must_refuse and not announced:
+            self.find("plugin", f"{must_refuse} without a word", "mj_step goes on")
+            if heard is None:
+                self.recover()
+            return
+        if not self.all_finite(data) and not announced:
+            mujoco.mj_step(model, data)  # MuJoCo looks at the beginning of a step
+            if not data.warning.number.any():
+                self.find("plugin", "silent NaN", "the step after does not speak of it either")
+            if heard is None:
+                self.recover()
+            return
+        if heard is None:  # the only door there is
+            if bad:
+                self.recover()
+            else:
+                mujoco.mj_setState(self.model, self.data, self.state_inside(), _STATE)
+            return
+        if heard == "refused":
+            if not must_refuse and not announced and not self.must_refuse(model, inside=False):
+                self.find("step", "only one door refuses", "mj_step goes on")
+            return
+        if bad != (heard == "trouble"):
+            if heard != "announced":
+                words = ("finds nothing bad", "finds something bad")
+                text = f"Sand.step: {heard}; mj_step {words[bad]}"
+                self.find("both", "only one door finds it bad", text, failed=not self.excused())
+            return
+        if heard == "fine" and not announced:
+            if self.implicit:
+                self.weigh_work("plugin", model, data, self.inner_momentum(), speed, False, before)
+            self.compare_doors(speed, before)
+
+    # What is asked of a step
+
+    def compare_doors(self, speed: np.ndarray, before: np.ndarray) -> None:
+        """Velocities at the end of the step, in parts of the speeds at hand."""
+        if self.excused():
+            return
+        self.counts["steps compared"] += 1
+        apart = float(np.abs(self.data.qvel - self.inner.qvel).max())
+        if apart <= 1e-13:
+            return
+        data = self.data
+        h = abs(float(self.model.opt.timestep))
+        forces = (data.qfrc_bias, data.qfrc_actuator, data.qfrc_applied, data.qfrc_passive)
+        pushed = sum(np.abs(force) for force in forces) / np.maximum(self.model.dof_M0, 1e-9)
+        scale = max(
+            np.abs(speed).max(), np.abs(data.qvel).max(), h * float(np.linalg.norm(pushed, np.inf))
+        )
+        if apart <= ALIKE * scale:
+            return
+        text = f"by {apart:.3g} of {scale:.3g}"
+        if apart <= 100.0 * self.sensitivity(before, scale / max(h, 1e-12)):
+            self.find("both", "doors differ (rounding alone does that)", text, failed=False)
+            return
+        self.find("both", "doors differ", text, apart / scale)
+
+    def sensitivity(self, before: np.ndarray, rate: float) -> float:
+        """How far apart steps end whose forces differ by rounding.
+
+        The engine's solver CG, or one that is stopped early, goes another way then.
+        """
+        assert self.inside is not None
+        ends = []
+        for seed in range(4):
+            rng = np.random.default_rng(seed)
+            mujoco.mj_setState(self.inside, self.inner, before, _STATE)
+            off = 1e-15 * rate * rng.normal(size=self.inside.nv) * self.inside.dof_M0
+            self.inner.qfrc_applied += off if seed else 0.0
+            mujoco.mj_step(self.inside, self.inner)
+            ends.append(self.inner.qvel.copy())
+        return max(float(np.abs(end - ends[0]).max()) for end in ends)
+
+    def excused(self) -> bool:
+        """Whether the doors are known to differ here (docs/plugin.md)."""
+        opt = self.model.opt
+        if opt.disableflags & _NO_PASSIVE == _NO_PASSIVE:
+            return True
+        return bool(opt.enableflags & _SLEEP)
+
+    def inner_momentum(self) -> np.ndarray:
+        """What is in `qfrc_passive` beside MuJoCo's own parts of it."""
+        data = self.inner
+        own = data.qfrc_spring + data.qfrc_damper + data.qfrc_gravcomp + data.qfrc_fluid
+        return data.qfrc_passive - own
+
+    def weigh_work(
+        self,
+        door: str,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        force: np.ndarray,
+        speed: np.ndarray,
+        announced: bool,
+        before: np.ndarray,
+    ) -> None:
+        """The true work of the sand: with the velocities that the step has ended with [J]."""
+        h = float(model.opt.timestep)
+        if not (0.0 < h < 1e3) or not np.isfinite(force).all():
+            return
+        work = h * float(force @ data.qvel)
+        self.counts["steps weighed"] += 1
+        if work <= JOULES:
+            return
+        kinetic = 0.0
+        for v in (speed, data.qvel):
+            mujoco.mj_mulM(model, data, self.product, np.ascontiguousarray(v))
+            kinetic = max(kinetic, 0.5 * float(v @ self.product))
+        if work <= OF_KINETIC * kinetic + JOULES:
+            return
+        reason = self.documented(model) or ("counted or warned of" if announced else "")
+        kind = f"energy ({reason})" if reason else f"energy{self.without_which(model, before)}"
+        if reason:
+            self.counts[f"energy, {reason}"] += 1
+        self.find(
+            door,
+            kind,
+            f"{work:.3g} J in a step, of {kinetic:.3g} J",
+            work / max(kinetic, JOULES),
+            failed=not reason,
+        )
+
+    def documented(self, model: mujoco.MjModel) -> str:
+        """Why the balance does not foresee this step, if docs/scheme.md says that it does not."""
+        opt = model.opt
+        if opt.noslip_iterations > 0:
+            return "noslip"
+        least = min(model.body_mass.min(), model.dof_damping.min(), model.dof_armature.min())
+        return "negative mass, damping or armature" if least < 0.0 else ""
+
+    def without_which(self, model: mujoco.MjModel, before: np.ndarray) -> str:
+        """Whether the work is gone with a new Sand, or if the engine's solver goes to its end."""
+        if self.sand is None or model.opt.integrator in (_RK4, _DISCRETE):
+            return ""
+        if self.asked > 5:
+            return self.last_answer
+        self.asked += 1
+        self.last_answer = self.ask_without_which(before)
+        return self.last_answer
+
+    def ask_without_which(self, before: np.ndarray) -> str:
+        assert self.sand is not None
+        model = copy.copy(self.model)
+        if work_of_new_sand(model, self.drawn.model.sand, before) <= JOULES:
+            return ", not of a new Sand"
+        opt = model.opt
+        opt.solver, opt.iterations, opt.ls_iterations = 2, 500, 100
+        opt.tolerance = opt.ls_tolerance = 0.0
+        opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
+        if work_of_new_sand(model, self.drawn.model.sand, before) <= JOULES:
+            return ", not if the engine's solver goes to its end"
+        return ""
+
+    def compare_foreseen(self, speed: np.ndarray, announced: bool) -> None:
+        """The velocity that has been foreseen, where the engine has no constraint to solve."""
+        assert self.sand is not None
+        desk = self.sand._bindings[self.data].desk
+        if announced or self.data.nefc or desk.account is None or not desk.holds:
+            return
+        if desk.account[0]["steps"] == self.dry_until:
+            return
+        self.dry_until = int(desk.account[0]["steps"])
+        if desk.account[0]["residual"] > 1e-9:
+            return
+        nv = self.model.nv
+        found = desk.holds[0][:nv]
+        h = abs(float(self.model.opt.timestep))
+        scale = max(np.abs(speed).max(), np.abs(self.data.qvel).max(), 9.81 * h)
+        off = float(np.abs(found - self.data.qvel).max())
+        if off > SAME_AS_FORESEEN * scale:
+            text = f"off by {off:.3g} of {scale:.3g}"
+            self.find("step", "not as foreseen", text, off / scale, failed=False)
+
+    def watch_rest(self) -> None:
+        """Whether what lies still goes on lying still."""
+        settled = self.drawn.plan.settled
+        if settled is None or self.step < settled - 1:
+            return
+        fastest = float(np.abs(self.data.qvel).max())
+        if self.step == settled - 1:
+            self.still = fastest < STILL
+            self.counts["settled" if self.still else "not settled"] += 1
+        elif self.still and fastest > MOVED:
+            self.find("step", "rest is lost", f"{fastest:.3g} m/s", fastest)
+
+    def must_refuse(self, model: mujoco.MjModel, *, inside: bool) -> str:
+        """The integrator, where it cannot be stepped with this sand."""
+        implicit = self.implicit or (self.sand is None and not inside)
+        if model.opt.integrator == _RK4 and (implicit or not inside):
+            return "RK4"
+        if model.opt.integrator == _DISCRETE and implicit:
+            return "discrete"
+        return ""
+
+    # Around it
+
+    def all_finite(self, data: mujoco.MjData) -> bool:
+        return bool(
+            np.isfinite(data.qpos).all()
+            and np.isfinite(data.qvel).all()
+            and np.isfinite(data.qacc).all()
+            and np.isfinite(data.qacc_warmstart).all()
+        )
+
+    def counters(self) -> tuple[int, ...]:
+        """What the scheme counts of its own shortcomings."""
+        assert self.sand is not None
+        binding = self.sand._bindings.get(self.data)
+        if binding is None or binding.desk.account is None:
+            return ()
+        account = binding.desk.account[0]
+        whole = [name for name in account.dtype.names if account.dtype[name] == np.int64]
+        return tuple(
+            int(account[name]) for name in whole if name not in ("steps", "evaluations", "most")
+        )
+
+    def fatal(self, door: str, before: np.ndarray, error: Exception) -> None:
+        """An error of MuJoCo's: found only if it is none without sand."""
+        model = copy.copy(self.model)
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, before, _STATE)
+        try:
+            mujoco.mj_step(model, data)
+        except mujoco.FatalError:
+            self.counts["errors of MuJoCo's own"] += 1
+            return
+        self.find(door, "exception", f"mujoco.FatalError: {error}")
+
+    def recover(self) -> None:
+        """Back to the beginning, with the model as it was."""
+        self.troubles += 1
+        self.begun = self.step + 1
+        self.pending = False
+        self.restore_model(self.model)
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, self.start, _STATE)
+        if self.inside is not None:
+            self.restore_model(self.inside)
+            mujoco.mj_resetData(self.inside, self.inner)
+
+    def kept_model(self, model: mujoco.MjModel) -> dict[str, Any]:
+        kept = {name: np.copy(getattr(model, name)) for name in _FIELDS}
+        for name in _OPTIONS:
+            value = getattr(model.opt, name)
+            kept[f"opt.{name}"] = np.copy(value) if isinstance(value, np.ndarray) else value
+        return kept
+
+    def restore_model(self, model: mujoco.MjModel) -> None:
+        for name in _FIELDS:
+            getattr(model, name)[:] = self.original[name]
+        for name in _OPTIONS:
+            setattr(model.opt, name, self.original[f"opt.{name}"])
+
+    def state(self) -> np.ndarray:
+        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        return state
+
+    def state_inside(self) -> np.ndarray:
+        assert self.inside is not None
+        state = np.empty(mujoco.mj_stateSize(self.inside, _STATE))
+        mujoco.mj_getState(self.inside, self.inner, state, _STATE)
+        return state
+
+    def find(
+        self, door: str, kind: str, text: str, value: float = 0.0, failed: bool = True
+    ) -> None:
+        """Notes a finding; of each kind only the first and the greatest of a model is kept."""
+        self.counts[f"found: {kind}"] += 1
+        known = next((f for f in self.findings if (f.kind, f.door) == (kind, door)), None)
+        if known is not None and value <= known.value:
+            return
+        opt = self.model.opt
+        recent = {
+            step: lines
+            for step, lines in self.drawn.plan.events.items()
+            if step <= self.step and step > self.step - 12
+        }
+        about = {
+            "kind of run": self.drawn.kind,
+            "program": " ".join(self.drawn.model.program),
+            "timestep": float(opt.timestep),
+            "integrator": int(opt.integrator),
+            "solver": int(opt.solver),
+            "jacobian": int(opt.jacobian),
+            "disableflags": int(opt.disableflags),
+            "enableflags": int(opt.enableflags),
+            "iterations": int(opt.iterations),
+            "nv": self.model.nv,
+            "nefc": int(self.data.nefc),
+            "begun at": self.begun,
+            "first step": known.step if known is not None else self.step,
+            "recent": recent,
+        }
+        found = Finding(
+            self.seed, self.number, self.step, door, kind, text, float(value), failed, about
+        )
+        if known is None:
+            self.findings.append(found)
+        else:
+            self.findings[self.findings.index(known)] = found
+
+
+def sand_momentum(sand: Sand, data: mujoco.MjData) -> np.ndarray:
+    """Generalized forces of the sand in the last step [N, N m]."""
+    total = np.zeros(sand.model.nv)
+    for row in sand._bindings[data].bodies:
+        wrench, body = row["wrench"], int(row["body"])
+        point = data.xipos[body]
+        mujoco.mj_applyFT(sand.model, data, wrench[:3], wrench[3:], point, body, total)
+    return total
+
+
+def work_of_new_sand(model: mujoco.MjModel, given: str, before: np.ndarray) -> float:
+    """Of one step from a state [J]; infinite where it cannot be made."""
+    data = mujoco.MjData(model)
+    mujoco.mj_setState(model, data, before, _STATE)
+    try:
+        sand = Sand(model, **arguments(given))
+        sand.step(data)
+    except (GranularError, mujoco.FatalError):
+        return np.inf
+    return float(model.opt.timestep * sand_momentum(sand, data) @ data.qvel)
+
+
+def quiet(data: mujoco.MjData) -> None:
+    """Forgets MuJoCo's warnings: a reset begins to count anew, and would hide one more."""
+    for kind in range(len(data.warning.number)):
+        data.warning[kind].number = 0
+
+
+def as_dict(finding: Finding) -> dict[str, Any]:
+    """For JSON."""
+    return asdict(finding)
+
+
+def failure(
+    seed: int,
+    number: int,
+    text: str,
+    *,
+    step: int = -1,
+    door: str = "",
+    kind: str = "the attack itself",
+    failed: bool = True,
+) -> dict[str, Any]:
+    """A finding that is not of a step."""
+    return as_dict(Finding(seed, number, step, door, kind, text, failed=failed))

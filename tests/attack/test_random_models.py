@@ -1,0 +1,94 @@
+"""The short form of `scripts/attack.py`: random models through both doors."""
+
+import importlib
+from collections import Counter
+
+import mujoco
+import numpy as np
+import pytest
+
+MODELS, STEPS = 72, 60
+# Each is compiled once on a machine; the long form has all laws on all surfaces.
+PROGRAMS = (
+    ("link_distributed", "plane", "implicit"),
+    ("rft3d", "plane", "implicit"),
+    ("rft3d", "height_field", "implicit"),
+    ("link", "bed", "implicit"),
+    ("link_distributed", "plane", "explicit"),
+    ("rft3d", "plane", "explicit"),
+)
+
+
+@pytest.mark.parametrize("kind", ["plain", "options", "hostile", "rest"])
+def test_random_models(kind, tmp_path):
+    crew, report = (
+        importlib.import_module("attacks.crew"),
+        importlib.import_module("attacks.report"),
+    )
+    tally = report.Tally()
+    with crew.Crew(jobs=2) as at_work:
+        for _ in at_work.warm(PROGRAMS):
+            pass
+        numbers = range(MODELS // 4)
+        for row in at_work.walk(0, numbers, STEPS, PROGRAMS, kind):
+            tally.add(row)
+    assert tally.models == MODELS // 4
+    assert tally.counts["steps"] > 0.4 * MODELS // 4 * STEPS
+    failures = [
+        f"seed 0, {f['number']}, step {f['step']}, {f['door']}: {f['kind']}: {f['text']}"
+        for f in tally.failures
+    ]
+    assert not failures, "\n".join(failures)
+
+
+def test_every_event_can_happen():
+    """No line of Python in the lists of events is one that can never be run."""
+    changes = importlib.import_module("attacks.changes")
+    walk = importlib.import_module("attacks.walk")
+    lists = ("OPTIONS", "RARE_OPTIONS", "BAD_OPTIONS", "FIELDS", "BAD_FIELDS", "BAD_STATES")
+    model = mujoco.MjModel.from_xml_string(EVERYTHING)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    names = {"model": model, "data": data, "mujoco": mujoco, "np": np}
+    for name in (*lists, "CALM_FLAGS"):
+        for line in getattr(changes, name):
+            exec(changes.seeded(rng, line), names)
+    assert walk.draw(0, 1, 10) == walk.draw(0, 1, 10)
+
+
+def test_what_is_drawn_is_of_all_kinds():
+    models = importlib.import_module("attacks.models")
+    seen = Counter()
+    for number in range(60):
+        program = models.PROGRAMS[number % len(models.PROGRAMS)]
+        drawn = models.draw(np.random.default_rng(number), program)
+        model = mujoco.MjModel.from_xml_string(drawn.xml)
+        seen.update(("joint", int(kind)) for kind in set(model.jnt_type))
+        seen.update(("geom", int(kind)) for kind in set(model.geom_type))
+        seen.update(("equality", int(kind)) for kind in set(model.eq_type))
+        seen.update(["tendons"] * (model.ntendon > 0) + ["actuators"] * (model.nu > 0))
+        seen.update(["activations"] * (model.na > 0) + ["mocap"] * (model.nmocap > 0))
+        seen[("integrator", int(model.opt.integrator))] += 1
+    joints, geoms = range(4), (0, 1, 2, 3, 4, 5, 6, 7)
+    assert all(seen["joint", kind] for kind in joints)
+    assert all(seen["geom", kind] for kind in geoms)
+    assert all(seen["equality", kind] for kind in range(3))
+    assert all(seen["integrator", kind] for kind in range(4))
+    assert all(seen[name] for name in ("tendons", "actuators", "activations", "mocap"))
+
+
+EVERYTHING = """
+<mujoco>
+  <asset><hfield name="h" nrow="3" ncol="3" size="1 1 0.1 0.1"/></asset>
+  <worldbody>
+    <geom type="hfield" hfield="h"/>
+    <body name="m" mocap="true"/>
+    <body name="a"><freejoint/><geom size="0.1"/>
+      <body pos="0 0 0.3"><joint name="j"/><geom size="0.1"/></body>
+    </body>
+  </worldbody>
+  <equality><weld body1="m" body2="a"/></equality>
+  <tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>
+  <actuator><position joint="j" timeconst="0.1"/></actuator>
+</mujoco>
+"""
