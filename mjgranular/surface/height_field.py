@@ -48,8 +48,9 @@ def height_field_probe(field, x, y, z):
     step_y = 2.0 * field.half_y / (field.rows - 1)
     u = (lx + field.half_x) / step_x
     v = (ly + field.half_y) / step_y
-    column = min(int(u), field.columns - 2)
-    row = min(int(v), field.rows - 2)
+    # Of 0 and what is no number the larger is 0: all indices are of the field, whatever the pose.
+    column = int(min(max(0.0, u), field.columns - 2.0))
+    row = int(min(max(0.0, v), field.rows - 2.0))
     u -= column
     v -= row
     k = row * field.columns + column
