@@ -106,6 +106,11 @@ class HeightField(Surface):
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field"),)
 
+    def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
+        number = int(model.geom_dataid[self.geoms(model)[0]])
+        arrays = (model.hfield_nrow, model.hfield_ncol, model.hfield_adr)
+        return tuple(array[number : number + 1] for array in arrays)
+
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
         return {"position": self.record(model)["axes"][0][2::3]}
 
