@@ -13,6 +13,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import records
+from mjgranular.shape.sizes import check_extents
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 from mjgranular.surface.surface import Surface
 
@@ -95,6 +96,7 @@ class HeightField(Surface):
         position, axes = world_pose(model, geom)
         half_x, half_y, elevation, _ = model.hfield_size[number]
         start = int(model.hfield_adr[number])
+        check_extents(f"the height field of geom {self.geom!r}", (half_x, half_y, elevation))
         field = np.zeros(1, HEIGHT_FIELD_DTYPE)
         field["position"] = position
         field["axes"] = axes.ravel()
@@ -121,7 +123,8 @@ class HeightField(Surface):
         count = field["rows"] * field["columns"]
         heights = model.hfield_data[start : start + count].reshape(field["rows"], field["columns"])
         heights = heights * field["elevation"]
-        dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
-        dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
+        with np.errstate(invalid="ignore"):  # heights may come later
+            dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
+            dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
         steepest = math.atan(math.hypot(np.abs(dx).max(), np.abs(dy).max()))
         return steepest + tilt_of(field["axes"].reshape(3, 3)[:, 2])
