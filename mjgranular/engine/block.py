@@ -39,6 +39,8 @@ HEADER_DTYPE = np.dtype(
         ("tuning_count", np.int64),  # 0 where it has none
         ("of_model", np.int64),  # address: relocations that read the model
         ("of_model_count", np.int64),
+        ("shape", np.int64),  # address: what a model has to have in common with that of the sand
+        ("shape_count", np.int64),
         ("whole", np.int64),  # whether the scheme reads forces that are not there yet
         ("lead", np.float64),  # how far velocities are taken ahead, in time steps
         ("program", np.int64),  # address of machine code
@@ -69,6 +71,7 @@ RELOCATION_DTYPE = np.dtype(
         ("delta", np.int64),  # added to a pointer [bytes]
     ]
 )
+SHAPE_DTYPE = np.dtype([("address", np.int64), ("value", np.int64)])  # of an int32 in mjModel
 # What comes after it lies as rows of sheets should (`kernel.lanes`): MuJoCo's memory begins a line.
 SHARE_DTYPE = np.dtype({"names": ["users"], "formats": [np.int64], "itemsize": LINE})
 IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
@@ -108,6 +111,7 @@ def make_image(
     scheme: Scheme,
     kernel: LawKernel,
     tunings: np.ndarray,
+    shape: Sequence[np.ndarray],
     values: dict[str, Any],
 ) -> Image:
     """Makes the image of a block.
@@ -120,6 +124,7 @@ def make_image(
         scheme: how forces become a step.
         kernel: of the law.
         tunings: what the sand's state changes (`engine.tuning`).
+        shape: of the surface (`Surface.shape`).
         values: those fields of the header that are no places: program, lead, drawing.
 
     Raises:
@@ -138,11 +143,12 @@ def make_image(
     # asks for the last good one.
     table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
     structs = Struct.of_data(data), Struct.of_model(model)
-    linked = (head, table, scene, desk.table)
+    shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
+    linked = (head, table, scene, desk.table, shapes)
     # Those that read the model are needed at each step, and so lie in the block.
     count = sum(structs[1].holds(int(word)) for array in linked for word in _words(array))
     of_model = np.zeros(count, RELOCATION_DTYPE)
-    own = [head, of_model, table, binding.bodies, binding.contacts, scene]
+    own = [head, of_model, shapes, table, binding.bodies, binding.contacts, scene]
     own += [desk.table, *desk.holds, ends := np.zeros(6)]
     places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
     for name, value in {
@@ -152,6 +158,8 @@ def make_image(
         "refusals": texts.ctypes.data,
         "of_model": of_model.ctypes.data,
         "of_model_count": count,
+        "shape": shapes.ctypes.data if len(shapes) else 0,
+        "shape_count": len(shapes),
         "relocations": room.ctypes.data,
         "table": table.ctypes.data,
         "qfrc": data.qfrc_passive.ctypes.data,

@@ -320,6 +320,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         scheme=scheme,
         kernel=kernel,
         tunings=tunings,
+        shape=surface.shape(model),
         values=values,
     )
     return Prepared(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from functools import cache, partial
 from typing import Any
 
@@ -17,9 +18,10 @@ from mjgranular.engine.block import (
     POINTER_IN_MODEL,
     REFUSAL_SIZE,
     RELOCATION_DTYPE,
+    SHAPE_DTYPE,
 )
 from mjgranular.engine.layout import Layout
-from mjgranular.engine.links import add_atomically, call_program
+from mjgranular.engine.links import add_atomically, call_program, publish, symbol
 from mjgranular.engine.rows import (
     ROW_COUNT,
     block_finder,
@@ -72,10 +74,19 @@ _ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState
 _address, _number = "int64", "int32"
 _header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
+_shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _prepare = External(PREPARE, "int64", *INIT_TYPES)
 _error = External("mju_error", "void", "int64")
 _free = External("mju_free", "void", "int64")
+
+_OTHER_SHAPE = "mjgranular_other_shape"
+_other_shape = ctypes.create_string_buffer(
+    b"mjgranular: the height field that is the sand has other rows or columns in this model than "
+    b"in that of the mjData: make an mjData of its own for each model"
+)
+publish(_OTHER_SHAPE, ctypes.addressof(_other_shape))
+other_shape = symbol(_OTHER_SHAPE)
 
 
 @partial(compiled, inline=True)
@@ -102,6 +113,16 @@ def link(block, model, data, address, count):
         if kind in (POINTER_IN_DATA, POINTER_IN_MODEL):
             place = longs(place, 1)[0] + relocation.delta
         longs(block + 8 * relocation.word, 1)[0] = place
+
+
+@partial(compiled, inline=True)
+def is_of_that_shape(header):
+    """Whether arrays of the model that a block is linked to are as long as the sand takes them."""
+    shapes = _shapes(header.shape, header.shape_count)
+    alike = True
+    for i in range(len(shapes)):
+        alike = alike and ints(shapes[i].address, 1)[0] == shapes[i].value
+    return alike
 
 
 @compiled
@@ -256,6 +277,9 @@ def sand_callbacks(layout: Layout) -> Callbacks:
             return
         # A batch may run this mjData on another model, or move arrays of the same.
         link(block, model, data, header.of_model, header.of_model_count)
+        if not is_of_that_shape(header):
+            _error(other_shape())
+            return
         lead = 0.0
         if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
             lead = header.lead * floats(model + timestep, 1)[0]

@@ -192,6 +192,8 @@ def sensor_compute(layout: Layout) -> Any:
             sense = senses[i]
             sand = find_block(data, sense.sand)
             if sand != 0 and _header(sand, 1)[0].table != 0:
-                measure_sand(sand, sense.measure, sense.slot, floats(readings + 8 * sense.at, 3))
+                size = 3 if sense.measure in (FORCE, MOMENT) else 1
+                values = floats(readings + 8 * sense.at, size)
+                measure_sand(sand, sense.measure, sense.slot, values)
 
     return compute

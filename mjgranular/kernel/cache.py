@@ -8,12 +8,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import mujoco
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.registry import CPUDispatcher
 
 from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
-from mjgranular.kernel.identity import PACKAGE_STAMP, digest, parts_of
+from mjgranular.kernel.identity import PACKAGE_STAMP, digest, machine, parts_of
 from mjgranular.kernel.parts import OPTIONS
 
 
@@ -66,7 +65,7 @@ class _PackageCache(FunctionCache):
         )
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return sig, codegen.magic_tuple(), mujoco.__version__, self._made_of
+        return sig, machine(), self._made_of
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:

@@ -72,7 +72,7 @@ _POINTERS = {
     "mass": "efc_D",
     "reference": "efc_aref",
 }
-ROWS_DTYPE = np.dtype([(name, np.int64) for name in ("count", *_POINTERS)])
+ROWS_DTYPE = np.dtype([(name, np.int64) for name in ("count", "contacts", *_POINTERS)])
 
 # A ball pressed into a plane and a hinge beyond its range: contacts and limits at the first step.
 _PROBE = """
@@ -115,13 +115,14 @@ def constraint_rows() -> tuple[int, ...]:
     sizes = first + 8 * int(mujoco.mjtWarning.mjNWARNING)
     sizes += (-sizes) % 8 + 16 * timers
     count = sizes + 4 * (names.index("nefc") - names.index("ncon"))
-    rows = dict(zip(ROWS_DTYPE.names or (), (count, *pointers), strict=True))
+    rows = dict(zip(ROWS_DTYPE.names or (), (count, sizes, *pointers), strict=True))
     _verify(rows, data)
     return tuple(rows.values())
 
 
 def _verify(rows: dict[str, int], data: mujoco.MjData) -> None:
     ok = ctypes.c_int.from_address(data._address + rows["count"]).value == data.nefc > 0
+    ok = ok and ctypes.c_int.from_address(data._address + rows["contacts"]).value == data.ncon
     for key, name in _POINTERS.items():
         if key == "contact":
             array = data.contact.dist

@@ -21,7 +21,10 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")  # in what objects are called that have no name
 
 # Settings of numba's that change what it compiles, as variables of the environment.
-_SETTINGS = ("CPU_NAME", "CPU_FEATURES", "ENABLE_AVX", "OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
+_SETTINGS = (
+    "BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "ENABLE_AVX", "OPT", "LOOP_VECTORIZE",
+    "SLP_VECTORIZE",
+)  # fmt: skip
 
 
 def _stamp(paths: Iterable[Path]) -> tuple[int, int]:

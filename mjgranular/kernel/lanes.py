@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.foreign import Intrinsic
+from mjgranular.kernel.memory import numbers_of
 
 LINE = 64
 """Bytes in a line of the cache, and in the widest vector. Rows that lie across two lines take up to
@@ -88,7 +89,7 @@ def rows(count: int, lanes: int) -> Rows:
         from llvmlite import ir
 
         vector = ir.VectorType(ir.DoubleType(), lanes)
-        data = context.make_array(array)(context, builder, args[0]).data
+        data = numbers_of(context, builder, array, args, count * lanes - 1)
         indices = (builder.add(args[1], args[1].type(k * lanes)) for k in range(count))
         return [
             builder.bitcast(builder.gep(data, [index]), vector.as_pointer()) for index in indices

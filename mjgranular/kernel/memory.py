@@ -111,6 +111,28 @@ def records(dtype: np.dtype) -> Any:
     return Intrinsic(read)
 
 
+def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> Any:
+    """For what reads an array of itself: where its numbers are, once indices are checked.
+
+    They are in builds with bounds checks, as numba checks its own indexing.
+
+    Args:
+        context: numba's.
+        builder: numba's.
+        array: its type.
+        args: the array, and the first index that will be read or written.
+        last: how far behind that the last one is.
+    """
+    from numba.core import cgutils
+
+    opened = context.make_array(array)(context, builder, args[0])
+    if context.enable_boundscheck:
+        size = builder.extract_value(opened.shape, 0)
+        for index in (args[1], builder.add(args[1], args[1].type(last))):
+            cgutils.do_boundscheck(context, builder, index, size)
+    return opened.data
+
+
 @dataclass(frozen=True)
 class Column:
     """A tuple of numbers that lie in an array of floats at equal distances.
@@ -131,7 +153,7 @@ def column(count: int, stride: int) -> Column:
     """Makes the kernels for so many numbers and such a distance."""
 
     def places(context: Any, builder: Any, array: Any, args: Any) -> list[Any]:
-        data = context.make_array(array)(context, builder, args[0]).data
+        data = numbers_of(context, builder, array, args, (count - 1) * stride)
         indices = (builder.add(args[1], args[1].type(k * stride)) for k in range(count))
         return [builder.gep(data, [index]) for index in indices]
 
@@ -181,7 +203,7 @@ def summed(count: int) -> Any:
         from numba import types
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            data = context.make_array(array)(context, builder, args[0]).data
+            data = numbers_of(context, builder, array, args, count - 1)
             vector = ir.VectorType(ir.DoubleType(), count)
             place = builder.bitcast(builder.gep(data, [args[1]]), vector.as_pointer())
             numbers = builder.load(place, align=8)

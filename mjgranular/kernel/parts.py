@@ -27,11 +27,12 @@ from numba.core.typed_passes import NativeLowering
 from numba.core.typing.templates import make_concrete_template
 
 from mjgranular.kernel import lane_types  # noqa: F401  (numba is to know them before it types)
+from mjgranular.kernel.fault import FAULT
 from mjgranular.kernel.program import Code
 
 OPTIONS: dict[str, Any] = {
     "nopython": True,
-    "boundscheck": None,
+    "boundscheck": None,  # as NUMBA_BOUNDSCHECK says
     # IEEE arithmetic (no fastmath): both doors and all platforms are to give the same numbers.
     "error_model": "numpy",
 }
@@ -240,8 +241,15 @@ def _doors(context: Any, result: Any, name: str) -> ir.Module:
         module, ir.FunctionType(answer, [context.get_value_type(t) for t in argtypes]), name
     )
     builder = ir.IRBuilder(function.append_basic_block())
-    # Kernels raise nothing.
-    _, value = context.call_conv.call_function(builder, callee, restype, argtypes, function.args)
+    status, value = context.call_conv.call_function(
+        builder, callee, restype, argtypes, function.args
+    )
+    if context.enable_boundscheck:  # else kernels raise nothing
+        with builder.if_then(status.is_error, likely=False):
+            text = context.insert_const_string(module, name)
+            fault = ir.Function(module, ir.FunctionType(ir.VoidType(), [text.type]), FAULT)
+            builder.call(fault, [text])
+            builder.unreachable()
     builder.ret(value)
     if answer == _LONG and all(a.type in (_LONG, _DOUBLE) for a in function.args):
         _python_door(module, function, f"{name}.python")

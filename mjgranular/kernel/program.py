@@ -22,6 +22,8 @@ from uuid import uuid4
 
 import llvmlite.binding as llvm
 
+from mjgranular.kernel.fault import FAULT, publish
+
 _METH_FASTCALL = 0x80
 
 
@@ -187,6 +189,8 @@ class _Memory:
                     jit=True
                 )
                 self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+            if FAULT in code.needs:
+                publish()
             if _missing(code):  # numba has helpers of its own, which it publishes with all the rest
                 from numba.core.registry import cpu_target
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -371,7 +372,8 @@ class Sand:
 
     def _moment(self, time: float) -> str:
         """When, in words; the first step is step 1."""
-        return f"t = {time:.6g} s, step {round(time / self._options.timestep) + 1}"
+        step = time / self._options.timestep if self._options.timestep else math.nan
+        return f"t = {time:.6g} s" + (f", step {round(step) + 1}" if math.isfinite(step) else "")
 
     def _blame(self, data: mujoco.MjData) -> tuple[str, int]:
         """What MuJoCo has found bad, and in which body; its warnings count as told then."""

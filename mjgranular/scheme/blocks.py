@@ -47,8 +47,8 @@ class BlockKernels:
 
     Attributes:
         size: numbers in a block.
-        immerse: kernel `immerse(table, heads, blocks)`: fills blocks with the elements in the sand;
-            how many blocks.
+        immerse: kernel `immerse(table, desk)`: fills the desk's blocks with the elements in the
+            sand; how many blocks.
         move: kernel `move(block, motion, grips, eps, loose)`: velocities in a block from its body's
             spatial velocity, and grips.
         respond: kernel `respond(block, law, g, eps)`: forces and derivatives.

@@ -54,8 +54,9 @@ def read_row(desk, rows, i, address):
     jacobian = longs(data + rows.jacobian, 1)[0]
     if desk[d.SPARSE]:
         clear(row)
-        size = ints(longs(data + rows.row_size, 1)[0], i + 1)[i]
-        start = ints(longs(data + rows.row_start, 1)[0], i + 1)[i]
+        count = ints(data + rows.count, 1)[0]
+        size = ints(longs(data + rows.row_size, 1)[0], count)[i]
+        start = ints(longs(data + rows.row_start, 1)[0], count)[i]
         column = ints(longs(data + rows.column, 1)[0] + 4 * start, size)
         values = floats(jacobian + 8 * start, size)
         for k in range(size):
@@ -147,11 +148,13 @@ def bound_forces(desk, room, velocity, h, grips):
     mass = floats(longs(data + rows.mass, 1)[0], count)
     reference = floats(longs(data + rows.reference, 1)[0], count)
     owner = ints(longs(data + rows.owner, 1)[0], count)
-    address = room.holds
+    contacts = _contacts(longs(data + rows.contact, 1)[0], ints(data + rows.contacts, 1)[0])
+    holds = floats(room.holds, 2 * desk[d.HOLD_COUNT])
+    held = 0
     i = np.int64(0)  # a literal would be compiled for on its own
     while i < count:
         if kind[i] == _ELLIPTIC:
-            contact = _contacts(longs(data + rows.contact, 1)[0], owner[i] + 1)[owner[i]]
+            contact = contacts[owner[i]]
             add_cone(desk, room, rows, i, contact, mass, reference, h)
             i += contact.dim
             continue
@@ -161,8 +164,8 @@ def bound_forces(desk, room, velocity, h, grips):
         if kind[i] == _EQUALITY:
             pass
         elif kind[i] <= _FRICTION:
-            force, stiff, turn = hold(floats(address, 2), x, loss[i], mass[i], grips)
-            address += 16
+            force, stiff, turn = hold(holds, held, x, loss[i], mass[i], grips)
+            held += 2
             bend = max(bend, turn)
         elif x >= 0.0:
             force, stiff = 0.0, 0.0
@@ -174,7 +177,7 @@ def bound_forces(desk, room, velocity, h, grips):
 
 
 @compiled
-def hold(kept, x, limit, mass, grips):
+def hold(kept, first, x, limit, mass, grips):
     """Friction with a limit, -limit x / max(|x|, limit / mass), and minus its derivative.
 
     From one side of rest to the other Newton's method could leap for ever, as it could with the
@@ -182,7 +185,8 @@ def hold(kept, x, limit, mass, grips):
     for this function M. Hintermueller, G. Stadler, SIAM J. Sci. Comput. 28 (2006)).
 
     Args:
-        kept: x and q that were last looked at; will be those of now.
+        kept: x and q that were last looked at, of each friction loss; will be those of now.
+        first: where those of this one are.
         x: acceleration along the row, less its reference.
         limit: of the force.
         mass: that of the row while it holds.
@@ -196,12 +200,12 @@ def hold(kept, x, limit, mass, grips):
     own = -x / size
     q = own
     if grips == NEXT:
-        old, q = kept[0], kept[1]
+        old, q = kept[first], kept[first + 1]
         growth = math.copysign(x - old, old * (x - old)) if abs(old) > edge else 0.0
         q = min(max(-(x + growth * q) / max(abs(old), edge), -1.0), 1.0)
     elif grips == SAME:
-        q = kept[1]
-    kept[0], kept[1] = x, q
+        q = kept[first + 1]
+    kept[first], kept[first + 1] = x, q
     along = math.copysign(q, q * x) if abs(x) > edge else 0.0
     return limit * own, limit * (1.0 + along) / size, (q - own) ** 2
 

@@ -34,8 +34,12 @@ account_records = records(ACCOUNT_DTYPE)
 # where the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the
 # step is not there yet. INTEGRATOR, SPARSE and WARM follow from the model's options, and are read
 # at each step (`read_options`); WARM where the engine's constraint solver ends no farther off than
-# it begins. A block of elements (`scheme.blocks`) has so many LANES and numbers.
-NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN, WARM, LANES, BLOCK_SIZE = range(11)
+# it begins. A block of elements (`scheme.blocks`) has so many LANES and numbers; there is room for
+# so many blocks, and for the holds of so many friction losses.
+(
+    NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN, WARM, LANES, BLOCK_SIZE,
+    BLOCK_COUNT, HOLD_COUNT,
+) = range(13)  # fmt: skip
 OF_MODEL = (
     "M_rownnz",
     "M_rowadr",
@@ -68,7 +72,7 @@ OF_DATA = (
     "qacc",
     "qfrc_bias",
 )
-FIRST_OF_MODEL = 11
+FIRST_OF_MODEL = 13
 FIRST_OF_DATA = FIRST_OF_MODEL + len(OF_MODEL)
 NUMBERS, HEADS, BLOCKS, ACCOUNT, ROWS, LONE = range(
     FIRST_OF_DATA + len(OF_DATA), FIRST_OF_DATA + len(OF_DATA) + 6
@@ -216,6 +220,8 @@ def make_desk(
         0,  # WARM
         kernel.lanes,
         block_size(kernel),
+        count,
+        model.nv + model.ntendon,
     )
     holds: tuple[Any, ...] = (numbers, heads, blocks, account, rows, lone)
     addresses = (

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.elementary import bits_of
 from mjgranular.kernel.engine import solve_inertia
 from mjgranular.kernel.memory import CONTACTS, ELEMENT_COUNT, floats, ints
 from mjgranular.kernel.records import contact_records
@@ -82,6 +81,6 @@ def tell_contacts(table, desk, count, share):
     for i in range(count):
         block = floats(desk[d.BLOCKS] + 8 * size * i, size)
         for lane in range(heads[i].live):
-            contact = contacts[np.int64(block[INDEX * lanes + lane])]
+            contact = contacts[bits_of(block[INDEX * lanes + lane])]
             for k in range(3):
                 contact.force[k] = share * block[(FORCE + k) * lanes + lane]

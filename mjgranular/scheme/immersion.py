@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.elementary import bits_of, number_of
 from mjgranular.kernel.lanes import rows
 from mjgranular.kernel.memory import (
     BODIES,
@@ -23,6 +24,7 @@ from mjgranular.kernel.memory import (
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import WORLD, LawKernel
+from mjgranular.scheme import desk as d
 from mjgranular.scheme.layout import (
     ARM,
     IMMERSED,
@@ -55,11 +57,12 @@ def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             block[WEIGHT * lanes + lane] = 0.0
 
     @compiled
-    def immerse_all(table, head_address, address):
+    def immerse_all(table, desk):
         elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         bodies = body_records(table[BODIES], table[BODY_COUNT])
-        heads = head_records(head_address, table[ELEMENT_COUNT])
+        heads = head_records(desk[d.HEADS], desk[d.BLOCK_COUNT])
+        address = desk[d.BLOCKS]
         scene = scene_records(table[SCENE], 1)
         law = scene[0].law
         surface = scene[0].surface
@@ -98,7 +101,7 @@ def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
                 write_three(block, VELOCITY * lanes + live, v)
                 write_numbers(block, IMMERSED * lanes + live, immersed)
                 block[WEIGHT * lanes + live] = 1.0
-                block[INDEX * lanes + live] = i
+                block[INDEX * lanes + live] = number_of(i)
                 live += 1
                 heads[count - 1].live = live
                 if live == lanes:
@@ -145,16 +148,17 @@ def gather_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     def tell(block, live, contacts):
         """Writes what is known of contacts before their forces."""
         for lane in range(live):
-            contact = contacts[np.int64(block[INDEX * lanes + lane])]
+            contact = contacts[bits_of(block[INDEX * lanes + lane])]
             contact.length = block[(IMMERSED + 1) * lanes + lane]
             write_three(contact.point, 0, read_three(block, (IMMERSED + 2) * lanes + lane))
             write_three(contact.velocity, 0, read_three(block, VELOCITY * lanes + lane))
 
     @compiled
-    def immerse_all(table, head_address, address):
+    def immerse_all(table, desk):
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         bodies = body_records(table[BODIES], table[BODY_COUNT])
-        heads = head_records(head_address, table[ELEMENT_COUNT])
+        heads = head_records(desk[d.HEADS], desk[d.BLOCK_COUNT])
+        address = desk[d.BLOCKS]
         scene = scene_records(table[SCENE], 1)
         law = scene[0].law
         surface = scene[0].surface
@@ -185,7 +189,7 @@ def gather_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
                             heads[count].body = body.body
                             count += 1
                         write_element(gathered, live, read_element(sheet, lane))
-                        block[INDEX * lanes + live] = first + lane
+                        block[INDEX * lanes + live] = number_of(first + lane)
                         live += 1
                         heads[count - 1].live = live
                         if live == lanes:

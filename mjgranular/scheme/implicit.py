@@ -230,7 +230,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         withdraw_wrenches(table)
         for slot in range(len(bodies)):
             clear(bodies[slot].wrench)
-        count = immerse_all(table, desk[d.HEADS], desk[d.BLOCKS])
+        count = immerse_all(table, desk)
         if count > 0:
             forward_smooth(desk)
             room = d.open_room(desk)

@@ -9,7 +9,8 @@ from mjgranular.law.kernel import LawKernel
 
 # Rows of a block: from the centre of the tree to where force acts [m]; velocity last looked at
 # [m/s] and the grip there; what `respond` gave for these (force, minus its derivative, bend:
-# `law.kernel`); 1, or nothing for a lane left over; number of the element; wrench about the centre
+# `law.kernel`); 1, or nothing for a lane left over; number of the element, an
+# integer's bits; wrench about the centre
 # of the tree, moment first, and minus its derivative by the body's motion, row by row; and what
 # `immerse` gave.
 ARM, VELOCITY, GRIP, FORCE, SLOPE, BEND, WEIGHT, INDEX = 0, 3, 6, 9, 12, 21, 22, 23

@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import records
-from mjgranular.shape.facets import geom_name, geom_width, half_extents
+from mjgranular.shape.sizes import check_size, geom_name, geom_width, half_extents
 
 BLOB_DTYPE = np.dtype(
     [
@@ -42,7 +42,8 @@ def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         Blobs, ordered by body, shape (n,), dtype `BLOB_DTYPE`.
 
     Raises:
-        InputError: a geom of a type that has no volume, or of size zero.
+        InputError: a geom of a type that has no volume, or of a size of zero or beyond what can
+            be computed with.
     """
     blobs = np.zeros(len(geoms), BLOB_DTYPE)
     slots: dict[int, int] = {}
@@ -64,8 +65,7 @@ def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
 def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
     kind = _GEOM(int(model.geom_type[geom]))
     half = half_extents(model, geom)
-    if not (half > 0).all():
-        raise InputError(f"geom {geom_name(model, geom)} has a size of zero: it needs a volume")
+    check_size(model, geom)
     if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
         blob["radii"] = half
     elif kind == _GEOM.mjGEOM_CAPSULE:

@@ -12,6 +12,14 @@ import numpy as np
 from mjgranular.errors import InputError, warn_user
 from mjgranular.kernel.memory import records
 from mjgranular.shape import tessellation
+from mjgranular.shape.sizes import (
+    check_count,
+    check_resolution,
+    check_size,
+    geom_name,
+    geom_width,
+    half_extents,
+)
 from mjgranular.shape.tessellation import Cells
 
 FACET_DTYPE = np.dtype(
@@ -74,26 +82,28 @@ def facets_from_model(
         Facets, ordered by body, shape (n,), dtype `FACET_DTYPE`.
 
     Raises:
-        InputError: a geom of another type, of size zero, or a mesh without faces; a resolution
-            below 2 or above 200.
+        InputError: a geom of another type, of size zero or beyond what can be computed with, or a
+            mesh without faces; a resolution below 2 or above 200; more facets than there is room
+            for.
 
     Warns:
         GranularWarning: a mesh is not watertight, says how many open edges it has; or is inside
             out, and then is turned round.
     """
-    if resolution < 2:
-        raise InputError(f"the resolution must be at least 2, not {resolution}")
-    if resolution > FINEST:
-        raise InputError(f"the resolution must be at most {FINEST}, not {resolution}")
-    ordered = sorted(geoms, key=lambda g: (int(model.geom_bodyid[g]), g))
-    skins = {geom: _skin(model, geom, resolution) for geom in ordered}
-    if hidden == "drop" and len(skins) > 1:
-        unseen = hidden_skin(model, skins)
-        skins = {geom: skin.only(~unseen[geom]) for geom, skin in skins.items()}
+    resolution = check_resolution(resolution, 2, FINEST)
+    ordered = sorted(set(geoms), key=lambda g: (int(model.geom_bodyid[g]), g))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
     slots: dict[int, int] = {}
     parts = []
-    for geom, skin in skins.items():
+    count = 0
+    for geom in ordered:  # one skin at a time: the cells of all would fill the memory
+        skin = _skin(model, geom, resolution)
+        if hidden == "drop":
+            skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
         facets = skin.gathered()
+        count += len(facets)
+        check_count(count)
         part = np.zeros(len(facets), FACET_DTYPE)
         parts.append(part)
         if not len(part):
@@ -117,8 +127,10 @@ def facets_from_model(
     return np.concatenate(parts)
 
 
-def hidden_skin(model: mujoco.MjModel, skins: dict[int, Cells]) -> dict[int, np.ndarray]:
-    """Which cells of the skins of geoms lie inside others of these geoms.
+def hidden_skin(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, skin: Cells, geoms: Sequence[int]
+) -> np.ndarray:
+    """Which cells of the skin of a geom lie inside others.
 
     A geom hides what is inside it on its own body, and on bodies that are welded to it. On a body
     that hinges or balls join to its own, before or behind, it hides what is inside it at `qpos0`
@@ -128,20 +140,21 @@ def hidden_skin(model: mujoco.MjModel, skins: dict[int, Cells]) -> dict[int, np.
 
     Args:
         model: the model.
-        skins: cells of each geom in its own frame, by geom id.
+        data: at `qpos0`.
+        geom: id of the geom.
+        skin: its cells, in its own frame.
+        geoms: ids of all that meet the sand.
 
     Returns:
-        For each geom a mask of its cells.
+        A mask of the cells.
     """
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    hidden = {geom: np.zeros(len(skin.points), bool) for geom, skin in skins.items()}
-    for geom, skin in skins.items():
-        turn = data.geom_xmat[geom].reshape(3, 3)
+    hidden = np.zeros(len(skin.points), bool)
+    turn = data.geom_xmat[geom].reshape(3, 3)
+    # Cells without area have no normal and are not used; what is too far to tell hides nothing.
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         points, vectors = skin.points @ turn.T + data.geom_xpos[geom], skin.vectors @ turn.T
-        with np.errstate(invalid="ignore"):  # cells without area have no normal and are not used
-            normals = vectors / np.linalg.norm(vectors, axis=1)[:, None]
-        for other in skins:
+        normals = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+        for other in geoms:
             apart = float(np.linalg.norm(data.geom_xpos[geom] - data.geom_xpos[other]))
             joints = _joints_between(model, geom, other)
             if other == geom or joints is None or apart > sum(model.geom_rbound[[geom, other]]):
@@ -155,7 +168,7 @@ def hidden_skin(model: mujoco.MjModel, skins: dict[int, Cells]) -> dict[int, np.
             covered = _inside(model, other, (points + step - place) @ back)
             if other < geom:
                 covered |= _inside(model, other, (points - step - place) @ back)
-            hidden[geom] |= near & covered
+            hidden |= near & covered
     return hidden
 
 
@@ -191,32 +204,6 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
     return np.zeros(len(points), bool)
 
 
-def geom_width(model: mujoco.MjModel, geom: int) -> float:
-    """Width of a geom: its second largest extent [m], a rod's diameter, a plate's shorter side."""
-    return float(np.sort(2 * half_extents(model, geom))[1])
-
-
-def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Half extents of a geom along its own axes [m], shape (3,)."""
-    size = model.geom_size[geom]
-    kind = int(model.geom_type[geom])
-    if kind == _GEOM.mjGEOM_SPHERE:
-        return np.full(3, size[0])
-    if kind == _GEOM.mjGEOM_CAPSULE:
-        return np.array([size[0], size[0], size[1] + size[0]])
-    if kind == _GEOM.mjGEOM_CYLINDER:
-        return np.array([size[0], size[0], size[1]])
-    if kind == _GEOM.mjGEOM_MESH:
-        return model.geom_aabb[geom, 3:]
-    return size
-
-
-def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """A geom's name in quotes, or its number."""
-    name = model.geom(geom).name
-    return repr(name) if name else f"number {geom}"
-
-
 def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
     kind = int(model.geom_type[geom])
     if kind == _GEOM.mjGEOM_MESH:
@@ -235,8 +222,7 @@ def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
             f"geom {geom_name(model, geom)} is a {word}: sand acts on capsules, spheres, "
             "cylinders, ellipsoids, boxes and meshes"
         )
-    if not (half_extents(model, geom) > 0).all():
-        raise InputError(f"geom {geom_name(model, geom)} has a size of zero: it needs a volume")
+    check_size(model, geom)
     return shape(model.geom_size[geom])
 
 
@@ -244,6 +230,7 @@ def _mesh_skin(model: mujoco.MjModel, geom: int) -> Cells:
     mesh = int(model.geom_dataid[geom])
     if mesh < 0 or model.mesh_facenum[mesh] == 0:
         raise InputError(f"the mesh of geom {geom_name(model, geom)} has no faces")
+    check_size(model, geom, flat=True)
     first = int(model.mesh_vertadr[mesh])
     vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
     start = int(model.mesh_faceadr[mesh])

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.memory import records
-from mjgranular.shape.facets import geom_name, half_extents
+from mjgranular.shape.sizes import check_count, check_resolution, check_size, geom_name
 
 ROD_DTYPE = np.dtype(
     [
@@ -24,6 +24,9 @@ ROD_DTYPE = np.dtype(
 )
 
 rod_records = records(ROD_DTYPE)
+
+MOST_PIECES = 10_000
+"""Of one rod. Chosen: far more than accuracy asks for."""
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
@@ -43,7 +46,8 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         Rods, shape (n,), dtype `ROD_DTYPE`.
 
     Raises:
-        InputError: a geom is neither a capsule nor a cylinder, or has a size of zero.
+        InputError: a geom is neither a capsule nor a cylinder, or has a size of zero or beyond what
+            can be computed with.
     """
     rods = np.zeros(len(geoms), ROD_DTYPE)
     slots: dict[int, int] = {}
@@ -55,8 +59,7 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
                 f"geom {geom_name(model, geom)} is a {shape}: the link law acts on slender bodies, "
                 "capsules and cylinders; choose them with geoms=[...] or bodies=[...]"
             )
-        if not (half_extents(model, geom) > 0).all():
-            raise InputError(f"geom {geom_name(model, geom)} has a size of zero: it needs a volume")
+        check_size(model, geom)
         radius, half = model.geom_size[geom][:2]
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
@@ -80,7 +83,12 @@ def cut_rods(rods: np.ndarray, pieces: int) -> np.ndarray:
 
     Returns:
         Rods, shape (n * pieces,).
+
+    Raises:
+        InputError: no piece, or more pieces than there is room for.
     """
+    pieces = check_resolution(pieces, 1, MOST_PIECES)
+    check_count(len(rods) * pieces)
     cut = np.repeat(rods, pieces)
     # Middles of the pieces along the axis, in half-lengths: symmetric to the last bit.
     index = np.arange(pieces)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.shape.sizes import check_extents
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 from mjgranular.surface.surface import Surface
 
@@ -68,6 +69,7 @@ class Bed(Surface):
         geom = find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_BOX, "bed")
         position, axes = world_pose(model, geom)
         half = model.geom_size[geom]
+        check_extents(f"the bed {self.geom!r}", half)
         bed = np.zeros(1, BED_DTYPE)
         bed["top"] = position + half[2] * axes[:, 2]
         bed["along"], bed["across"], bed["normal"] = axes.T

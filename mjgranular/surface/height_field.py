@@ -13,6 +13,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import records
+from mjgranular.shape.sizes import check_extents
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 from mjgranular.surface.surface import Surface
 
@@ -48,8 +49,9 @@ def height_field_probe(field, x, y, z):
     step_y = 2.0 * field.half_y / (field.rows - 1)
     u = (lx + field.half_x) / step_x
     v = (ly + field.half_y) / step_y
-    column = min(int(u), field.columns - 2)
-    row = min(int(v), field.rows - 2)
+    # Of 0 and what is no number the larger is 0: all indices are of the field, whatever the pose.
+    column = int(min(max(0.0, u), field.columns - 2.0))
+    row = int(min(max(0.0, v), field.rows - 2.0))
     u -= column
     v -= row
     k = row * field.columns + column
@@ -94,6 +96,7 @@ class HeightField(Surface):
         position, axes = world_pose(model, geom)
         half_x, half_y, elevation, _ = model.hfield_size[number]
         start = int(model.hfield_adr[number])
+        check_extents(f"the height field of geom {self.geom!r}", (half_x, half_y, elevation))
         field = np.zeros(1, HEIGHT_FIELD_DTYPE)
         field["position"] = position
         field["axes"] = axes.ravel()
@@ -105,6 +108,11 @@ class HeightField(Surface):
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         return (find_geom(model, self.geom, mujoco.mjtGeom.mjGEOM_HFIELD, "height field"),)
 
+    def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
+        number = int(model.geom_dataid[self.geoms(model)[0]])
+        arrays = (model.hfield_nrow, model.hfield_ncol, model.hfield_adr)
+        return tuple(array[number : number + 1] for array in arrays)
+
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
         return {"position": self.record(model)["axes"][0][2::3]}
 
@@ -115,7 +123,8 @@ class HeightField(Surface):
         count = field["rows"] * field["columns"]
         heights = model.hfield_data[start : start + count].reshape(field["rows"], field["columns"])
         heights = heights * field["elevation"]
-        dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
-        dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
+        with np.errstate(invalid="ignore"):  # heights may come later
+            dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
+            dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
         steepest = math.atan(math.hypot(np.abs(dx).max(), np.abs(dy).max()))
         return steepest + tilt_of(field["axes"].reshape(3, 3)[:, 2])

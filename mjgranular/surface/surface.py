@@ -40,6 +40,16 @@ class Surface(ABC):
         """Ids of the geoms that are the sand and so do not meet it."""
         return ()
 
+    def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
+        """Integers of the model, int32, by which `record` says how long an array of the model is.
+
+        An `MjData` may be run on another model: they have to be the same there.
+
+        Returns:
+            Views of arrays of the model, shape (1,) each.
+        """
+        return ()
+
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
         """How the record changes for each metre that the surface rises along its normal.
 

@@ -1,0 +1,110 @@
+"""How large a geom is, and how large and how finely cut it may be."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Half extents of geoms [m]. Chosen: beyond anything that is in sand, or is sand, and far within
+what can be squared twice."""
+
+MOST_ELEMENTS = 1_000_000
+"""In one sand. Chosen: a step of so many takes tens of milliseconds, and their tables 1 GB."""
+
+_GEOM = mujoco.mjtGeom
+
+
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """A geom's name in quotes, or its number."""
+    name = model.geom(geom).name
+    return repr(name) if name else f"number {geom}"
+
+
+def geom_width(model: mujoco.MjModel, geom: int) -> float:
+    """Width of a geom: its second largest extent [m], a rod's diameter, a plate's shorter side."""
+    return float(np.sort(2 * half_extents(model, geom))[1])
+
+
+def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Half extents of a geom along its own axes [m], shape (3,)."""
+    size = model.geom_size[geom]
+    kind = int(model.geom_type[geom])
+    if kind == _GEOM.mjGEOM_SPHERE:
+        return np.full(3, size[0])
+    if kind == _GEOM.mjGEOM_CAPSULE:
+        return np.array([size[0], size[0], size[1] + size[0]])
+    if kind == _GEOM.mjGEOM_CYLINDER:
+        return np.array([size[0], size[0], size[1]])
+    if kind == _GEOM.mjGEOM_MESH:
+        return model.geom_aabb[geom, 3:]
+    return size
+
+
+def check_size(model: mujoco.MjModel, geom: int, *, flat: bool = False) -> None:
+    """Makes sure that a geom has a volume that can be computed with.
+
+    Args:
+        model: the model.
+        geom: its id.
+        flat: whether it may have no thickness, as a mesh may.
+
+    Raises:
+        InputError: it has not; says which size.
+    """
+    half = half_extents(model, geom)
+    if flat:
+        half = half[half.argmax() :][:1]
+    if not (half > 0).all():
+        raise InputError(f"geom {geom_name(model, geom)} has a size of zero: it needs a volume")
+    check_extents(f"geom {geom_name(model, geom)}", half)
+
+
+def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
+    """Makes sure that half extents [m] are of a size that can be computed with.
+
+    Raises:
+        InputError: they are not; says of `what`, and which.
+    """
+    for value in half:
+        if not SMALLEST <= value <= LARGEST:
+            raise InputError(
+                f"{what} has a half extent of {value:g} m: it must be from {SMALLEST:g} to "
+                f"{LARGEST:g} m"
+            )
+
+
+def check_resolution(resolution: Any, least: int, most: int) -> int:
+    """A resolution as the integer that it is.
+
+    Raises:
+        InputError: it is no integer from `least` to `most`.
+    """
+    try:
+        number = operator.index(resolution)
+    except TypeError:
+        raise InputError(f"the resolution must be a whole number, not {resolution!r}") from None
+    if number < least:
+        raise InputError(f"the resolution must be at least {least}, not {number}")
+    if number > most:
+        raise InputError(f"the resolution must be at most {most}, not {number}")
+    return number
+
+
+def check_count(count: int) -> None:
+    """Makes sure that there are not too many elements.
+
+    Raises:
+        InputError: there are.
+    """
+    if count > MOST_ELEMENTS:
+        raise InputError(
+            f"the geoms would have {count:,} elements, more than {MOST_ELEMENTS:,}: take a lower "
+            "resolution, or fewer geoms"
+        )
