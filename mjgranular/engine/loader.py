@@ -41,6 +41,7 @@ from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Plane
+from mjgranular.surface.floors import warn_of_floors
 
 _KEPT = 32  # images of models of the past: they cost memory, and save preparing them again
 # What elements, selection and surfaces are made of. Heights of a height field are read live.
@@ -294,6 +295,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     except UnknownNameError as error:
         key = next((_KEYS_OF_KINDS[kind] for kind in _KEYS_OF_KINDS if kind in error.kind), "law")
         raise InputError(f"config {key!r}: {error}") from None
+    warn_of_floors(model, geoms, surface)
     elements = law.elements(model, geoms, given.get("resolution"))
     scheme = scheme.settle(model, len(elements))
     scene = make_scene(law, medium, surface, model)

@@ -24,6 +24,7 @@ from mjgranular.scheme.status import FINE, REFUSED
 from mjgranular.shape import select_geoms
 from mjgranular.shape.select import body_name
 from mjgranular.surface import Plane, Surface
+from mjgranular.surface.floors import warn_of_floors
 
 _step1 = mujoco.mj_step1
 _step2 = mujoco.mj_step2
@@ -115,6 +116,7 @@ class Sand:
             groups=groups,
             leave_out=self._surface.geoms(model),
         )
+        warn_of_floors(model, chosen, self._surface)
         self._elements = self._law.elements(model, chosen, resolution)
         if not shared:
             refuse_sand_of_its_own(model, self._elements)

@@ -1,0 +1,122 @@
+"""Rigid ground of the model's own, which carries bodies before they meet the sand."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import warn_user
+from mjgranular.shape.sizes import geom_name
+from mjgranular.surface.plane import Plane
+from mjgranular.surface.surface import Surface
+
+SKIN = 1e-3
+"""So far below the sand's surface ground still carries what stands on it [m]; chosen."""
+
+_TOLD = 4  # geoms that a message names
+_FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
+
+
+def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> list[int]:
+    """Finds geoms of the world that bodies stand on at or above the sand's surface.
+
+    From each geom that meets the sand, where the model stands at `qpos0`, rays are cast down along
+    the surface's normal: to the sand, and to what is fixed to the world and collides with that
+    geom. What comes first carries.
+
+    Args:
+        model: the model.
+        geoms: ids of the geoms that meet the sand.
+        surface: where the sand is: a plane, or geoms of the model. Of others nothing is known.
+
+    Returns:
+        Their ids, in order.
+    """
+    sand = surface.geoms(model)
+    plane = surface if isinstance(surface, Plane) else None
+    if plane is None and not sand:
+        return []
+    fixed = [geom for geom in range(model.ngeom) if _is_fixed(model, geom) and geom not in sand]
+    fixed = [geom for geom in fixed if any(_collide(model, geom, other) for other in geoms)]
+    if not fixed:
+        return []
+    rays = copy.copy(model)
+    rays.geom_matid[:] = -1  # rays go through what cannot be seen
+    rays.geom_rgba[:] = 1.0
+    rays.geom_group[:] = 0
+    rays.geom_group[list(sand)] = _SAND
+    data = mujoco.MjData(rays)
+    mujoco.mj_kinematics(rays, data)
+    down = np.array([0.0, 0.0, -1.0]) if plane is None else -plane.normal
+    found = set()
+    for geom in geoms:
+        against = [other for other in fixed if _collide(model, geom, other)]
+        if not against:
+            continue
+        rays.geom_group[fixed] = 0
+        rays.geom_group[against] = _FLOOR
+        centre = data.geom_xpos[geom]
+        if plane is None:
+            to_sand, _ = _cast(rays, data, centre, down, _SAND)
+        else:
+            to_sand = float((centre - [0.0, 0.0, plane.height]) @ plane.normal)
+        to_floor, floor = _cast(rays, data, centre, down, _FLOOR)
+        if floor >= 0 and to_floor <= to_sand + SKIN:
+            found.add(floor)
+    return sorted(found)
+
+
+def describe_floors(model: mujoco.MjModel, floors: Sequence[int]) -> str:
+    """Says what carries the model, in words."""
+    named = [f"{geom_name(model, geom)} (a {_kind(model, geom)})" for geom in floors]
+    if len(named) > _TOLD:
+        named[_TOLD:] = [f"{len(named) - _TOLD} more"]
+    what = "geoms" if len(floors) > 1 else "geom"
+    return (
+        f"the model's own {what} {', '.join(named)} would carry it at or above the sand's surface"
+    )
+
+
+def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
+    """Warns where bodies will stand on the model's own ground and not in the sand."""
+    floors = find_floors(model, geoms, surface)
+    if floors:
+        warn_user(
+            f"{describe_floors(model, floors)}: set contype and conaffinity of what is not to be "
+            "there to 0, or put it deeper"
+        )
+
+
+def _kind(model: mujoco.MjModel, geom: int) -> str:
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+    return kind.name.removeprefix("mjGEOM_").lower()
+
+
+def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
+    body = int(model.geom_bodyid[geom])
+    return bool(model.body_weldid[body] == 0 and model.body_mocapid[body] < 0)
+
+
+def _collide(model: mujoco.MjModel, first: int, second: int) -> bool:
+    """Whether two geoms make contacts."""
+    if (
+        model.geom_contype[first] & model.geom_conaffinity[second]
+        or model.geom_contype[second] & model.geom_conaffinity[first]
+    ):
+        return True
+    ends = {first, second}
+    pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    return any({one, other} == ends for one, other in pairs)
+
+
+def _cast(
+    model: mujoco.MjModel, data: mujoco.MjData, start: np.ndarray, along: np.ndarray, group: int
+) -> tuple[float, int]:
+    """Distance to the first geom of a group along a ray [m], and its id; infinite, -1 for none."""
+    groups, hit = np.zeros(6, np.uint8), np.full(1, -1, np.int32)
+    groups[group] = 1
+    distance = mujoco.mj_ray(model, data, start, along, groups, 1, -1, hit)
+    return (float(distance), int(hit[0])) if hit[0] >= 0 else (np.inf, -1)

@@ -1,0 +1,98 @@
+"""Ground of the model's own that carries bodies before they meet the sand."""
+
+import warnings
+
+import mujoco
+import pytest
+
+from mjgranular import Bed, GranularWarning, HeightField, Plane, Sand, add_sand
+from mjgranular.shape import select_geoms
+from mjgranular.surface.floors import find_floors
+
+SAND = {"medium": "quikrete_medium"}
+BALL = '<body name="ball" pos="{x} 0 0.5"><freejoint/><geom name="ball" size="0.1"/></body>'
+
+
+def world(ground, x=0.0, assets=""):
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><asset>{assets}</asset><worldbody>{ground}{BALL.format(x=x)}</worldbody></mujoco>"
+    )
+
+
+def floors(model, surface):
+    geoms = select_geoms(model, leave_out=surface.geoms(model))
+    return [model.geom(geom).name for geom in find_floors(model, geoms, surface)]
+
+
+FIELD = '<hfield name="f" nrow="3" ncol="3" size="1 1 0.1 0.1" elevation="0 0 0 0 1 0 0 0 0"/>'
+
+
+def geom(kind, name="floor", **attributes):
+    return (
+        f'<geom name="{name}" type="{kind}"'
+        + "".join(f' {key}="{value}"' for key, value in {"size": "1 1 0.1", **attributes}.items())
+        + "/>"
+    )
+
+
+def hfield(name):
+    return f'<geom name="{name}" type="hfield" hfield="f"/>'
+
+
+BED = geom("box", "bed", pos="0 0 0.1")
+CASES = {
+    "plane at the surface": (geom("plane"), Plane(), True),
+    "plane above it": (geom("plane"), Plane(-0.2), True),
+    "plane below it": (geom("plane"), Plane(0.2), False),
+    "to be seen only": (geom("plane", contype=0, conaffinity=0), Plane(), False),
+    "box at the surface": (geom("box", pos="0 0 -0.1"), Plane(), True),
+    "box below it": (geom("box", pos="0 0 -0.3"), Plane(), False),
+    "box elsewhere": (geom("box", pos="5 0 0"), Plane(), False),
+    "hfield above it": (hfield("floor"), Plane(), True),
+    "floor of a bed": (geom("plane") + BED, Bed("bed"), False),
+    "floor over a bed": (geom("plane", pos="0 0 0.3") + BED, Bed("bed"), True),
+    "floor of a field": (geom("plane") + hfield("field"), HeightField("field"), False),
+    "wall beside it": (geom("box", size="0.1 1 1", pos="0.5 0 0"), Plane(), False),
+    "on another body of the world": (f"<body>{geom('box')}</body>", Plane(), True),
+    "on a slope": (geom("plane", euler="0 -20 0"), Plane(slope=0.349), True),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_carries_is_found(case):
+    ground, surface, carries = CASES[case]
+    assert floors(world(ground, assets=FIELD), surface) == (["floor"] if carries else [])
+
+
+def test_pairs_collide_whatever_the_masks_say():
+    xml = """
+    <mujoco>
+      <worldbody>
+        <geom name="floor" type="plane" size="0 0 1" contype="0" conaffinity="0"/>
+        <body pos="0 0 0.5"><freejoint/><geom name="ball" size="0.1"/></body>
+      </worldbody>
+      <contact><pair geom1="floor" geom2="ball"/></contact>
+    </mujoco>
+    """
+    assert floors(mujoco.MjModel.from_xml_string(xml), Plane()) == ["floor"]
+
+
+def test_nothing_is_changed_in_the_model():
+    model = world(geom("box", pos="0 0 -0.1"))
+    before = model.geom_group.tobytes(), model.geom_rgba.tobytes()
+    floors(model, Plane())
+    assert (model.geom_group.tobytes(), model.geom_rgba.tobytes()) == before
+
+
+def test_both_doors_warn():
+    bodies = geom("plane", "ground") + BALL.format(x=0)
+    xml = f"<mujoco><worldbody>{bodies}</worldbody></mujoco>"
+    with pytest.warns(GranularWarning, match=r"'ground' \(a plane\) would carry it"):
+        Sand(mujoco.MjModel.from_xml_string(xml), **SAND)
+    spec = mujoco.MjSpec.from_string(xml)
+    add_sand(spec, **SAND)
+    with pytest.warns(GranularWarning, match=r"'ground' \(a plane\) would carry it"):
+        spec.compile()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Sand(mujoco.MjModel.from_xml_string(xml), surface=Plane(0.2), **SAND)
