@@ -96,6 +96,11 @@ class HeightField(Surface):
         position, axes = world_pose(model, geom)
         half_x, half_y, elevation, _ = model.hfield_size[number]
         start = int(model.hfield_adr[number])
+        if start < 0 or start + rows * columns > len(model.hfield_data):
+            raise InputError(
+                f"the height field of geom {self.geom!r} has {rows} rows and {columns} columns, for "
+                f"which hfield_data is too short: leave hfield_nrow and hfield_ncol as compiled"
+            )
         check_extents(f"the height field of geom {self.geom!r}", (half_x, half_y, elevation))
         field = np.zeros(1, HEIGHT_FIELD_DTYPE)
         field["position"] = position
