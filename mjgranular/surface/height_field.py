@@ -98,8 +98,8 @@ class HeightField(Surface):
         start = int(model.hfield_adr[number])
         if start < 0 or start + rows * columns > len(model.hfield_data):
             raise InputError(
-                f"the height field of geom {self.geom!r} has {rows} rows and {columns} columns, for "
-                f"which hfield_data is too short: leave hfield_nrow and hfield_ncol as compiled"
+                f"the height field of geom {self.geom!r} has {rows} rows and {columns} columns, too "
+                "many for hfield_data: leave hfield_nrow and hfield_ncol as they were compiled"
             )
         check_extents(f"the height field of geom {self.geom!r}", (half_x, half_y, elevation))
         field = np.zeros(1, HEIGHT_FIELD_DTYPE)
