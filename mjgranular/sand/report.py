@@ -200,6 +200,7 @@ class Names:
         )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is beyond all numbers is told as infinite
 def describe(
     data: mujoco.MjData,
     *,

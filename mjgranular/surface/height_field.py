@@ -41,17 +41,17 @@ def height_field_probe(field, x, y, z):
     lx = a[0] * rx + a[3] * ry + a[6] * rz
     ly = a[1] * rx + a[4] * ry + a[7] * rz
     lz = a[2] * rx + a[5] * ry + a[8] * rz
-    beside = max(abs(lx) - field.half_x, abs(ly) - field.half_y)
-    if beside > 0.0:
-        return -beside, a[2], a[5], a[8]
+    # NaN is not within: what passes gives indices of the field and no others.
+    if not (abs(lx) <= field.half_x and abs(ly) <= field.half_y):
+        beside = max(abs(lx) - field.half_x, abs(ly) - field.half_y)
+        return (-beside if beside > 0.0 else math.nan), a[2], a[5], a[8]
     heights = _heights(field.data, field.rows * field.columns)
     step_x = 2.0 * field.half_x / (field.columns - 1)
     step_y = 2.0 * field.half_y / (field.rows - 1)
     u = (lx + field.half_x) / step_x
     v = (ly + field.half_y) / step_y
-    # Of 0 and what is no number the larger is 0: all indices are of the field, whatever the pose.
-    column = int(min(max(0.0, u), field.columns - 2.0))
-    row = int(min(max(0.0, v), field.rows - 2.0))
+    column = min(int(u), field.columns - 2)
+    row = min(int(v), field.rows - 2)
     u -= column
     v -= row
     k = row * field.columns + column
@@ -96,6 +96,11 @@ class HeightField(Surface):
         position, axes = world_pose(model, geom)
         half_x, half_y, elevation, _ = model.hfield_size[number]
         start = int(model.hfield_adr[number])
+        if start < 0 or start + rows * columns > len(model.hfield_data):
+            raise InputError(
+                f"the height field of geom {self.geom!r} has {rows} rows and {columns} columns, "
+                "too many for hfield_data: leave hfield_nrow and hfield_ncol as they were compiled"
+            )
         check_extents(f"the height field of geom {self.geom!r}", (half_x, half_y, elevation))
         field = np.zeros(1, HEIGHT_FIELD_DTYPE)
         field["position"] = position

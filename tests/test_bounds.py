@@ -1,0 +1,297 @@
+"""Memory: no pose, no height, no other model has compiled code read what is not its own."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco.batch import Batch
+
+from mjgranular import HeightField, InputError, Sand, UnstableError
+from mjgranular.engine import add_sand
+from mjgranular.scheme import desk as d
+
+# A body that a mocap body carries, and one that is free; both in the dune.
+DUNE = """
+<mujoco>
+  <option timestep="1e-3"/>
+  <asset><hfield name="dune" nrow="{n}" ncol="{n}" size="1 1 0.1 0.1"/></asset>
+  <worldbody>
+    <geom name="dune" type="hfield" hfield="dune"/>
+    <body mocap="true">
+      <body name="arm"><joint axis="0 1 0"/><geom type="capsule" size="0.05 0.1"/></body>
+    </body>
+    <body name="rod" pos="0.3 0.3 0"><freejoint/><geom type="capsule" size="0.05 0.1"/></body>
+  </worldbody>
+</mujoco>
+"""
+NOT_THERE = (math.nan, math.inf, -math.inf, 1e300)
+
+
+def given(law, scheme):
+    medium = "quikrete_medium" if law == "rft3d" else "play_sand"
+    return {"medium": medium, "law": law, "scheme": scheme, "surface": HeightField("dune")}
+
+
+def model_of(n, **sand):
+    spec = mujoco.MjSpec.from_string(DUNE.format(n=n))
+    if sand:
+        add_sand(spec, **sand)
+    return spec.compile()
+
+
+def move(model, data, how, value):
+    """Puts a number where a pose, or the dune, is made of it."""
+    if how == "mocap x":
+        data.mocap_pos[0, 0] = value
+    elif how == "mocap y":
+        data.mocap_pos[0, 1] = value
+    elif how == "qpos":
+        data.qpos[1] = value
+    elif how == "turned":
+        data.qpos[0] = value
+    elif how == "body_pos":
+        model.body_pos[2, 0] = value
+    else:
+        model.hfield_data[:] = max(min(value, 3e38), -3e38) if abs(value) < math.inf else value
+
+
+WAYS = ("mocap x", "mocap y", "qpos", "turned", "body_pos", "heights")
+
+
+@pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("scheme", ["explicit", "implicit"])
+@pytest.mark.parametrize("law", ["link_distributed", "rft3d"])
+def test_a_pose_that_is_no_number_meets_no_height_field(law, scheme, how):
+    for value in NOT_THERE:
+        model = model_of(65)
+        sand = Sand(model, **given(law, scheme))
+        for act in (sand.step, sand.report, sand.apply):
+            data = mujoco.MjData(model)
+            move(model, data, how, value)
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            # What is there, but far away, is not in the sand: then all is well.
+            if math.isnan(value) and how != "qpos":
+                with pytest.raises(UnstableError):
+                    act(data)
+                continue
+            try:
+                act(data)
+            except UnstableError:
+                continue
+            assert np.isfinite(data.qacc).all()
+            assert np.isfinite(data.xfrc_applied).all()
+
+
+@pytest.mark.parametrize("how", WAYS)
+@pytest.mark.parametrize("scheme", ["explicit", "implicit"])
+@pytest.mark.parametrize("law", ["link_distributed", "rft3d"])
+def test_nor_within_the_engine(law, scheme, how, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file
+    for value in NOT_THERE:
+        model = model_of(65, **given(law, scheme))
+        data = mujoco.MjData(model)
+        move(model, data, how, value)
+        mujoco.mj_forward(model, data)
+        for _ in range(2):
+            mujoco.mj_step(model, data)
+        if how not in ("body_pos", "heights"):  # MuJoCo finds what is no number, and resets
+            assert np.isfinite(data.qpos).all()
+            assert np.isfinite(data.qacc).all()
+
+
+# Large enough for an index that is off to fall out of the memory of the process.
+LARGE = """
+import warnings
+from test_bounds import *
+warnings.simplefilter("ignore")
+for law in ("link_distributed", "rft3d"):
+    model = model_of(2000)
+    sand = Sand(model, **given(law, "explicit"))
+    for act in (sand.step, sand.report):
+        for how in ("mocap x", "mocap y"):
+            data = mujoco.MjData(model)
+            move(model, data, how, math.nan)
+            try:
+                act(data)
+            except UnstableError:
+                print("unstable")
+    model = model_of(2000, **given(law, "explicit"))
+    data = mujoco.MjData(model)
+    move(model, data, "mocap x", math.nan)
+    mujoco.mj_step(model, data)
+"""
+
+
+def run(folder, code, *arguments, **environment):
+    file = folder / "code.py"
+    file.write_text(code, encoding="utf-8")
+    places = [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.run(
+        [sys.executable, str(file), *map(str, arguments)],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(places), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def test_a_large_height_field_is_not_left(tmp_path):
+    done = run(tmp_path, LARGE)
+    assert (done.returncode, done.stdout.split()) == (0, 8 * ["unstable"]), done.stderr
+
+
+class TestAnotherModel:
+    """A batch, or a loop of the user's, may run an MjData on a model that it was not made for."""
+
+    ARGUMENTS = given("link_distributed", "explicit")
+
+    def test_of_the_same_rows_and_columns(self):
+        own, other = model_of(9, **self.ARGUMENTS), model_of(9, **self.ARGUMENTS)
+        other.hfield_data[:] = 1.0
+        data, deep = mujoco.MjData(own), mujoco.MjData(other)
+        data.qvel[1:4] = deep.qvel[1:4] = -1.0
+        mujoco.mj_forward(own, data)
+        shallow = data.qfrc_passive.copy()
+        mujoco.mj_forward(other, data)
+        mujoco.mj_forward(other, deep)
+        assert (data.qfrc_passive == deep.qfrc_passive).all()
+        assert (data.qfrc_passive != shallow).any()
+
+    def test_of_others_is_refused(self):
+        own, other = model_of(2000, **self.ARGUMENTS), model_of(3, **self.ARGUMENTS)
+        data = mujoco.MjData(own)
+        with pytest.raises(mujoco.FatalError, match="other rows or columns in this model"):
+            mujoco.mj_step(other, data)
+        mujoco.mj_step(own, data)
+
+    def test_in_a_batch(self):
+        own, other = model_of(9, **self.ARGUMENTS), model_of(8, **self.ARGUMENTS)
+        batch = Batch(own, 2, nthread=1)
+        batch.set_models([own, other])
+        with pytest.raises(RuntimeError, match="other rows or columns in this model"):
+            batch.step()
+
+
+def test_a_height_field_that_is_longer_than_its_data():
+    model = model_of(9)
+    model.hfield_nrow[0] = 10_000
+    with pytest.raises(InputError, match="too many for hfield_data"):
+        Sand(model, **given("link_distributed", "explicit"))
+
+
+@pytest.mark.parametrize(("nv", "nbody", "ntendon"), [(1, 2, 0), (6, 3, 2), (27, 17, 5)])
+def test_the_solvers_arrays_fill_their_room(nv, nbody, ntendon):
+    desk = np.zeros(d.DESK_SIZE, np.int64)
+    desk[d.NV], desk[d.NBODY], desk[d.NUMBERS] = nv, nbody, 4096
+    room = d.open_room.py_func(desk)
+    assert room.holds + 16 * (nv + ntendon) == 4096 + 8 * d.room_size(nv, nbody, ntendon)
+
+
+# With bounds checks. A program of its own: the first number is read by itself, the others as
+# vectors are.
+FAULTY = """
+import sys
+import numpy as np
+from mjgranular.kernel.compiled import compiled, program_of
+from mjgranular.kernel.lanes import rows
+from mjgranular.kernel.memory import column, floats, summed
+
+read_column, read_rows, add_up = column(2, 3).read, rows(2, 2).read, summed(4)
+
+@compiled
+def part(address, index):
+    numbers = floats(address, 8)
+    return KIND
+
+@compiled
+def look(address, index):
+    return np.int64(part(address, index))
+
+room = np.arange(1000.0)
+print(program_of(look, "int64", "int64").function(room.ctypes.data, int(sys.argv[1])))
+"""
+
+
+# How it is read, and the last index that is right.
+@pytest.mark.parametrize(
+    ("kind", "last"),
+    [
+        pytest.param("numbers[index]", 7, id="plain"),
+        pytest.param("read_column(numbers, index)[1]", 4, id="column", marks=pytest.mark.slow),
+        pytest.param("add_up(numbers, index)", 4, id="sum", marks=pytest.mark.slow),
+        pytest.param(
+            "numbers[index + len(read_rows(numbers, index))]", 4, id="rows", marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_bounds_checks_are_alive(kind, last, tmp_path):
+    code = FAULTY.replace("KIND", kind)
+
+    def look(index, **environment):
+        return run(tmp_path, code, index, NUMBA_CACHE_DIR=str(tmp_path), **environment)
+
+    checked = {"NUMBA_BOUNDSCHECK": "1"}
+    assert look(last, **checked).returncode == 0
+    beyond = look(last + 1, **checked)
+    assert beyond.returncode != 0
+    assert beyond.stdout == ""
+    assert "index is out of bounds in the program __main__.look" in beyond.stderr
+    # The program without checks is another, also on disk.
+    assert look(last + 1, NUMBA_BOUNDSCHECK="0").returncode == 0
+
+
+WITHIN = """
+import numpy as np
+import mujoco
+from dataclasses import dataclass
+from typing import Any, ClassVar
+from mjgranular import Plane
+from mjgranular.engine import add_sand
+from mjgranular.engine.config import surfaces
+from mjgranular.kernel.compiled import compiled
+from mjgranular.surface import Surface
+
+@compiled
+def probe(record, x, y, z):
+    return record.normal[np.int64(3 + 0 * x)] - z, 0.0, 0.0, 1.0
+
+@dataclass(frozen=True)
+class Faulty(Surface):
+    probe: ClassVar[Any] = probe
+
+    def record(self, model):
+        return Plane().record(model)
+
+    def tilt(self, model):
+        return 0.0
+
+surfaces.add("faulty", Faulty)
+spec = mujoco.MjSpec.from_string(
+    "<mujoco><worldbody><body><freejoint/><geom type='capsule' size='.1 .1'/></body></worldbody>"
+    "</mujoco>"
+)
+add_sand(spec, surface=Faulty(), law="link", scheme="explicit")
+model = spec.compile()
+try:
+    mujoco.mj_step(model, mujoco.MjData(model))
+except BaseException:
+    pass
+print("nobody saw it")
+"""
+
+
+@pytest.mark.slow
+def test_within_the_engine_they_end_the_process(tmp_path):
+    done = run(tmp_path, WITHIN, NUMBA_BOUNDSCHECK="1")
+    assert done.returncode != 0
+    assert done.stdout == ""
+    assert "index is out of bounds in the program scheme.explicit" in done.stderr
