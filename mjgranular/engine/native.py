@@ -17,6 +17,7 @@ from mjgranular.engine.block import (
     POINTER_IN_MODEL,
     RELOCATION_DTYPE,
 )
+from mjgranular.engine.doors import FAIL, UNPREPARED
 from mjgranular.engine.layout import Layout
 from mjgranular.engine.links import add_atomically, call_program
 from mjgranular.engine.rows import (
@@ -48,20 +49,11 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.records import body_records
 
-PREPARE = "mjgranular_prepare"
-"""Name by which compiled code finds the way into Python."""
-
-FUNCTIONS = ("mju_error", "mju_free", "mjv_initGeom", "mjv_connector")
+FUNCTIONS = ("mju_free", "mjv_initGeom", "mjv_connector")
 """Functions of MuJoCo's that compiled code calls."""
 
-INIT_TYPES = ("int64", "int64", "int32")
-"""Of `init` and of the way into Python: mjModel*, mjData*, the number of the instance."""
-
 Callbacks = dict[str, tuple[Any, tuple[str, ...]]]
-"""Compiled functions by the names of their fields in `mjpPlugin`, and the types of their arguments.
-
-Beside them `start`, which is called from Python.
-"""
+"""Compiled functions by their fields in `mjpPlugin`, and the types of their arguments."""
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
@@ -70,8 +62,8 @@ _address, _number = "int64", "int32"
 _header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
 _bytes = records(np.dtype(np.uint8))
-_prepare = External(PREPARE, "int64", *INIT_TYPES)
-_error = External("mju_error", "void", "int64")
+_fail = External(FAIL, "void", "int64")
+_unprepared = External(UNPREPARED, "void", "int64")
 _free = External("mju_free", "void", "int64")
 
 
@@ -115,12 +107,20 @@ def release(share):
 
 
 @compiled
-def prepare(model, data, instance):
-    """Has Python prepare the sand; an error of MuJoCo's, with Python's text, if it cannot."""
-    message = _prepare(model, data, instance)
-    if message != 0:
-        _error(message)  # does not return
-    return 0
+def start(model, data, block):
+    """Links a block that has just been loaded."""
+    header = _header(block, 1)[0]
+    # The first of them tell where the others are.
+    link(block, model, data, header.relocations, header.relocation_count)
+    link(block, model, data, header.of_model, header.of_model_count)
+
+
+@compiled
+def drop(block):
+    """Frees a block, and with it one use of its share."""
+    share = _header(block, 1)[0].share
+    _free(block)
+    release(share)
 
 
 @partial(compiled, inline=True)
@@ -173,33 +173,15 @@ def life(layout: Layout) -> Callbacks:
     statenum = layout.plugin_statenum
 
     @compiled
-    def start(model, data, instance):
-        """Links a block that has just been loaded."""
-        block = find_block(data, instance)
-        if block != 0:
-            header = _header(block, 1)[0]
-            # The first of them tell where the others are.
-            link(block, model, data, header.relocations, header.relocation_count)
-            link(block, model, data, header.of_model, header.of_model_count)
-
-    @compiled
-    def init(model, data, instance):
-        prepare(model, data, instance)
-        start(model, data, instance)
-        return 0
-
-    @compiled
     def destroy(data, instance):
         number = find_row(data, instance)
         if number == 0:
             return
         row = row_records(rows_address(), ROW_COUNT)[number]
         block = row.block
-        share = _header(block, 1)[0].share
         row.block = 0
         row.data = 0
-        _free(block)
-        release(share)
+        drop(block)
 
     @compiled
     def copy(to, model, origin, instance):
@@ -224,8 +206,6 @@ def life(layout: Layout) -> Callbacks:
                 numbers[k] = INITIAL[k]
 
     return {
-        "start": (start, INIT_TYPES),
-        "init": (init, INIT_TYPES),
         "destroy": (destroy, (_address, _number)),
         "copy": (copy, (_address, _address, _address, _number)),
         "reset": (reset, (_address, _address, _address, _number)),
@@ -243,10 +223,13 @@ def sand_callbacks(layout: Layout) -> Callbacks:
     def compute(model, data, instance, capability):
         block = find_block(data, instance)
         if block == 0:
+            _unprepared(data)
             return
         header = _header(block, 1)[0]
         if header.refused != 0:
-            _error(block + begin)
+            _fail(block + begin)
+            return
+        if header.program == 0:
             return
         if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
