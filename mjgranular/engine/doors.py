@@ -198,6 +198,10 @@ class Size:
     otherwise: int
 
 
+NONE = Size("", {}, 0)
+"""No numbers, however it is configured."""
+
+
 def due(error: BaseException) -> type[BaseException]:
     """A class of exceptions of which this one is the only instance, for Python to raise later."""
     return _due(type(error), lambda: error)

@@ -37,6 +37,7 @@ from mjgranular.kernel.fork import LOADER
 from mjgranular.law import get_law, make_scene
 from mjgranular.medium import media
 from mjgranular.medium.medium import get_medium
+from mjgranular.names import name_of
 from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.shape import select_geoms
@@ -363,7 +364,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
     }
-    bodies = {int(body): model.body(body).name or str(body) for body in _in_order(elements)}
+    bodies = {int(body): name_of(model, "body", body) or str(body) for body in _in_order(elements)}
     image = make_image(
         model,
         mujoco.MjData(model),

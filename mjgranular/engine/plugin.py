@@ -20,13 +20,24 @@ import mujoco
 
 from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.config import KEYS
-from mjgranular.engine.doors import ERROR, FINE, INTERRUPT, Answer, Size, due, make_doors, pausing
+from mjgranular.engine.doors import (
+    ERROR,
+    FINE,
+    INTERRUPT,
+    NONE,
+    Answer,
+    Size,
+    due,
+    make_doors,
+    pausing,
+)
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import LayoutError, find_layout, laid_out
 from mjgranular.engine.library import instance_name, library
 from mjgranular.engine.measures import MEASURES
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
+from mjgranular.kernel.apart import is_main
 from mjgranular.kernel.compiler import CompilerError
 from mjgranular.kernel.fork import ENGINE
 
@@ -68,9 +79,9 @@ class Plugin:
     name: str
     keys: tuple[str, ...]
     capability: int
-    nstate: Size
-    nsensordata: Size
     stage: int = 0
+    nstate: Size = NONE
+    nsensordata: Size = NONE
 
 
 class Engine:
@@ -118,7 +129,7 @@ class Engine:
         except Exception as error:
             self._refuse(error, model, data, instance, answer)
         except BaseException as error:
-            if threading.current_thread() is not threading.main_thread():
+            if not is_main():
                 self._refuse(error, model, data, instance, answer)
                 return
             self._told.interrupt = due(error)  # must outlive this call
@@ -249,24 +260,23 @@ def _check_struct(lib: ctypes.CDLL) -> None:
         raise LayoutError("a struct mjpPlugin of the known size")
 
 
-_NOTHING = Size("", {}, 0)
 _PLUGINS = (
     # What is neither true nor false is an error when the sand is prepared.
-    Plugin(NAME, KEYS, _PASSIVE, Size("tunable", {"true": STATE_SIZE}, 0), _NOTHING),
-    Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _NOTHING, Size("measure", MEASURES, 1), _VELOCITY),
+    Plugin(NAME, KEYS, _PASSIVE, nstate=Size("tunable", {"true": STATE_SIZE}, 0)),
+    Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, nsensordata=Size("measure", MEASURES, 1)),
 )
 
 
+_engine = Engine()
 _refused: list[Exception] = []
 
 
 def register() -> None:
     """Registers the plugins, once a process; where that cannot be, `check_registered` says why."""
-    engine = Engine()
     try:
         for plugin in _PLUGINS:
             if library().mjp_getPlugin(plugin.name.encode(), None) is None:
-                engine.register(plugin)
+                _engine.register(plugin)
     except (GranularError, ImportError, AttributeError) as error:
         _logger.warning("the engine plugin is not registered: %s", error)
         _refused.append(error)

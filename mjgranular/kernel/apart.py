@@ -8,11 +8,14 @@ the interrupt until there is nothing left to harm.
 
 from __future__ import annotations
 
+import _thread
 import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
+
+_PATIENCE = 0.1  # s: a signal that another thread took is looked at after it
 
 _here = threading.local()
 
@@ -27,6 +30,7 @@ class _Work(Generic[T]):
         self.unfinished = threading.Lock()
         """Held until the work is done."""
         self.unfinished.acquire()
+        self.finished = False
         self.unwanted = False
         self.value: T
         self.error: BaseException | None = None
@@ -40,6 +44,7 @@ class _Work(Generic[T]):
         except BaseException as error:
             self.error = error
         finally:
+            self.finished = True
             self.unfinished.release()
 
 
@@ -56,7 +61,8 @@ def apart(work: Callable[[], T]) -> T:
     task = _Work(work)
     interrupt = None
     try:
-        threading.Thread(target=task.run, name="mjgranular").start()
+        # Not of class Thread: what it does to begin one cannot be interrupted safely either.
+        _thread.start_new_thread(task.run, ())
     except BaseException as error:
         if task.claimed.acquire(blocking=False):  # it has not begun, and never will
             raise
@@ -64,8 +70,9 @@ def apart(work: Callable[[], T]) -> T:
         task.unwanted = True
     while True:
         try:
-            with task.unfinished:
-                break
+            while not task.finished:
+                task.unfinished.acquire(timeout=_PATIENCE)
+            break
         except BaseException as error:
             interrupt = error
             task.unwanted = True
@@ -78,9 +85,12 @@ def apart(work: Callable[[], T]) -> T:
 
 def uncut(work: Callable[[], T]) -> T:
     """Does something where no interrupt can cut it in two: `apart`, if this is the main thread."""
-    if threading.current_thread() is threading.main_thread():
-        return apart(work)
-    return work()
+    return apart(work) if is_main() else work()
+
+
+def is_main() -> bool:
+    """Whether this is the main thread, the one that signals interrupt."""
+    return threading.get_ident() == threading.main_thread().ident
 
 
 def give_way() -> None:

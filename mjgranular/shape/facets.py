@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError, warn_user
 from mjgranular.kernel.memory import records
+from mjgranular.names import name_of
 from mjgranular.shape import tessellation
 from mjgranular.shape.tessellation import Cells
 
@@ -213,7 +214,7 @@ def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
     """A geom's name in quotes, or its number."""
-    name = model.geom(geom).name
+    name = name_of(model, "geom", geom)
     return repr(name) if name else f"number {geom}"
 
 
