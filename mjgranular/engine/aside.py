@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
+
+from mjgranular.kernel.apart import apart
 
 T = TypeVar("T")
 
@@ -17,25 +19,15 @@ def is_aside() -> bool:
 
 
 def aside(work: Callable[[], T]) -> T:
-    """Does something in a thread of its own, and waits for it.
+    """Does something in a thread of its own, and waits for it, whatever happens (`apart`).
 
     MuJoCo turns its errors into exceptions by a jump to a place that it keeps one of per thread.
     While it waits in a callback of ours, nothing on its thread may call it again through Python:
     the place would be overwritten, and the next error would jump into nowhere.
     """
-    outcome: list[tuple[Any, BaseException | None]] = []
 
-    def run() -> None:
+    def run() -> T:
         _here.aside = True
-        try:
-            outcome.append((work(), None))
-        except BaseException as error:
-            outcome.append((None, error))
+        return work()
 
-    thread = threading.Thread(target=run, name="mjgranular")
-    thread.start()
-    thread.join()
-    value, error = outcome[0]
-    if error is not None:
-        raise error
-    return value
+    return apart(run)

@@ -14,7 +14,8 @@ fetched from there in every other simulation, and all else is a number.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -136,60 +137,71 @@ def make_image(
     share, (_, laid, slots, tunings, room, texts) = _allocate(
         [np.ones(1, SHARE_DTYPE), kernel.lay(elements), slots, tunings, room, texts]
     )
-    binding = bind(model, data, elements, laid, scene, scheme, kernel, within=True)
-    head = np.zeros(1, HEADER_DTYPE)
-    table, desk = binding.table, binding.desk
-    # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and nobody
-    # asks for the last good one.
-    table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
-    structs = Struct.of_data(data), Struct.of_model(model)
-    shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
-    linked = (head, table, scene, desk.table, shapes)
-    # Those that read the model are needed at each step, and so lie in the block.
-    count = sum(structs[1].holds(int(word)) for array in linked for word in _words(array))
-    of_model = np.zeros(count, RELOCATION_DTYPE)
-    own = [head, of_model, shapes, table, binding.bodies, binding.contacts, scene]
-    own += [desk.table, *desk.holds, ends := np.zeros(6)]
-    places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
-    for name, value in {
-        **values,
-        "size": sum(map(_padded, own)),
-        "share": share,
-        "refusals": texts.ctypes.data,
-        "of_model": of_model.ctypes.data,
-        "of_model_count": count,
-        "shape": shapes.ctypes.data if len(shapes) else 0,
-        "shape_count": len(shapes),
-        "relocations": room.ctypes.data,
-        "table": table.ctypes.data,
-        "qfrc": data.qfrc_passive.ctypes.data,
-        "awake": data.body_awake.ctypes.data,
-        "results": binding.bodies.ctypes.data,
-        "results_size": places[scene.ctypes.data] - places[binding.bodies.ctypes.data],
-        "slots": slots.ctypes.data,
-        "ends": ends.ctypes.data,
-        "tunings": tunings.ctypes.data if len(tunings) else 0,
-        "tuning_count": len(tunings),
-    }.items():
-        head[name] = value
+    with _freed_if_it_fails(share):
+        binding = bind(model, data, elements, laid, scene, scheme, kernel, within=True)
+        head = np.zeros(1, HEADER_DTYPE)
+        table, desk = binding.table, binding.desk
+        # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
+        # nobody asks for the last good one.
+        table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
+        structs = Struct.of_data(data), Struct.of_model(model)
+        shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
+        linked = (head, table, scene, desk.table, shapes)
+        # Those that read the model are needed at each step, and so lie in the block.
+        count = sum(structs[1].holds(int(word)) for array in linked for word in _words(array))
+        of_model = np.zeros(count, RELOCATION_DTYPE)
+        own = [head, of_model, shapes, table, binding.bodies, binding.contacts, scene]
+        own += [desk.table, *desk.holds, ends := np.zeros(6)]
+        places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
+        for name, value in {
+            **values,
+            "size": sum(map(_padded, own)),
+            "share": share,
+            "refusals": texts.ctypes.data,
+            "of_model": of_model.ctypes.data,
+            "of_model_count": count,
+            "shape": shapes.ctypes.data if len(shapes) else 0,
+            "shape_count": len(shapes),
+            "relocations": room.ctypes.data,
+            "table": table.ctypes.data,
+            "qfrc": data.qfrc_passive.ctypes.data,
+            "awake": data.body_awake.ctypes.data,
+            "results": binding.bodies.ctypes.data,
+            "results_size": places[scene.ctypes.data] - places[binding.bodies.ctypes.data],
+            "slots": slots.ctypes.data,
+            "ends": ends.ctypes.data,
+            "tunings": tunings.ctypes.data if len(tunings) else 0,
+            "tuning_count": len(tunings),
+        }.items():
+            head[name] = value
 
-    content = np.concatenate([_bytes(array) for array in own])
-    words = content.view(np.int64)
-    relocations = []
-    for array in linked:
-        first = places[array.ctypes.data] // _WORD
-        for word in range(first, first + array.nbytes // _WORD):
-            place = _resolve(int(words[word]), places, *structs)
-            if place is not None:
-                relocations.append((word, *place))
-    once = [relocation for relocation in relocations if relocation[1] < IN_MODEL]
-    room[: len(once)] = once
-    of_model[:] = [relocation for relocation in relocations if relocation[1] >= IN_MODEL]
-    head["relocation_count"] = len(once)
-    for array in (head, of_model):
-        first = places[array.ctypes.data]
-        content[first : first + array.nbytes] = _bytes(array)
-    return Image(content, share)
+        content = np.concatenate([_bytes(array) for array in own])
+        words = content.view(np.int64)
+        relocations = []
+        for array in linked:
+            first = places[array.ctypes.data] // _WORD
+            for word in range(first, first + array.nbytes // _WORD):
+                place = _resolve(int(words[word]), places, *structs)
+                if place is not None:
+                    relocations.append((word, *place))
+        once = [relocation for relocation in relocations if relocation[1] < IN_MODEL]
+        room[: len(once)] = once
+        of_model[:] = [relocation for relocation in relocations if relocation[1] >= IN_MODEL]
+        head["relocation_count"] = len(once)
+        for array in (head, of_model):
+            first = places[array.ctypes.data]
+            content[first : first + array.nbytes] = _bytes(array)
+        return Image(content, share)
+
+
+@contextmanager
+def _freed_if_it_fails(address: int) -> Iterator[None]:
+    """Frees memory that is not Python's if what is to be written there cannot be."""
+    try:
+        yield
+    except BaseException:
+        library().mju_free(address)
+        raise
 
 
 def refusals(scheme: Scheme) -> np.ndarray:

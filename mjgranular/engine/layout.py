@@ -9,7 +9,8 @@ number without an array of its own is found by planting values that are unlike a
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,24 @@ class LayoutError(GranularError, RuntimeError):
             f"found in its memory; tested versions: {', '.join(TESTED)}. "
             "Sand(model).step(data) works without the plugin"
         )
+
+
+@contextmanager
+def laid_out(what: str) -> Iterator[None]:
+    """Says of what goes wrong with MuJoCo's memory that it is not as it is known.
+
+    Args:
+        what: was looked for.
+
+    Raises:
+        LayoutError: something went wrong that this package does not know.
+    """
+    try:
+        yield
+    except (GranularError, MemoryError, OSError):
+        raise
+    except Exception as error:
+        raise LayoutError(f"{what} ({error!r})") from error
 
 
 def described_fields(struct: str) -> Sequence[Any]:

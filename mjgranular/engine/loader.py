@@ -10,33 +10,35 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjgranular.engine import sensor
-from mjgranular.engine.aside import aside, is_aside
+from mjgranular.engine.aside import aside
 from mjgranular.engine.block import HEADER_DTYPE, NOT_ASKED, Image, load, make_image
 from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
-from mjgranular.engine.native import release, retain
+from mjgranular.engine.native import drop, release, retain, start
 from mjgranular.engine.plugin import SENSOR_KEYS
 from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_of
+from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.law import get_law, make_scene
 from mjgranular.medium import media
 from mjgranular.medium.medium import get_medium
+from mjgranular.names import name_of
 from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.shape import select_geoms
@@ -89,44 +91,74 @@ class Loader:
 
     Args:
         layout: of MuJoCo's structs.
+        draw: called once, before the first sand that is to be drawn is there.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, draw: Callable[[], None]) -> None:
         self._layout = layout
         self._rows = Rows(layout)
-        self._lock = threading.Lock()
         self._prepared: OrderedDict[bytes, Prepared] = OrderedDict()
-        self._fields: dict[bytes, dict[str, tuple[int, int]]] = {}
-        function = ctypes.PYFUNCTYPE(None, ctypes.c_int64)
-        self._retain = function(program_of(retain, "int64").address)
-        self._release = function(program_of(release, "int64").address)
-        self.draws = False
-        """Whether anything was to be drawn so far."""
+        self._fields: OrderedDict[bytes, dict[str, tuple[int, int]]] = OrderedDict()
+        self._retain = _function(retain, 1)
+        self._release = _function(release, 1)
+        self._start = _function(start, 3)
+        self._drop = _function(drop, 1)
+        self._draw = draw
+        self._draws = False
 
     def load(self, model: int, data: int, instance: int) -> None:
-        """Gives an instance in a new `mjData` its block, unlinked.
+        """Gives an instance in a new `mjData` its block.
 
         Raises:
             InputError: what was written cannot be read, or does not fit the model.
         """
-        self._rows.clear(data, instance)
-        if is_aside():
-            return
-        with self._lock:
+        with LOADER:
+            self._clear(data, instance)
             sands = self._sands(model)
             if instance in sands.values():
                 content = self._sand(model, instance)
             else:
                 content = self._sensor(model, instance, sands)
-            self._rows.seat(data, instance, load(content))
+            self._seat(model, data, instance, content)
 
-    def refuse(self, data: int, instance: int, text: bytes) -> None:
+    def refuse(self, model: int, data: int, instance: int, text: bytes) -> None:
         """Gives an instance a block that is an error of MuJoCo's as soon as it is used."""
         head = np.zeros(1, HEADER_DTYPE)
         head["refused"] = 1
-        with self._lock:
+        with LOADER:
+            self._clear(data, instance)
             message = np.frombuffer(text + b"\0", np.uint8)
-            self._rows.seat(data, instance, load(np.concatenate([head.view(np.uint8), message])))
+            content = np.concatenate([head.view(np.uint8), message])
+            self._seat(model, data, instance, content)
+
+    def leave_empty(self, data: int, instance: int) -> None:
+        """Gives an instance that sand is prepared with a block that does nothing.
+
+        Whoever prepares it has another thread hold the lock, and wait.
+        """
+        self._clear(data, instance)
+        self._seat(0, data, instance, np.zeros(1, HEADER_DTYPE).view(np.uint8))
+
+    def abandon(self, data: int) -> None:
+        """Drops all blocks of an `mjData` that MuJoCo is about to give up."""
+        with LOADER:
+            for block in self._rows.vacate(data):
+                self._drop(block)
+
+    def _clear(self, data: int, instance: int) -> None:
+        left = self._rows.clear(data, instance)
+        if left:
+            self._drop(left)
+
+    def _seat(self, model: int, data: int, instance: int, content: np.ndarray) -> None:
+        """Loads a block: what it holds of its share is the block's from now on."""
+        block = load(content)
+        try:
+            self._start(model, data, block)
+            self._rows.seat(data, instance, block)
+        except Exception:
+            self._drop(block)
+            raise
 
     def _sand(self, model: int, instance: int) -> np.ndarray:
         image = self._prepare(model, instance).image
@@ -166,6 +198,9 @@ class Loader:
         sizes = self._sizes(model)
         if sizes not in self._fields:
             self._fields[sizes] = aside(lambda: _fields(_copy(model)))
+            while len(self._fields) > _KEPT:
+                self._fields.popitem(last=False)
+        self._fields.move_to_end(sizes)
         return self._fields[sizes]
 
     def _prepare(self, model: int, instance: int) -> Prepared:
@@ -173,19 +208,31 @@ class Loader:
         key = self._key(model, instance, texts)
         prepared = self._prepared.get(key)
         if prepared is None:
-            prepared = aside(lambda: _prepare(_copy(model), texts))
-            self._keep(key, prepared)
+            prepared = aside(lambda: self._make(key, model, texts))
         else:
             self._prepared.move_to_end(key)
         if self._silence(model, prepared.silent):
-            self._retain(prepared.image.share)
             self._keep(self._key(model, instance, texts), prepared)
         return prepared
 
+    def _make(self, key: bytes, model: int, texts: dict[str, str]) -> Prepared:
+        prepared = _prepare(_copy(model), texts)
+        try:
+            if prepared.draws and not self._draws:
+                self._draw()
+                self._draws = True
+            self._keep(key, prepared)
+        finally:
+            self._release(prepared.image.share)  # the maker's own use
+        return prepared
+
     def _keep(self, key: bytes, prepared: Prepared) -> None:
-        """Keeps what was prepared, and with it one use of its share."""
+        """Keeps what was prepared under a key, which is one use of its share."""
+        self._retain(prepared.image.share)
+        before = self._prepared.pop(key, None)
         self._prepared[key] = prepared
-        self.draws |= prepared.draws
+        if before is not None:
+            self._release(before.image.share)
         while len(self._prepared) > _KEPT:
             _, oldest = self._prepared.popitem(last=False)
             self._release(oldest.image.share)
@@ -212,6 +259,14 @@ class Loader:
                     ctypes.c_int32.from_address(bits).value = 0
                     changed = True
         return changed
+
+
+def _function(kernel: Any, count: int) -> Callable[..., None]:
+    """A compiled function of that many integers, for Python, which keeps its lock meanwhile."""
+    types = count * ("int64",)
+    return ctypes.PYFUNCTYPE(None, *(ctypes.c_int64 for _ in types))(
+        program_of(kernel, *types).address
+    )
 
 
 def _pointer(address: int) -> int:
@@ -314,6 +369,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
     }
+    bodies = {int(body): name_of(model, "body", body) or str(body) for body in _in_order(elements)}
     image = make_image(
         model,
         mujoco.MjData(model),
@@ -327,7 +383,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     )
     return Prepared(
         image,
-        bodies={int(body): model.body(body).name or str(body) for body in _in_order(elements)},
+        bodies=bodies,
         silent=tuple(int(geom) for geom in silent),
         draws=bool(config.draw),
         origin=medium,

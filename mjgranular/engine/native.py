@@ -20,6 +20,7 @@ from mjgranular.engine.block import (
     RELOCATION_DTYPE,
     SHAPE_DTYPE,
 )
+from mjgranular.engine.doors import FAIL, UNPREPARED
 from mjgranular.engine.layout import Layout
 from mjgranular.engine.links import add_atomically, call_program, publish, symbol
 from mjgranular.engine.rows import (
@@ -53,20 +54,11 @@ from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE
 from mjgranular.kernel.records import body_records
 from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
-PREPARE = "mjgranular_prepare"
-"""Name by which compiled code finds the way into Python."""
-
-FUNCTIONS = ("mju_error", "mju_free", "mjv_initGeom", "mjv_connector")
+FUNCTIONS = ("mju_free", "mjv_initGeom", "mjv_connector")
 """Functions of MuJoCo's that compiled code calls."""
 
-INIT_TYPES = ("int64", "int64", "int32")
-"""Of `init` and of the way into Python: mjModel*, mjData*, the number of the instance."""
-
 Callbacks = dict[str, tuple[Any, tuple[str, ...]]]
-"""Compiled functions by the names of their fields in `mjpPlugin`, and the types of their arguments.
-
-Beside them `start`, which is called from Python.
-"""
+"""Compiled functions by their fields in `mjpPlugin`, and the types of their arguments."""
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
@@ -76,8 +68,8 @@ _header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
 _shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
-_prepare = External(PREPARE, "int64", *INIT_TYPES)
-_error = External("mju_error", "void", "int64")
+_fail = External(FAIL, "void", "int64")
+_unprepared = External(UNPREPARED, "void", "int64")
 _free = External("mju_free", "void", "int64")
 
 _OTHER_SHAPE = "mjgranular_other_shape"
@@ -139,12 +131,20 @@ def release(share):
 
 
 @compiled
-def prepare(model, data, instance):
-    """Has Python prepare the sand; an error of MuJoCo's, with Python's text, if it cannot."""
-    message = _prepare(model, data, instance)
-    if message != 0:
-        _error(message)  # does not return
-    return 0
+def start(model, data, block):
+    """Links a block that has just been loaded."""
+    header = _header(block, 1)[0]
+    # The first of them tell where the others are.
+    link(block, model, data, header.relocations, header.relocation_count)
+    link(block, model, data, header.of_model, header.of_model_count)
+
+
+@compiled
+def drop(block):
+    """Frees a block, and with it one use of its share."""
+    share = _header(block, 1)[0].share
+    _free(block)
+    release(share)
 
 
 @partial(compiled, inline=True)
@@ -197,33 +197,15 @@ def life(layout: Layout) -> Callbacks:
     statenum = layout.plugin_statenum
 
     @compiled
-    def start(model, data, instance):
-        """Links a block that has just been loaded."""
-        block = find_block(data, instance)
-        if block != 0:
-            header = _header(block, 1)[0]
-            # The first of them tell where the others are.
-            link(block, model, data, header.relocations, header.relocation_count)
-            link(block, model, data, header.of_model, header.of_model_count)
-
-    @compiled
-    def init(model, data, instance):
-        prepare(model, data, instance)
-        start(model, data, instance)
-        return 0
-
-    @compiled
     def destroy(data, instance):
         number = find_row(data, instance)
         if number == 0:
             return
         row = row_records(rows_address(), ROW_COUNT)[number]
         block = row.block
-        share = _header(block, 1)[0].share
         row.block = 0
         row.data = 0
-        _free(block)
-        release(share)
+        drop(block)
 
     @compiled
     def copy(to, model, origin, instance):
@@ -248,8 +230,6 @@ def life(layout: Layout) -> Callbacks:
                 numbers[k] = INITIAL[k]
 
     return {
-        "start": (start, INIT_TYPES),
-        "init": (init, INIT_TYPES),
         "destroy": (destroy, (_address, _number)),
         "copy": (copy, (_address, _address, _address, _number)),
         "reset": (reset, (_address, _address, _address, _number)),
@@ -268,24 +248,27 @@ def sand_callbacks(layout: Layout) -> Callbacks:
     def compute(model, data, instance, capability):
         block = find_block(data, instance)
         if block == 0:
+            _unprepared(data)
             return
         header = _header(block, 1)[0]
         if header.refused != 0:
-            _error(block + begin)
+            _fail(block + begin)
+            return
+        if header.program == 0:
             return
         if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
         # A batch may run this mjData on another model, or move arrays of the same.
         link(block, model, data, header.of_model, header.of_model_count)
         if not is_of_that_shape(header):
-            _error(other_shape())
+            _fail(other_shape())
             return
         lead = 0.0
         if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
             lead = header.lead * floats(model + timestep, 1)[0]
         status = call_program(header.program, header.table, lead)
         if status <= BAD_TIMESTEP:
-            _error(header.refusals + REFUSAL_SIZE * (BAD_TIMESTEP - status))
+            _fail(header.refusals + REFUSAL_SIZE * (BAD_TIMESTEP - status))
             return
         add_wrenches(table_at(header.table), header.qfrc, header.awake)
 
@@ -296,8 +279,11 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         if disabled & NO_PASSIVE_FORCES != NO_PASSIVE_FORCES:
             return
         block = find_block(data, instance)
-        if block != 0:
-            _error(_header(block, 1)[0].refusals + REFUSAL_SIZE * len(REFUSED))
+        if block == 0:
+            return
+        texts = _header(block, 1)[0].refusals
+        if texts != 0:
+            _fail(texts + REFUSAL_SIZE * len(REFUSED))
 
     return {
         **life(layout),

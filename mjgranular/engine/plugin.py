@@ -1,9 +1,9 @@
 """The plugins, `mjgranular.sand` and `mjgranular.sensor`: registered on import, compiled when used.
 
 MuJoCo copies the struct of function pointers when it is registered, and looks into its copy at each
-call. What is registered are a few functions of Python's; the first model with sand in it has them
-replaced by compiled ones. A program that imports mjgranular and uses no plugin pays next to
-nothing.
+call. What is registered are a few instructions (`doors`), the way into Python among them; the first
+model with sand in it has compiled functions put beside them. A program that imports mjgranular and
+uses no plugin pays next to nothing.
 """
 
 from __future__ import annotations
@@ -11,19 +11,35 @@ from __future__ import annotations
 import ctypes
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mujoco
 
 from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.config import KEYS
+from mjgranular.engine.doors import (
+    ERROR,
+    FINE,
+    INTERRUPT,
+    NONE,
+    Answer,
+    Size,
+    due,
+    make_doors,
+    pausing,
+)
 from mjgranular.engine.instances import NAME
-from mjgranular.engine.layout import LayoutError, find_layout
+from mjgranular.engine.layout import LayoutError, find_layout, laid_out
 from mjgranular.engine.library import instance_name, library
+from mjgranular.engine.measures import MEASURES
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
+from mjgranular.kernel.apart import is_main
+from mjgranular.kernel.compiler import CompilerError
+from mjgranular.kernel.fork import ENGINE
 
 SENSOR = "mjgranular.sensor"
 SENSOR_KEYS = ("measure", "sand")
@@ -34,20 +50,11 @@ _SENSOR, _PASSIVE = 1 << 1, 1 << 2  # mjPLUGIN_SENSOR, mjPLUGIN_PASSIVE
 _VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
 _LONGEST = 440  # bytes of a message: MuJoCo cuts at 500, its own words included
 
-_int, _address = ctypes.c_int32, ctypes.c_int64
-_CALLBACKS: dict[str, tuple[Any, ...]] = {
-    "nstate": (_int, _address, _int),
-    "nsensordata": (_int, _address, _int, _int),
-    "init": (_int, _address, _address, _int),
-    "destroy": (None, _address, _int),
-    "copy": (None, _address, _address, _address, _int),
-    "reset": (None, _address, _address, _address, _int),
-    "compute": (None, _address, _address, _int, _int),
-    "advance": (None, _address, _address, _int),
-    "visualize": (None, _address, _address, _address, _address, _int),
-}
+_CALLBACKS = (
+    "nstate", "nsensordata", "init", "destroy", "copy", "reset", "compute", "advance", "visualize",
+)  # fmt: skip
 
-_PREPARE = (_address, _address, _address, _int)
+_FAILED = ctypes.create_string_buffer(b"mjgranular: preparing sand failed, and so did saying why")
 
 
 class PluginStruct(ctypes.Structure):
@@ -73,19 +80,18 @@ class Plugin:
     keys: tuple[str, ...]
     capability: int
     stage: int = 0
+    nstate: Size = NONE
+    nsensordata: Size = NONE
 
 
 class Engine:
     """What the plugins have in common: asleep until the first model needs one of them."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._awake: set[str] = set()
-        self._failure: Exception | None = None
+        self._failure: GranularError | None = None
         self._layout: Any = None
         self._loader: Any = None
-        self._start: Any = None
-        self._draws = False
         self._told = threading.local()
 
     def register(self, plugin: Plugin) -> None:
@@ -104,107 +110,127 @@ class Engine:
         struct.attributes = (ctypes.c_char_p * len(texts))(*texts)
         struct.capabilityflags = plugin.capability
         struct.needstage = plugin.stage
-
-        def nstate(model: int, instance: int) -> int:
-            self._wake(plugin)
-            return _size_of_state(model, instance) if plugin.name == NAME else 0
-
-        def first_init(model: int, data: int, instance: int) -> int:
-            self._wake(plugin)
-            return self._init(model, data, instance)
-
-        for callback, function in {
-            "nstate": nstate,
-            "nsensordata": _size_of_sensor,
-            "init": first_init,
-            "reset": _nothing,
-            "compute": _nothing,
-        }.items():
-            setattr(struct, callback, _lasting(_CALLBACKS[callback], function))
+        doors = make_doors(
+            plugin.name, partial(self._init, plugin), plugin.nstate, plugin.nsensordata
+        )
+        for callback, address in doors.items():
+            setattr(struct, callback, address)
         lib.mjp_registerPlugin(ctypes.addressof(struct))
 
-    def _init(self, model: int, data: int, instance: int) -> int:
-        """What the compiled `init` does, for a model that comes first and was compiled elsewhere.
+    def _init(self, plugin: Plugin, model: int, data: int, instance: int, place: int) -> None:
+        """Prepares the sand of an instance in a new `mjData`; says how that went.
 
-        It cannot raise an error of MuJoCo's: the jump out of it would skip what Python has to do.
+        Nothing is raised from here but what interrupts it, and then there is no answer.
         """
-        message = self._prepare(model, data, instance)
-        if message:
-            _logger.error("%s", ctypes.string_at(message).decode())
-            return -1
-        if self._start is not None:
-            self._start(model, data, instance)
-        return 0
+        answer = Answer.from_address(place)
+        try:
+            self._serve(plugin, model, data, instance)
+            answer[0] = FINE
+        except Exception as error:
+            self._refuse(error, model, data, instance, answer)
+        except BaseException as error:
+            if not is_main():
+                self._refuse(error, model, data, instance, answer)
+                return
+            self._told.interrupt = due(error)  # must outlive this call
+            answer[1] = id(self._told.interrupt)
+            answer[0] = INTERRUPT
+
+    def _serve(self, plugin: Plugin, model: int, data: int, instance: int) -> None:
+        if is_aside():
+            if self._loader is None:
+                pausing.value = data
+            else:
+                self._loader.leave_empty(data, instance)
+            return
+        if plugin.name not in self._awake:
+            aside(lambda: self._wake(plugin))
+        self._loader.load(model, data, instance)
+
+    def _refuse(
+        self, error: BaseException, model: int, data: int, instance: int, answer: ctypes.Array[Any]
+    ) -> None:
+        """Has MuJoCo raise an error: now, or where it would end the process, at the first step."""
+        now = _errors_are_caught()
+        # For the case that telling more fails too.
+        answer[1], answer[0] = ctypes.addressof(_FAILED), ERROR if now else FINE
+        try:
+            if not isinstance(error, GranularError):
+                _logger.error("preparing sand failed", exc_info=error)
+            reason = str(error) if isinstance(error, GranularError) else repr(error)
+            text = f"mjgranular {instance_name(model, instance)!r}: {reason}"
+            if now:
+                self._told.text = ctypes.create_string_buffer(_cut(text))  # must outlive this call
+                answer[1] = ctypes.addressof(self._told.text)
+                if self._loader is not None:
+                    self._loader.abandon(data)
+            elif self._loader is not None:
+                self._loader.refuse(model, data, instance, _cut(text))
+            else:
+                _logger.error("%s", text)
+        except Exception:
+            _logger.debug("telling why failed", exc_info=True)
 
     def _wake(self, plugin: Plugin) -> None:
-        """Compiles what MuJoCo is to call, and has it called from now on."""
-        if is_aside():
-            return
-        with self._lock:
-            if plugin.name not in self._awake:
+        """Compiles what MuJoCo is to call, and has it called from now on.
+
+        Raises:
+            GranularError: that cannot be, now or ever.
+        """
+        with ENGINE:
+            if self._failure is None and plugin.name not in self._awake:
                 try:
                     self._compile(plugin)
+                except (MemoryError, OSError):  # another time perhaps
+                    raise
                 except Exception as error:
                     _logger.debug("the plugin cannot be used", exc_info=True)
                     known = isinstance(error, GranularError)
-                    self._failure = error if known else LayoutError(f"something ({error!r})")
-                self._awake.add(plugin.name)
+                    self._failure = error if known else CompilerError(error)
+            if self._failure is not None:
+                raise self._failure
+            self._awake.add(plugin.name)
 
     def _compile(self, plugin: Plugin) -> None:
-        from mjgranular.engine import links, native
-        from mjgranular.engine.loader import Loader
+        with laid_out("something"):
+            from mjgranular.engine import links, native
+            from mjgranular.engine.loader import Loader
 
-        if not self._awake:
-            links.publish(native.PREPARE, _lasting(_PREPARE, self._prepare))
             links.publish_functions(library(), native.FUNCTIONS)
-        self._put(plugin.name, {"init": (native.prepare, native.INIT_TYPES)})
-        if self._loader is None:
-            self._layout = aside(lambda: find_layout(NAME))
-            self._loader = Loader(self._layout)
+            try:
+                self._layout = self._layout or find_layout(NAME)
+            finally:
+                pausing.value = 0
         made = {NAME: native.sand_callbacks, SENSOR: native.sensor_callbacks}[plugin.name]
+        if self._loader is None:
+            self._loader = Loader(self._layout, self._draw)
         self._put(plugin.name, made(self._layout))
+
+    def _draw(self) -> None:
+        """Has MuJoCo draw from now on."""
+        from mjgranular.engine import native
+
+        self._put(NAME, native.drawing_callbacks(self._layout))
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
         """Compiles functions and has MuJoCo call them."""
         from mjgranular.kernel.compiled import program_of
 
         registered = PluginStruct.from_address(library().mjp_getPlugin(plugin.encode(), None))
-        for name, (function, types) in callbacks.items():
-            address = program_of(function, *types).address
-            if name == "start":
-                self._start = ctypes.CFUNCTYPE(None, _address, _address, _int)(address)
-            else:
-                setattr(registered, name, address)
+        addresses = {
+            name: program_of(function, *types).address
+            for name, (function, types) in callbacks.items()
+        }
+        for name, address in addresses.items():
+            setattr(registered, name, address)
 
-    def _load(self, model: int, data: int, instance: int) -> None:
-        from mjgranular.engine import native
 
-        self._loader.load(model, data, instance)
-        if self._loader.draws and not self._draws:
-            self._put(NAME, native.drawing_callbacks(self._layout))
-            self._draws = True
-
-    def _prepare(self, model: int, data: int, instance: int) -> int:
-        """Loads a block; gives the address of a text that says why not, or 0."""
-        try:
-            if self._failure is not None:
-                raise self._failure
-            if self._loader is not None:
-                self._load(model, data, instance)
-        except BaseException as error:
-            if not isinstance(error, GranularError):
-                _logger.error("preparing sand failed", exc_info=error)
-            reason = str(error) if isinstance(error, GranularError) else repr(error)
-            text = f"mjgranular {instance_name(model, instance)!r}: {reason}".encode()
-            if len(text) > _LONGEST:
-                text = text[: _LONGEST - 3] + b"..."
-            text = text.replace(b"%", b"%%")  # MuJoCo takes it as a format
-            if self._loader is not None and not _errors_are_caught():
-                self._loader.refuse(data, instance, text)
-                return 0
-            self._told.buffer = ctypes.create_string_buffer(text)  # must outlive this call
-            return ctypes.addressof(self._told.buffer)
-        return 0
+def _cut(text: str) -> bytes:
+    """A text as MuJoCo takes it: one that ends in the middle of a letter could not be read."""
+    whole = text.replace("\0", "\\0").encode(errors="backslashreplace")
+    if len(whole) <= _LONGEST:
+        return whole
+    return whole[: _LONGEST - 3].decode(errors="ignore").encode() + b"..."
 
 
 def _errors_are_caught() -> bool:
@@ -222,17 +248,6 @@ def _errors_are_caught() -> bool:
     return bool(handler or ctypes.c_void_p.in_dll(lib, "mju_user_error"))
 
 
-def _nothing(*arguments: Any) -> None:
-    pass
-
-
-def _lasting(types: tuple[Any, ...], function: Callable[..., Any]) -> int:
-    """The address of a C function that calls a Python one, as long as the process lives."""
-    callback = ctypes.CFUNCTYPE(*types)(function)
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(callback))
-    return ctypes.cast(callback, ctypes.c_void_p).value or 0
-
-
 def _check_struct(lib: ctypes.CDLL) -> None:
     """Has MuJoCo clear a struct, to see how large it is.
 
@@ -245,35 +260,23 @@ def _check_struct(lib: ctypes.CDLL) -> None:
         raise LayoutError("a struct mjpPlugin of the known size")
 
 
-def _size_of_sensor(model: int, instance: int, sensor: int) -> int:
-    from mjgranular.engine.sensor import size_of
-
-    measure = library().mj_getPluginConfig(model, instance, b"measure")
-    return size_of((measure or b"").decode())
-
-
-def _size_of_state(model: int, instance: int) -> int:
-    # What is neither true nor false is an error when the sand is prepared.
-    tunable = library().mj_getPluginConfig(model, instance, b"tunable")
-    return STATE_SIZE if tunable == b"true" else 0
-
-
 _PLUGINS = (
-    Plugin(NAME, KEYS, _PASSIVE),
-    Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY),
+    # What is neither true nor false is an error when the sand is prepared.
+    Plugin(NAME, KEYS, _PASSIVE, nstate=Size("tunable", {"true": STATE_SIZE}, 0)),
+    Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, nsensordata=Size("measure", MEASURES, 1)),
 )
 
 
+_engine = Engine()
 _refused: list[Exception] = []
 
 
 def register() -> None:
     """Registers the plugins, once a process; where that cannot be, `check_registered` says why."""
-    engine = Engine()
     try:
         for plugin in _PLUGINS:
             if library().mjp_getPlugin(plugin.name.encode(), None) is None:
-                engine.register(plugin)
+                _engine.register(plugin)
     except (GranularError, ImportError, AttributeError) as error:
         _logger.warning("the engine plugin is not registered: %s", error)
         _refused.append(error)

@@ -38,25 +38,40 @@ row_records = records(ROW_DTYPE)
 rows_address = symbol(_SYMBOL)
 
 
+@cache
+def _table() -> np.ndarray:
+    """The table, made once: compiled code that was loaded knows where it is."""
+    size = ROW_COUNT * ROW_DTYPE.itemsize
+    address = library().mju_malloc(size)
+    ctypes.memset(address, 0, size)
+    publish(_SYMBOL, address)
+    rows = memory_at(address, size).view(ROW_DTYPE)
+    rows["used"][0] = 1
+    return rows
+
+
 class Rows:
     """The table, as Python writes it. It is never freed: simulations may outlive Python."""
 
     def __init__(self, layout: Layout) -> None:
         self._plugin_data = layout.plugin_data
-        size = ROW_COUNT * ROW_DTYPE.itemsize
-        address = library().mju_malloc(size)
-        ctypes.memset(address, 0, size)
-        publish(_SYMBOL, address)
-        self._rows = memory_at(address, size).view(ROW_DTYPE)
-        self._rows["used"][0] = 1
+        self._rows = _table()
 
-    def clear(self, data: int, instance: int) -> None:
-        """An instance without a block."""
+    def clear(self, data: int, instance: int) -> int:
+        """An instance without a block; gives the address of one that was left behind, or 0.
+
+        MuJoCo has freed the `mjData` that it was of without a word, and made a new one there.
+        """
         self._set_handle(data, instance, 0)
+        return sum(self._vacate(number) for number in self._of(data, instance))
+
+    def vacate(self, data: int) -> list[int]:
+        """Addresses of all blocks of an `mjData`, which has none from now on."""
+        return [self._vacate(number) for number in self._of(data)]
 
     def seat(self, data: int, instance: int, block: int) -> None:
-        """Gives an instance in an `mjData` its block."""
-        number = self._free(data, instance)
+        """Gives an instance in an `mjData`, which has none, its block."""
+        number = self._free()
         row = self._rows[number : number + 1]
         row["block"], row["instance"] = block, instance
         row["data"] = data
@@ -66,12 +81,24 @@ class Rows:
         handles = ctypes.c_int64.from_address(data + self._plugin_data).value
         ctypes.c_int64.from_address(handles + 8 * instance).value = number
 
-    def _free(self, data: int, instance: int) -> int:
-        """A row that is free, or was left behind by an `mjData` at the same address."""
+    def _of(self, data: int, instance: int | None = None) -> list[int]:
+        """The rows of an `mjData`."""
+        rows = self._rows[: int(self._rows["used"][0])]
+        found = rows["data"] == data
+        if instance is not None:
+            found &= rows["instance"] == instance
+        return np.flatnonzero(found).tolist()
+
+    def _vacate(self, number: int) -> int:
+        row = self._rows[number : number + 1]
+        block = int(row["block"][0])
+        row["block"] = row["data"] = 0
+        return block
+
+    def _free(self) -> int:
+        """A row that is free."""
         used = int(self._rows["used"][0])
-        rows = self._rows[1:used]
-        left = np.flatnonzero((rows["data"] == data) & (rows["instance"] == instance))
-        free = left if len(left) else np.flatnonzero(rows["data"] == 0)
+        free = np.flatnonzero(self._rows["data"][1:used] == 0)
         if len(free):
             return 1 + int(free[0])
         if used == ROW_COUNT:

@@ -16,10 +16,13 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.block import HEADER_DTYPE
+from mjgranular.engine.doors import UNPREPARED
 from mjgranular.engine.layout import Layout
+from mjgranular.engine.measures import MEASURES
 from mjgranular.engine.rows import block_finder
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.foreign import External
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -31,9 +34,6 @@ from mjgranular.kernel.memory import (
     table_at,
 )
 from mjgranular.kernel.records import body_records, contact_records
-
-MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1, "speed": 1}
-"""What a sensor can measure, with the number of its values."""
 
 FORCE, MOMENT, DEPTH, POWER, SPEED = range(len(MEASURES))
 
@@ -48,6 +48,7 @@ SENSE_DTYPE = np.dtype(
 
 _header = records(HEADER_DTYPE)
 _senses = records(SENSE_DTYPE)
+_unprepared = External(UNPREPARED, "void", "int64")
 
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
@@ -61,11 +62,6 @@ class Sensors:
     objtype: np.ndarray
     objid: np.ndarray
     adr: np.ndarray
-
-
-def size_of(measure: str) -> int:
-    """How many values a measure has, 1 for one that is not known."""
-    return MEASURES.get(measure, 1)
 
 
 def find_sand(name: str, sands: Mapping[str, int]) -> int:
@@ -184,7 +180,10 @@ def sensor_compute(layout: Layout) -> Any:
     @compiled
     def compute(model, data, instance, capability):
         block = find_block(data, instance)
-        if block == 0 or _header(block, 1)[0].size == 0:
+        if block == 0:
+            _unprepared(data)
+            return
+        if _header(block, 1)[0].size == 0:
             return
         senses = _senses(block + begin, (_header(block, 1)[0].size - begin) // stride)
         readings = longs(data + sensordata, 1)[0]

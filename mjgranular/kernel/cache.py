@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import pickle
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.registry import CPUDispatcher
 
 from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
+from mjgranular.kernel.folder import folders_to_write, read, write
 from mjgranular.kernel.identity import PACKAGE_STAMP, digest, machine, parts_of
 from mjgranular.kernel.parts import OPTIONS
 
@@ -32,13 +34,40 @@ class _NamedFiles(IndexDataCacheFile):
     """Code files named by what they hold, and written before the index that points to them.
 
     numba numbers them by what it found in the index: two processes that compile at once choose the
-    same number for different code.
+    same number for different code. And numba unpickles, which can execute anything, whatever lies
+    there: here only what nobody else can have written (`folder`).
     """
 
     def save(self, key: Any, data: Any) -> None:
         name = f"{Path(self._index_name).stem}.{digest(key)}.nbc"
         self._save_data(name, data)
         self._save_index({**self._load_index(), key: name})
+
+    def _load_index(self) -> Any:
+        content = self._read(self._index_path)
+        if content is None:
+            return {}
+        opened = io.BytesIO(content)
+        if pickle.load(opened) != self._version:
+            return {}
+        stamp, overloads = pickle.load(opened)
+        return overloads if stamp == self._source_stamp else {}
+
+    def _load_data(self, name: str) -> Any:
+        content = self._read(self._data_path(name))
+        return None if content is None else pickle.loads(content)
+
+    def _read(self, path: str) -> bytes | None:
+        try:
+            return read(Path(path))
+        except FileNotFoundError:
+            return None
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content = io.BytesIO()
+        yield content
+        write(Path(filepath), content.getvalue())
 
 
 class _PackageCache(FunctionCache):
@@ -58,6 +87,10 @@ class _PackageCache(FunctionCache):
         super().__init__(py_func)
         self._function = py_func
         self._made_of = parts_of(py_func)
+        folder = next(folders_to_write(Path(py_func.__code__.co_filename)), None)
+        if folder is None:
+            raise RuntimeError("no folder to keep machine code in")
+        self._cache_path = str(folder)
         self._cache_file = _NamedFiles(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,

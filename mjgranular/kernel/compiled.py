@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
-import threading
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
 from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
+from mjgranular.kernel.apart import give_way, uncut
+from mjgranular.kernel.compiler import compiling
+from mjgranular.kernel.fork import PROGRAMS
 from mjgranular.kernel.identity import PACKAGE_STAMP, digest, identity, machine, parts_of
 from mjgranular.kernel.program import Program, can_be_kept, load, save
 
@@ -30,7 +32,7 @@ class Kernel:
         """As other kernels see it (`parts.Part`)."""
         from mjgranular.kernel.parts import Part
 
-        return Part(self.py_func, inline=self._inline, tell=log)
+        return Part(self.py_func, inline=self._inline, tell=_begin)
 
     @property
     def _numba_type_(self) -> Any:
@@ -75,8 +77,13 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
     return Kernel(function, inline=inline)
 
 
+def _begin(function: Callable[..., Any]) -> None:
+    """Before a part is compiled: between parts a compiler can be left."""
+    give_way()
+    log(function)
+
+
 _programs: dict[tuple[Kernel, tuple[str, ...]], Program] = {}
-_compiling = threading.RLock()
 
 
 def program_of(kernel: Kernel, *types: str) -> Program:
@@ -85,8 +92,16 @@ def program_of(kernel: Kernel, *types: str) -> Program:
     Args:
         kernel: of numbers, which gives a number or nothing.
         types: of its arguments, by numba's names: `int64`, `int32`, `float64`.
+
+    Raises:
+        CompilerError: numba is missing, or cannot be used.
     """
-    with _compiling:
+    found = _programs.get((kernel, types))
+    return uncut(lambda: _find(kernel, types)) if found is None else found
+
+
+def _find(kernel: Kernel, types: tuple[str, ...]) -> Program:
+    with PROGRAMS:
         found = _programs.get((kernel, types))
         if found is None:
             found = _programs[kernel, types] = _kept_or_made(kernel, types)
@@ -95,16 +110,19 @@ def program_of(kernel: Kernel, *types: str) -> Program:
 
 def _kept_or_made(kernel: Kernel, types: tuple[str, ...]) -> Program:
     function = kernel.py_func
-    made_for = (types, machine(), identity(kernel))
+    with compiling():
+        made_for = (types, machine(), identity(kernel))
     name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
     name = f"{name.removeprefix('mjgranular.')}.{digest(made_for)}"
     kept = load(function, name, PACKAGE_STAMP)
     if kept is None:
-        from mjgranular.kernel import parts
-
         keeps = can_be_kept(function)
         announcement.tell(ONCE if keeps else ALWAYS)
-        kept = parts.build(kernel.part, tuple(getattr(parts.types, t) for t in types), name)
+        give_way()
+        with compiling():
+            from mjgranular.kernel import parts
+
+            kept = parts.build(kernel.part, tuple(getattr(parts.types, t) for t in types), name)
         if keeps:
             save(function, name, PACKAGE_STAMP, kept)
     return Program(name, kept)

@@ -9,20 +9,17 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import json
-import os
-import sys
-import tempfile
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import llvmlite.binding as llvm
 
 from mjgranular.kernel.fault import FAULT, publish
+from mjgranular.kernel.folder import folders_to_read, folders_to_write, read, write
+from mjgranular.kernel.fork import MEMORY
 
 _METH_FASTCALL = 0x80
 
@@ -42,34 +39,9 @@ class Code:
     python: bool
 
 
-def _folders(function: Callable[..., Any]) -> Iterator[Path]:
-    """Where a program may be kept, the best place first."""
-    source = Path(function.__code__.co_filename).resolve().parent
-    own = f"mjgranular-{hashlib.sha256(str(source).encode()).hexdigest()[:16]}"
-    told = os.environ.get("NUMBA_CACHE_DIR")
-    if told:
-        yield Path(told) / own
-        return
-    yield source / "__pycache__"
-    with suppress(RuntimeError):  # who has no home
-        home = Path.home()
-        caches = {"win32": "AppData/Local", "darwin": "Library/Caches"}.get(sys.platform, ".cache")
-        base = os.environ.get("XDG_CACHE_HOME") or home / caches
-        yield Path(base) / "mjgranular" / own
-
-
 def can_be_kept(function: Callable[..., Any]) -> bool:
     """Whether there is a folder to write to."""
-    return any(map(_is_writable, _folders(function)))
-
-
-def _is_writable(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
+    return any(True for _ in folders_to_write(_source(function)))
 
 
 def save(function: Callable[..., Any], name: str, stamp: object, code: Code) -> None:
@@ -83,23 +55,11 @@ def save(function: Callable[..., Any], name: str, stamp: object, code: Code) -> 
         stamp: of its source.
         code: the program.
     """
-    head = {
-        "stamp": repr(stamp),
-        "sum": _sum(code.object_code),
-        "needs": code.needs,
-        "python": code.python,
-    }
-    content = json.dumps(head).encode() + b"\n" + code.object_code
-    for folder in _folders(function):
+    head = {"name": name, "stamp": repr(stamp), "needs": code.needs, "python": code.python}
+    body = json.dumps(head).encode() + b"\n" + code.object_code
+    for folder in folders_to_write(_source(function)):
         with suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            written = folder / f"{name}.{uuid4().hex[:16]}"
-            try:
-                written.write_bytes(content)
-                written.replace(folder / f"{name}.program")
-            except OSError:
-                written.unlink(missing_ok=True)
-                raise
+            write(_file(folder, name), _sum(body) + b"\n" + body)
             return
 
 
@@ -111,17 +71,27 @@ def load(function: Callable[..., Any], name: str, stamp: object) -> Code | None:
         name: of the program.
         stamp: of its source.
     """
-    for folder in _folders(function):
-        with suppress(OSError, ValueError, KeyError):
-            head, _, object_code = (folder / f"{name}.program").read_bytes().partition(b"\n")
-            said = json.loads(head)
-            if (said["stamp"], said["sum"]) == (repr(stamp), _sum(object_code)):
-                return Code(object_code, tuple(said["needs"]), said["python"])
+    for folder in folders_to_read(_source(function)):
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            checksum, _, body = (read(_file(folder, name)) or b"").partition(b"\n")
+            if checksum == _sum(body):
+                head, _, object_code = body.partition(b"\n")
+                said = json.loads(head)
+                if (said["name"], said["stamp"]) == (name, repr(stamp)):
+                    return Code(object_code, tuple(said["needs"]), said["python"])
     return None
 
 
-def _sum(code: bytes) -> str:
-    return hashlib.sha256(code).hexdigest()
+def _source(function: Callable[..., Any]) -> Path:
+    return Path(function.__code__.co_filename)
+
+
+def _file(folder: Path, name: str) -> Path:
+    return folder / f"{name}.program"
+
+
+def _sum(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode()
 
 
 class _Method(ctypes.Structure):
@@ -177,11 +147,10 @@ class _Memory:
     """Where programs lie."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self._engine: Any = None
 
     def load(self, name: str, code: Code) -> int:
-        with self._lock:
+        with MEMORY:
             if self._engine is None:
                 llvm.initialize_native_target()
                 llvm.initialize_native_asmprinter()

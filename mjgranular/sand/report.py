@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import UnknownNameError
 from mjgranular.law.validity import Limit, Measure, Standing
+from mjgranular.names import name_of
 from mjgranular.sand.binding import Binding
 
 
@@ -195,8 +196,8 @@ class Names:
         """The names of what elements belong to."""
         geoms, bodies = np.unique(elements["geom"]), np.unique(elements["body"])
         return cls(
-            {int(g): model.geom(g).name or str(g) for g in geoms},
-            {int(b): model.body(b).name or str(b) for b in bodies},
+            {int(g): name_of(model, "geom", int(g)) or str(g) for g in geoms},
+            {int(b): name_of(model, "body", int(b)) or str(b) for b in bodies},
         )
 
 

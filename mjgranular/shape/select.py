@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 import mujoco
 
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.names import name_of
 
 EVERY = "all"
 """Stands for every body or geom that can meet the sand, unless one has it for a name."""
@@ -82,7 +83,7 @@ def last_dof(model: mujoco.MjModel, body: int) -> int:
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
     """A body's name in quotes, or its number."""
-    name = model.body(body).name
+    name = name_of(model, "body", body)
     return repr(name) if name else f"number {body}"
 
 
@@ -103,7 +104,7 @@ def _find(model: mujoco.MjModel, kind: str, name: str) -> int | None:
         return found
     if name == EVERY:
         return None
-    known = (mujoco.mj_id2name(model, objects, i) for i in range(count))
+    known = (name_of(model, kind, i) for i in range(count))
     raise UnknownNameError(f"{kind} of the model", name, [name for name in known if name])
 
 

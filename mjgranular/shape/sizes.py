@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.names import name_of
 
 SMALLEST, LARGEST = 1e-9, 1e9
 """Half extents of geoms [m]. Chosen: beyond anything that is in sand, or is sand, and far within
@@ -23,7 +24,7 @@ _GEOM = mujoco.mjtGeom
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
     """A geom's name in quotes, or its number."""
-    name = model.geom(geom).name
+    name = name_of(model, "geom", geom)
     return repr(name) if name else f"number {geom}"
 
 

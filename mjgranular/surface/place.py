@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.names import name_of
 
 
 def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str) -> int:
@@ -26,16 +27,18 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
     geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     shape = kind.name.removeprefix("mjGEOM_").lower()
     if geom < 0:
-        known = [model.geom(g).name for g in range(model.ngeom) if model.geom_type[g] == kind]
+        same = np.flatnonzero(model.geom_type == kind)
+        known = [name_of(model, "geom", int(g)) for g in same]
         raise UnknownNameError(f"{shape} geom of the model", name, [k for k in known if k])
     if model.geom_type[geom] != kind:
         found = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
         raise InputError(f"geom {name!r} is a {found}: a {word} is made of a {shape} geom")
     body = int(model.geom_bodyid[geom])
     if model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0:
+        mover = name_of(model, "body", body)
         raise InputError(
-            f"geom {name!r} is on body {model.body(body).name!r}, which can move: a {word} must "
-            "be fixed to the world"
+            f"geom {name!r} is on body {mover!r}, which can move: a {word} must be fixed to the "
+            "world"
         )
     _refuse_pairs(model, geom, word)
     model.geom_contype[geom] = 0
@@ -48,11 +51,12 @@ def _refuse_pairs(model: mujoco.MjModel, geom: int, word: str) -> None:
     for number in range(model.npair):
         ends = [int(model.pair_geom1[number]), int(model.pair_geom2[number])]
         if geom in ends:
-            pair = model.pair(number).name or number
-            first, second = (model.geom(end).name or end for end in ends)
+            pair = name_of(model, "pair", number) or number
+            first, second = (name_of(model, "geom", end) or end for end in ends)
+            ours = name_of(model, "geom", geom)
             raise InputError(
                 f"the contact pair {pair!r} makes geoms {first!r} and {second!r} collide, but "
-                f"{model.geom(geom).name!r} is a {word}, which bodies sink into: remove that <pair>"
+                f"{ours!r} is a {word}, which bodies sink into: remove that <pair>"
             )
 
 

@@ -1,0 +1,316 @@
+"""What MuJoCo calls first: a few machine instructions each, which stand between it and Python.
+
+A function of Python's that MuJoCo called by itself could fail before its first line, where a signal
+has come in; what MuJoCo then takes for its answer is what happened to lie in memory. These ask
+Python for an answer in memory of their own. Where there is none the sand is not prepared, and a
+step is an error of MuJoCo's. They take texts as texts, never as formats. What needs no Python, how
+many numbers an instance has, is found without.
+
+An interrupt is no error of MuJoCo's: Python would raise that one, and the interrupt somewhere in
+what handles it. So `init` returns as if all were well, what MuJoCo still does in the same call goes
+without sand, and the interrupt is raised as soon as it returns. From then on that `mjData`, if
+anybody has it, is one whose sand is not prepared.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import llvmlite.binding as llvm
+
+from mjgranular.engine.library import library
+from mjgranular.engine.links import publish, publish_functions
+
+FAIL = "mjgranular_fail"
+"""Name of `fail(text)`: an error of MuJoCo's; does not return."""
+
+UNPREPARED = "mjgranular_unprepared"
+"""Name of `unprepared(data)`: an error of MuJoCo's that says that there is no sand; returns only
+where `pausing` says that this is meant."""
+
+pausing = ctypes.c_int64(0)
+"""Address of the `mjData` that goes without sand, 0 for none: while an interrupt is due, and while
+the layout of MuJoCo's memory is found."""
+
+_PYTHON = (
+    "PyGILState_Ensure",
+    "PyGILState_Release",
+    "PyObject_CallFunction",
+    "Py_DecRef",
+    "PyErr_Clear",
+    "PyThread_get_thread_ident",
+    "PyThreadState_SetAsyncExc",
+)
+
+FINE, ERROR, INTERRUPT = 1, 2, 3
+"""Answers of Python's: with an error comes the address of a text, with an interrupt that of a class
+of exceptions (`due`). 0 is none."""
+
+Answer = ctypes.c_int64 * 2
+"""What Python writes at the address that it is given: one of these, and what comes with it."""
+
+_COMMON = r"""
+@says = private constant [3 x i8] c"%s\00"
+@why = private constant [WHY]
+
+declare void @mju_error(ptr, ...)
+
+define void @mjgranular_fail(i64 %text) {
+  %pointer = inttoptr i64 %text to ptr
+  call void (ptr, ...) @mju_error(ptr @says, ptr %pointer)
+  ret void
+}
+
+define void @mjgranular_unprepared(i64 %data) {
+  %cell = inttoptr i64 PAUSING to ptr
+  %pausing = load volatile i64, ptr %cell
+  %meant = icmp eq i64 %pausing, %data
+  br i1 %meant, label %leave, label %tell
+tell:
+  call void (ptr, ...) @mju_error(ptr @says, ptr @why)
+  br label %leave
+leave:
+  ret void
+}
+
+define void @mjgranular_compute(i64 %model, i64 %data, i32 %instance, i32 %capability) {
+  call void @mjgranular_unprepared(i64 %data)
+  ret void
+}
+
+define void @mjgranular_reset(i64 %model, i64 %state, i64 %handle, i32 %instance) {
+  ret void
+}
+
+define i1 @mjgranular_equal(ptr %a, ptr %b) {
+begin:
+  br label %next
+next:
+  %i = phi i64 [0, %begin], [%j, %more]
+  %p = getelementptr i8, ptr %a, i64 %i
+  %q = getelementptr i8, ptr %b, i64 %i
+  %x = load i8, ptr %p
+  %y = load i8, ptr %q
+  %same = icmp eq i8 %x, %y
+  br i1 %same, label %more, label %no
+more:
+  %j = add i64 %i, 1
+  %end = icmp eq i8 %x, 0
+  br i1 %end, label %yes, label %next
+yes:
+  ret i1 true
+no:
+  ret i1 false
+}
+"""
+
+_INIT = r"""
+@format = private constant [5 x i8] c"LLiL\00"
+
+declare i32 @PyGILState_Ensure()
+declare void @PyGILState_Release(i32)
+declare ptr @PyObject_CallFunction(ptr, ptr, ...)
+declare void @Py_DecRef(ptr)
+declare void @PyErr_Clear()
+declare void @PyErr_SetInterrupt()
+declare i64 @PyThread_get_thread_ident()
+declare i32 @PyThreadState_SetAsyncExc(i64, ptr)
+declare void @mjgranular_fail(i64)
+
+define i32 @NAME_init(i64 %model, i64 %data, i32 %instance) {
+  %answer = alloca [2 x i64]
+  store volatile i64 0, ptr %answer
+  %second = getelementptr i64, ptr %answer, i64 1
+  store volatile i64 0, ptr %second
+  %place = ptrtoint ptr %answer to i64
+  %function = inttoptr i64 FUNCTION to ptr
+  %cell = inttoptr i64 PAUSING to ptr
+  %pausing = load volatile i64, ptr %cell
+  %due = icmp eq i64 %pausing, %data
+  br i1 %due, label %leave, label %ask
+ask:
+  %held = call i32 @PyGILState_Ensure()
+  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %function, ptr @format,
+    i64 %model, i64 %data, i32 %instance, i64 %place)
+  %failed = icmp eq ptr %made, null
+  br i1 %failed, label %lost, label %returned
+lost:
+  call void @PyErr_Clear()
+  br label %answered
+returned:
+  call void @Py_DecRef(ptr %made)
+  br label %answered
+answered:
+  %said = load volatile i64, ptr %answer
+  %with = load volatile i64, ptr %second
+  %thread = call i64 @PyThread_get_thread_ident()
+  %main = icmp eq i64 %thread, MAIN
+  switch i64 %said, label %done [
+    i64 0, label %silent
+    i64 INTERRUPT, label %interrupted
+  ]
+silent:
+  br i1 %main, label %interrupted, label %done
+interrupted:
+  %class = phi i64 [%with, %answered], [DUE, %silent]
+  store volatile i64 %data, ptr %cell
+  %pointer = inttoptr i64 %class to ptr
+  %count = call i32 @PyThreadState_SetAsyncExc(i64 %thread, ptr %pointer)
+  br label %done
+done:
+  call void @PyGILState_Release(i32 %held)
+  %error = icmp eq i64 %said, ERROR
+  br i1 %error, label %tell, label %leave
+tell:
+  call void @mjgranular_fail(i64 %with)
+  br label %leave
+leave:
+  ret i32 0
+}
+
+declare ptr @mj_getPluginConfig(i64, i32, ptr)
+declare i1 @mjgranular_equal(ptr, ptr)
+"""
+
+_WHY = (
+    "mjgranular: the sand of this mjData was not prepared, as that failed or was interrupted: "
+    "make a new mjData"
+)
+
+
+@dataclass(frozen=True)
+class Size:
+    """How many numbers an instance has, by what it is configured.
+
+    Attributes:
+        key: of the configuration.
+        sizes: by its values.
+        otherwise: for all other values, and for none.
+    """
+
+    key: str
+    sizes: Mapping[str, int]
+    otherwise: int
+
+
+NONE = Size("", {}, 0)
+"""No numbers, however it is configured."""
+
+
+def due(error: BaseException) -> type[BaseException]:
+    """A class of exceptions of which this one is the only instance, for Python to raise later."""
+    return _due(type(error), lambda: error)
+
+
+def _due(kind: type[BaseException], make: Callable[[], BaseException]) -> type[BaseException]:
+    def instance(cls: type, *arguments: object) -> BaseException:
+        pausing.value = 0  # Python raises it: MuJoCo has returned
+        return make()
+
+    return type(kind.__name__, (kind,), {"__new__": instance})
+
+
+_INTERRUPT = _due(KeyboardInterrupt, KeyboardInterrupt)
+"""What is raised in the main thread where Python gave no answer: a signal had come in before."""
+
+
+def make_doors(
+    name: str, init: Callable[[int, int, int, int], object], nstate: Size, nsensordata: Size
+) -> dict[str, int]:
+    """Makes the functions of a plugin of which nothing is compiled yet.
+
+    Args:
+        name: of the plugin.
+        init: `init(model, data, instance, answer)` writes at the address `answer` (`Answer`).
+        nstate: of its state.
+        nsensordata: of its readings.
+
+    Returns:
+        Addresses by the names of the fields of `mjpPlugin`.
+    """
+    common = _common()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(init))  # it lives as long as the process
+    name = name.replace(".", "_")
+    code = _filled(
+        _INIT,
+        NAME=name,
+        FUNCTION=id(init),
+        PAUSING=ctypes.addressof(pausing),
+        MAIN=threading.main_thread().ident,
+        DUE=id(_INTERRUPT),
+        INTERRUPT=INTERRUPT,
+        ERROR=ERROR,
+    )
+    code += _size(name, "nstate", nstate, "") + _size(name, "nsensordata", nsensordata, ", i32")
+    engine = _engine()
+    engine.add_module(llvm.parse_assembly(code))
+    engine.finalize_object()
+    own = ("init", "nstate", "nsensordata")
+    return common | {field: engine.get_function_address(f"{name}_{field}") for field in own}
+
+
+@cache
+def _engine() -> Any:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(jit=True)
+    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+
+
+@cache
+def _common() -> dict[str, int]:
+    """What all plugins share; known to compiled code by its names from now on."""
+    publish_functions(library(), ("mju_error", "mj_getPluginConfig"))
+    publish_functions(ctypes.pythonapi, _PYTHON)
+    engine = _engine()
+    code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))
+    engine.add_module(llvm.parse_assembly(code))
+    engine.finalize_object()
+    for name in (FAIL, UNPREPARED, "mjgranular_equal"):
+        publish(name, engine.get_function_address(name))
+    fields = ("compute", "reset")
+    return {field: engine.get_function_address(f"mjgranular_{field}") for field in fields}
+
+
+def _size(name: str, field: str, size: Size, more: str) -> str:
+    """The code of a function that gives a number."""
+    cases = texts = ""
+    for i, (value, number) in enumerate(size.sizes.items()):
+        texts += f"@{field}_{i} = private constant {_text(value)}\n"
+        cases += f"""case{i}:
+  %is{i} = call i1 @mjgranular_equal(ptr %text, ptr @{field}_{i})
+  br i1 %is{i}, label %found{i}, label %case{i + 1}
+found{i}:
+  ret i32 {number}
+"""
+    return f"""{texts}
+@{field}_key = private constant {_text(size.key)}
+
+define i32 @{name}_{field}(i64 %model, i32 %instance{more}) {{
+  %text = call ptr @mj_getPluginConfig(i64 %model, i32 %instance, ptr @{field}_key)
+  %none = icmp eq ptr %text, null
+  br i1 %none, label %otherwise, label %case0
+{cases}case{len(size.sizes)}:
+  br label %otherwise
+otherwise:
+  ret i32 {size.otherwise}
+}}
+"""
+
+
+def _filled(code: str, **words: object) -> str:
+    for word, value in words.items():
+        code = code.replace(word, str(value))
+    return code
+
+
+def _text(text: str) -> str:
+    """A text of C's, as LLVM writes it."""
+    raw = text.encode() + b"\0"
+    letters = "".join(f"\\{byte:02X}" for byte in raw)
+    return f'[{len(raw)} x i8] c"{letters}"'

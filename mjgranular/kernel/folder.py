@@ -1,0 +1,137 @@
+"""Where machine code is kept: in folders and files that nobody else may write to.
+
+What is kept is executed by who loads it. So each user has a folder of his own, and reads what he
+has written there himself, or the administrator, whom he trusts with Python as well. What belongs to
+anybody else, or others may write to, is neither read nor written to.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from uuid import uuid4
+
+from mjgranular.errors import warn_user
+
+_ROOT = 0
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_MOST = 1 << 28  # bytes of a file: a program has some hundred thousand
+_READ = os.O_RDONLY | sum(
+    getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")
+)
+_WRITE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+
+_told: set[Path] = set()
+
+
+def folders_to_read(source: Path) -> Iterator[Path]:
+    """Where what others or this user kept may be read, the best place first.
+
+    Args:
+        source: the file that kernels are written in.
+    """
+    for base in _bases(source):
+        for user in dict.fromkeys((_user(), None if _user() is None else _ROOT)):
+            folder = base / _name(source, user)
+            with suppress(OSError):
+                if _is_trusted(folder, folder.lstat()):
+                    yield folder
+
+
+def folders_to_write(source: Path) -> Iterator[Path]:
+    """Where this user can keep something, the best place first; a folder is made if need be.
+
+    Args:
+        source: the file that kernels are written in.
+    """
+    for base in _bases(source):
+        folder = base / _name(source, _user())
+        with suppress(OSError):
+            base.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o755 if _user() == _ROOT else 0o700, exist_ok=True)
+            if _is_trusted(folder, folder.lstat()):
+                with tempfile.TemporaryFile(dir=folder):
+                    pass
+                yield folder
+
+
+def read(path: Path) -> bytes | None:
+    """The content of a file, None if it is not one that may be trusted.
+
+    Raises:
+        OSError: it is not there, or cannot be read.
+    """
+    file = os.open(path, _READ)  # neither follows a link nor waits for the other end of a pipe
+    with os.fdopen(file, "rb") as opened:
+        found = os.fstat(file)
+        if stat.S_ISREG(found.st_mode) and found.st_size <= _MOST and _is_trusted(path, found):
+            return opened.read(_MOST)
+    return None
+
+
+def write(path: Path, content: bytes) -> None:
+    """Writes a file that others may not write to: as a whole or not at all.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    written = path.with_name(f"{path.name}.{uuid4().hex[:16]}")
+    file = os.open(written, _WRITE, 0o644 if _user() == _ROOT else 0o600)
+    try:
+        with os.fdopen(file, "wb") as opened:
+            opened.write(content)
+        written.replace(path)
+    except BaseException:
+        written.unlink(missing_ok=True)
+        raise
+
+
+def _bases(source: Path) -> Iterator[Path]:
+    """Folders in which every user may have one."""
+    told = os.environ.get("NUMBA_CACHE_DIR")
+    if told:
+        yield Path(told)
+        return
+    yield source.resolve().parent / "__pycache__"
+    with suppress(RuntimeError):  # who has no home
+        home = Path.home()
+        caches = {"win32": "AppData/Local", "darwin": "Library/Caches"}.get(sys.platform, ".cache")
+        yield Path(os.environ.get("XDG_CACHE_HOME") or home / caches) / "mjgranular"
+
+
+def _name(source: Path, user: int | None) -> str:
+    place = hashlib.sha256(str(source.resolve().parent).encode()).hexdigest()[:16]
+    return f"mjgranular-{place}" if user is None else f"mjgranular-{user}-{place}"
+
+
+def _user() -> int | None:
+    """The number of this user, None where files do not say whose they are."""
+    return os.geteuid() if hasattr(os, "geteuid") else None
+
+
+def _is_trusted(path: Path, found: os.stat_result) -> bool:
+    """Whether only this user or the administrator can have written something; tells why not."""
+    user = _user()
+    if user is None:
+        return True
+    if found.st_uid not in (user, _ROOT):
+        why = f"belongs to another user (number {found.st_uid})"
+    elif stat.S_ISLNK(found.st_mode):
+        why = "is a link"
+    elif found.st_mode & _OTHERS_WRITE:
+        why = "may be written by others than its owner"
+    else:
+        return stat.S_ISDIR(found.st_mode) or stat.S_ISREG(found.st_mode)
+    if path not in _told:
+        _told.add(path)
+        warn_user(
+            f"{path} {why}: machine code is neither read from it nor kept in it; remove it, or "
+            "set NUMBA_CACHE_DIR to a folder that is yours alone"
+        )
+    return False

@@ -1,0 +1,455 @@
+"""What MuJoCo calls: nothing that goes wrong there is lost, and no model runs without its sand."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import pytest
+
+from mjgranular import Bed, DepthVelocityLaw, add_sand
+from mjgranular.engine import plugin
+from mjgranular.engine.instances import sands_in
+from mjgranular.kernel.apart import apart, give_way
+
+LAW = DepthVelocityLaw(stiffness=100, linear=5)
+
+BALL = """
+<mujoco>
+  <worldbody>
+    <geom name="tray" type="box" size="1 1 .5" pos="0 0 -.5"/>
+    <body pos="0 0 -.02"><freejoint/><geom type="sphere" size=".05"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def sandy_ball() -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_string(BALL)
+    add_sand(spec, law=LAW, surface=Bed("tray"))
+    return spec.compile()
+
+
+@pytest.fixture
+def loader() -> Any:
+    """What makes blocks, awake."""
+    mujoco.MjData(sandy_ball())
+    return plugin._engine._loader
+
+
+def raising(error: BaseException) -> Any:
+    def load(*arguments: Any, **options: Any) -> None:
+        raise error
+
+    return load
+
+
+class Late(BaseException):
+    """What a signal's handler of somebody's own may raise."""
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt("now"), SystemExit(3), Late("too", "late")])
+def test_what_interrupts_is_raised_when_mujoco_has_returned(
+    loader: Any, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    model = sandy_ball()
+    kept: list[mujoco.MjData] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(loader, "load", raising(error))
+        with pytest.raises(type(error)) as caught:
+            mujoco.MjData(model)
+        assert caught.value is error
+        with pytest.raises(type(error)) as caught:
+            sandy_ball()
+        assert caught.value is error
+        with pytest.raises(type(error)):  # nothing of Python's runs between making and keeping
+            kept.extend(map(mujoco.MjData, [model]))
+    for data in kept:
+        with pytest.raises(mujoco.FatalError, match="was not prepared"):
+            mujoco.mj_step(model, data)
+    assert len(kept) == 1
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    assert data.qfrc_passive.any()
+
+
+def test_an_interrupt_before_the_first_line_is_raised(
+    loader: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python gives no answer then: here because its function takes other arguments."""
+    model = sandy_ball()
+    with monkeypatch.context() as patch:
+        patch.setattr(plugin.Answer, "from_address", raising(KeyboardInterrupt()), raising=False)
+        for make in (lambda: mujoco.MjData(model), sandy_ball):
+            with pytest.raises(KeyboardInterrupt):
+                make()
+    mujoco.mj_step(model, mujoco.MjData(model))
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "MemoryError"),
+        (plugin.GranularError("half\0%s%n"), r"half\\0%s%n"),
+        (plugin.GranularError("sand" + 600 * "\N{EURO SIGN}"), "\N{EURO SIGN}...$"),
+        (plugin.GranularError("sand \udcff"), r"sand \\udcff"),
+    ],
+)
+def test_what_goes_wrong_is_an_error_of_mujocos(
+    loader: Any, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
+    model = sandy_ball()
+    with monkeypatch.context() as patch:
+        patch.setattr(loader, "load", raising(error))
+        with pytest.raises(mujoco.FatalError, match=said):
+            mujoco.MjData(model)
+        with pytest.raises(ValueError, match=said):
+            sandy_ball()
+        patch.setattr(plugin, "instance_name", raising(MemoryError()))
+        with pytest.raises(mujoco.FatalError, match="preparing sand failed"):
+            mujoco.MjData(model)
+    mujoco.mj_step(model, mujoco.MjData(model))
+
+
+def test_an_interrupt_of_another_thread_is_an_error(
+    loader: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = sandy_ball()
+    said = []
+
+    def make() -> None:
+        try:
+            mujoco.MjData(model)
+        except mujoco.FatalError as error:
+            said.append(str(error))
+
+    monkeypatch.setattr(loader, "load", raising(KeyboardInterrupt()))
+    thread = threading.Thread(target=make)
+    thread.start()
+    thread.join()
+    assert "KeyboardInterrupt" in said[0]
+
+
+NOT_UTF8 = b"""
+<mujoco>
+  <extension>
+    <plugin plugin="mjgranular.sand">
+      <instance name="s\xe4nd%s%n">
+        <config key="law" value="depth_velocity stiffness=100 linear=5"/>CONFIG
+      </instance>
+    </plugin>
+    <plugin plugin="mjgranular.sensor"/>
+  </extension>
+  <worldbody>
+    <body name="b\xe4ll" pos="0 0 -.02"><freejoint/><geom name="b\xe4ll" size=".05"/></body>
+  </worldbody>
+  <sensor>
+    <plugin name="dr\xe4g" plugin="mjgranular.sensor">
+      <config key="measure" value="MEASURE"/>
+    </plugin>
+  </sensor>
+</mujoco>
+"""
+
+
+def test_names_that_are_not_utf8(tmp_path: Path) -> None:
+    def load(config: bytes = b"", measure: bytes = b"force") -> mujoco.MjModel:
+        path = tmp_path / "model.xml"
+        path.write_bytes(NOT_UTF8.replace(b"CONFIG", config).replace(b"MEASURE", measure))
+        return mujoco.MjModel.from_xml_path(str(path))
+
+    model = load()
+    assert sands_in(model) == ("s\\xe4nd%s%n",)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    assert data.qfrc_passive.any()
+    assert len(data.sensordata) == 3
+    with pytest.raises(ValueError, match=r"no measure 'p\\+xf6wer'"):
+        load(measure=b"p\xf6wer")
+    with pytest.raises(
+        ValueError,
+        match=r"mjgranular 's\\+xe4nd%s%n'.*no body .* 'bxe4ll%d'; there are: world, b\\+xe4ll",
+    ):
+        load(config=b'<config key="bodies" value="b\xe4ll%d"/>')
+    with pytest.raises(ValueError, match=r"config 'surface'.*no surface 'bxe4d'"):
+        load(config=b'<config key="surface" value="b\xe4d"/>')
+
+
+def users(loader: Any) -> int:
+    """How often the shares of all sands that are kept are used."""
+    gc.collect()
+    shares = {prepared.image.share for prepared in loader._prepared.values()}
+    return sum(ctypes.c_int64.from_address(share).value for share in shares)
+
+
+def test_the_same_bed_made_again_and_again_has_no_more_users(loader: Any) -> None:
+    loader._prepared.clear()
+    for _ in range(10):
+        model = sandy_ball()
+        kept = [mujoco.MjData(model) for _ in range(3)]
+        assert users(loader) == len(loader._prepared) + 3
+        del kept
+    assert users(loader) == len(loader._prepared) < 5  # with contacts of the tray, without, ...
+
+
+def rows(loader: Any) -> int:
+    """How many instances have a block."""
+    gc.collect()
+    return int((loader._rows._rows["data"][1:] != 0).sum())
+
+
+def test_a_load_that_fails_leaves_nothing(loader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from mjgranular.engine import block
+
+    freed, taken = [], []
+    library = block.library()
+    monkeypatch.setattr(block, "library", lambda: Counting(library, taken, freed))
+    before, kept = rows(loader), users(loader)
+    spec = mujoco.MjSpec.from_string(BALL)
+    add_sand(spec, name="good", law=LAW)
+    add_sand(spec, name="bad", law=LAW)
+    spec.plugins[1].config = {**spec.plugins[1].config, "surface": "plane height=nan"}
+    for _ in range(3):
+        with pytest.raises(ValueError, match="finite"):
+            spec.compile()
+    assert rows(loader) <= before
+    assert users(loader) == kept + 1  # of the good one
+    monkeypatch.setattr(block, "bind", raising(MemoryError()))
+    spec.plugins[1].config = {**spec.plugins[1].config, "surface": "plane height=0.125"}
+    taken.clear()
+    with pytest.raises(ValueError, match="MemoryError"):
+        spec.compile()
+    assert len(freed) == 1
+    assert freed[0] in taken
+
+
+class Counting:
+    """MuJoCo's library, that notes what is taken and freed."""
+
+    def __init__(self, library: Any, taken: list[int], freed: list[int]) -> None:
+        self._library, self._taken, self._freed = library, taken, freed
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._library, name)
+
+    def mju_malloc(self, size: int) -> int:
+        self._taken.append(self._library.mju_malloc(size))
+        return self._taken[-1]
+
+    def mju_free(self, address: int) -> None:
+        self._freed.append(address)
+        self._library.mju_free(address)
+
+
+# As if every program took a while to compile: the first model again, at each moment in turn.
+INTERRUPTED = """
+import pickle, signal, sys, threading, time
+import mujoco, mjgranular
+from mjgranular.engine import plugin
+from mjgranular.kernel.apart import give_way
+
+compiled = sys.modules["mjgranular.kernel.compiled"]
+LAW = mjgranular.DepthVelocityLaw(stiffness=100, linear=5)
+
+class Slow(dict):
+    def get(self, key):
+        if threading.current_thread() is threading.main_thread():
+            return None
+        for _ in range(5):
+            give_way()
+            time.sleep(0.002)
+        return super().get(key)
+
+def spec():
+    made = mujoco.MjSpec.from_string(BALL)
+    for i in range(500):
+        made.worldbody.add_geom(size=[0.1, 0, 0], pos=[9, 9, i])
+    mjgranular.add_sand(made, law=LAW)
+    return made
+
+def step(model, data):
+    assert data is not None
+    mujoco.mj_step(model, data, 5)
+    assert data.qfrc_passive.any(), "a model ran without its sand"
+
+model = spec().compile()
+data = mujoco.MjData(model)
+pickled = pickle.dumps(model), pickle.dumps(data)
+compiled._programs = Slow(compiled._programs)
+signal.signal(signal.SIGALRM, signal.default_int_handler)
+
+def attempt(way):
+    if way == "spec":
+        made = spec().compile()
+        return made, mujoco.MjData(made)
+    if way == "model":
+        made = pickle.loads(pickled[0])
+        return made, mujoco.MjData(made)
+    if way == "data":
+        made = pickle.loads(pickled[1])
+        return made.model, made
+    mjgranular.Sand(mujoco.MjSpec.from_string(BALL).compile(), law=LAW)
+    return None
+
+for way in ("spec", "model", "data", "sand"):
+    counts = [0, 0]
+    for moment in range(MOMENTS):
+        plugin._engine._awake.clear()
+        plugin._engine._loader._prepared.clear()
+        for again in (False, True):
+            made = None
+            try:
+                if not again:
+                    signal.setitimer(signal.ITIMER_REAL, 1e-5 + SPAN * (moment / MOMENTS) ** 2)
+                made = attempt(way)
+                counts[again] += 1
+            except KeyboardInterrupt:
+                pass
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            if made:
+                step(*made)
+    assert counts[1] == MOMENTS
+    print(way, MOMENTS - counts[0], "of", MOMENTS)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a timer that sends signals")
+def test_an_interrupt_at_any_moment_is_raised_and_leaves_nothing_half_made() -> None:
+    code = INTERRUPTED.replace("BALL", repr(BALL)).replace("MOMENTS", "24").replace("SPAN", "0.12")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    for line in done.stdout.splitlines():
+        interrupted = int(line.split()[1])
+        assert interrupted >= 6, done.stdout
+    assert len(done.stdout.splitlines()) == 4
+
+
+COLD = """
+import signal, time
+import mujoco, mjgranular
+signal.signal(signal.SIGINT, signal.default_int_handler)
+spec = mujoco.MjSpec.from_string(BALL)
+mjgranular.add_sand(spec, law=mjgranular.DepthVelocityLaw(stiffness=100, linear=5))
+print("compiling", flush=True)
+interrupts = 0
+while True:
+    try:
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        break
+    except KeyboardInterrupt:
+        interrupts += 1
+        print("interrupted", flush=True)
+mujoco.mj_step(model, data)
+assert data.qfrc_passive.any()
+print(interrupts)
+"""
+
+
+@pytest.mark.slow
+def test_a_compiler_that_is_interrupted_compiles_later(tmp_path: Path) -> None:
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", COLD.replace("BALL", repr(BALL))]
+    with subprocess.Popen(
+        command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "compiling\n"
+        for wait in (0.3, 0.6, 0.9, 1.2, 1.6, 2.0, 3.0):
+            time.sleep(wait)
+            process.send_signal(2)
+            assert process.stdout.readline() == "interrupted\n"
+        out, err = process.communicate(timeout=200)
+    assert process.returncode == 0, err
+    assert out == "7\n"
+
+
+def test_work_apart_is_waited_for_and_asked_to_give_way() -> None:
+    main = threading.main_thread().ident
+    seen = []
+
+    def work() -> None:
+        ctypes.pythonapi.PyErr_SetInterrupt()
+        try:
+            for _ in range(2000):
+                time.sleep(0.001)
+                give_way()
+        except KeyboardInterrupt:
+            time.sleep(0.02)
+            seen.append(threading.get_ident())
+            raise
+
+    with pytest.raises(KeyboardInterrupt):
+        apart(work)
+    assert len(seen) == 1
+    assert seen[0] != main
+    give_way()
+    assert apart(lambda: 7) == 7
+    with pytest.raises(ZeroDivisionError):
+        apart(lambda: 1 // 0)
+
+
+FORKED = """
+import os, threading, time
+import mujoco, mjgranular
+from mjgranular import DepthVelocityLaw, Plane
+
+def load(height):
+    spec = mujoco.MjSpec.from_string(BALL)
+    law = DepthVelocityLaw(stiffness=100, linear=5)
+    mjgranular.add_sand(spec, law=law, surface=Plane(height=height))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    assert data.qfrc_passive.any()
+
+load(0.0)
+done = []
+
+def busy():
+    k = 1
+    while not done:
+        load(k * 1e-4)
+        k += 1
+
+thread = threading.Thread(target=busy)
+thread.start()
+time.sleep(0.1)
+for k in range(20):
+    child = os.fork()
+    if child == 0:
+        load(0.01)
+        os._exit(7)
+    end = time.monotonic() + 20
+    while True:
+        found, status = os.waitpid(child, os.WNOHANG)
+        if found:
+            break
+        if time.monotonic() > end:
+            os.kill(child, 9)
+            print("hangs", flush=True)
+            os._exit(1)
+        time.sleep(0.002)
+    assert os.waitstatus_to_exitcode(status) == 7
+done.append(True)
+thread.join()
+print("all")
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="has no fork")
+def test_a_fork_while_another_thread_loads_sand() -> None:
+    code = f"import warnings; warnings.simplefilter('ignore')\n{FORKED}"
+    command = [sys.executable, "-c", code.replace("BALL", repr(BALL))]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout == "all\n"
