@@ -13,6 +13,7 @@ import pytest
 from scipy import stats
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from mjgranular import files
 from mjgranular.cli import main
 from mjgranular.errors import (
     GranularWarning,
@@ -21,7 +22,7 @@ from mjgranular.errors import (
     OutputError,
     UnknownNameError,
 )
-from mjgranular.learn import durable, environments
+from mjgranular.learn import environments
 from mjgranular.learn.agents import Random, Zero
 from mjgranular.learn.episodes import run_episodes
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
@@ -29,6 +30,7 @@ from mjgranular.learn.normalizer import (
     Normalizer,
     normalizer_state,
     read_normalizer,
+    read_state,
     restore_normalizer,
 )
 from mjgranular.learn.policies import POLICY_FILES, load_policy
@@ -72,7 +74,7 @@ def quick(algorithm: str = "ppo", *changes: str) -> Settings:
 
 def weights(run: Run) -> np.ndarray:
     """All numbers of a run's policy."""
-    parameters = load_policy(run.path).model.policy.state_dict().values()
+    parameters = load_policy(run.path).model.state_dict().values()
     return np.concatenate([p.numpy().ravel() for p in parameters])
 
 
@@ -140,7 +142,7 @@ def test_damaged_checkpoints_are_skipped_with_one_sentence(tmp_path):
     (newest / "policy.zip").unlink()
     with pytest.warns(GranularWarning, match="policy.zip is missing"):
         assert run.steps() == 256
-    (newest / durable.MANIFEST).unlink()
+    (newest / files.MANIFEST).unlink()
     with pytest.warns(GranularWarning, match="cannot be read"):
         assert train(run).progress.steps == 512
     assert run.newest_checkpoint() == newest  # made anew
@@ -152,11 +154,11 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OutputError, match="No space left on device"):
-        durable.write_folder(tmp_path / "checkpoint", fill)
+        files.write_folder(tmp_path / "checkpoint", fill)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / ".step-1.part99").mkdir()
     (tmp_path / ".curve.csv.part99").write_text("")
-    durable.remove_leftovers(tmp_path)
+    files.remove_leftovers(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -225,12 +227,13 @@ def test_observations_are_normalised_as_in_training(tmp_path):
     for _ in range(50):
         env.step(np.zeros((3, 1), np.float32))
     (tmp_path / "normalizer.json").write_text(json.dumps(normalizer_state(env)))
-    normalizer = read_normalizer(tmp_path / "normalizer.json")
+    like = {"normalized": True, "shape": (3,)}
+    normalizer = read_normalizer(tmp_path / "normalizer.json", **like)
     assert isinstance(normalizer, Normalizer)
     seen = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32) * 30
     np.testing.assert_array_equal(normalizer(seen), env.normalize_obs(seen))
     other = environments()
-    restore_normalizer(other, json.loads((tmp_path / "normalizer.json").read_text()))
+    restore_normalizer(other, read_state(tmp_path / "normalizer.json", **like))
     np.testing.assert_array_equal(other.obs_rms.var, env.obs_rms.var)
     assert other.ret_rms.count == env.ret_rms.count
 
