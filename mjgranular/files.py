@@ -261,10 +261,11 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
     """
     mine = {_READY[1:], *(names or ())}
     for path in list(folder.glob(".*")):
-        whose, mark, _ = path.name[1:].partition(_PART)
-        old = not mark and path.name.endswith(_GONE)
+        name = path.name.lstrip(".")  # of a part of a part there are two
+        whose, mark, _ = name.partition(_PART)
+        old = not mark and name.endswith(_GONE)
         if old:
-            whose = path.name[1 : -len(_GONE)]
+            whose = name.removesuffix(_GONE)
         elif not mark:
             continue
         if whose not in mine and names is not None:

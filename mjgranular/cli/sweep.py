@@ -126,22 +126,22 @@ class SweepCommand(LinkOptions):
         out.print(table)
 
     def _write(self, folder: ResultFolder, result: SweepResult) -> None:
-        with folder.published(keep=(UNFINISHED,) if result.interrupted else ()):
-            asked = {**asdict(result.sweep), "interrupted": result.interrupted}
-            folder.write_config("sweep", asked)
-            folder.write(_CSV, lambda path: _write_csv(path, result))
-            folder.write_json(SUMMARY, result.rows)
         from mjgranular.picture.figures import draw_sweep
 
         first = result.rows[0]
         fixed = f"{first['angle_deg']:g} deg" if self.over == "speed" else f"{first['speed']:g} m/s"
         title = f"{fixed}, {first['medium']}, {first['law']} law, {first['timestep']:g} s"
-        try:
-            folder.write(
-                _FIGURE, lambda path: draw_sweep(path, result.rows, over=self.over, title=title)
-            )
-        except MissingExtraError as error:
-            err.print(f"no figure: {error}", highlight=False, markup=False)
+        with folder.published(keep=(UNFINISHED,) if result.interrupted else ()):
+            asked = {**asdict(result.sweep), "interrupted": result.interrupted}
+            folder.write_config("sweep", asked)
+            folder.write(_CSV, lambda path: _write_csv(path, result))
+            folder.write_json(SUMMARY, result.rows)
+            try:
+                folder.write(
+                    _FIGURE, lambda path: draw_sweep(path, result.rows, over=self.over, title=title)
+                )
+            except MissingExtraError as error:
+                err.print(f"no figure: {error}", highlight=False, markup=False)
 
     def _status(self, result: SweepResult, *, kept: Path | None) -> int:
         for value, reason in result.failures:

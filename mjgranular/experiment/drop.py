@@ -108,7 +108,7 @@ class Drop:
         return {**asdict(self), "model": model}
 
     @classmethod
-    def from_config(cls, config: dict[str, Any]) -> Drop:
+    def from_config(cls, config: object) -> Drop:
         """The drop that `config` described.
 
         Raises:

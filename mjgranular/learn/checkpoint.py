@@ -27,7 +27,7 @@ from mjgranular.learn.run import (
     read_curve,
     read_state,
 )
-from mjgranular.learn.weights import Weights, add_spaces, check_size, read_weights
+from mjgranular.learn.weights import Weights, add_spaces, brief, check_size, read_weights
 from mjgranular.saved import read_arrays
 
 _PICKLED_REPLAY = "replay.pkl"  # of version 0.1
@@ -123,8 +123,8 @@ def load_checkpoint(
             model.log_ent_coef.data = entropy.data.reshape(model.log_ent_coef.shape)
     except Exception as error:  # what other versions wrote fails in many ways
         raise OutputError(
-            f"{folder} cannot be read by the packages installed here ({type(error).__name__}: "
-            f"{' '.join(str(error).split())[:300]}); it was written with {_versions(run)}"
+            f"{folder} cannot be read by the packages installed here ({brief(error)}); it was "
+            f"written with {_versions(run)}"
         ) from None
     for name, value in weights.counters.items():
         setattr(model, name, value)
@@ -223,7 +223,7 @@ def _load_replay(folder: Path, run: Run, model: Any) -> None:
     try:
         model.load_replay_buffer(pickled)
     except Exception as error:  # unpickling what other versions wrote fails in many ways
-        raise OutputError(f"{pickled} cannot be read: {str(error)[:300]}") from None
+        raise OutputError(f"{pickled} cannot be read: {brief(error)}") from None
 
 
 def _versions(run: Run) -> str:

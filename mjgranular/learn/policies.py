@@ -86,19 +86,21 @@ def load_policy(where: Path | str) -> Policy:
         UnknownNameError: neither a folder nor a name; lists the names.
     """
     folder = _folder(where)
-    for last in (False,) * _TRIES + (True,):
+    tries = _TRIES
+    while True:
         run = open_run(folder)
         newest = run.newest_checkpoint() if (folder / CHECKPOINTS).is_dir() else None
         holder = newest or folder
+        tries -= 1
         try:
             policy = files.consistently(holder, POLICY, lambda run=run, at=holder: _load(run, at))
-            break
         except OutputError:
             # A training that is at work may have removed the checkpoint for a newer one.
-            if last or newest is None or newest.exists():
+            if not tries or newest is None or newest.exists():
                 raise
-    _warn_of_version(run)
-    return replace(policy, folder=folder)
+        else:
+            _warn_of_version(run)
+            return replace(policy, folder=folder)
 
 
 def _load(run: Run, holder: Path) -> Policy:

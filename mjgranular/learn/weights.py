@@ -12,6 +12,7 @@ import io
 import itertools
 import json
 import math
+import pickle
 import re
 import zipfile
 from collections.abc import Mapping
@@ -83,7 +84,7 @@ def read_weights(file: Path) -> Weights:
     except OutputError:
         raise
     except Exception as error:  # zip, zlib and torch fail in many ways
-        raise OutputError(f"{file} is damaged: {_brief(error)}") from None
+        raise OutputError(f"{file} is damaged: {brief(error)}") from None
     variables = tensors.pop(_VARIABLES, None)
     counters = {name: data.get(name) for name in _COUNTERS if name in data}
     for name, value in counters.items():
@@ -95,7 +96,7 @@ def read_weights(file: Path) -> Weights:
         try:
             spaces[name] = _space(told.get(name) or _of_text(data[name]), most)
         except Exception as error:  # whatever there is in place of a space
-            raise OutputError(f"{file} is damaged: {name}: {_brief(error)}") from None
+            raise OutputError(f"{file} is damaged: {name}: {brief(error)}") from None
     return Weights(
         spaces["observation_space"],
         spaces["action_space"],
@@ -145,7 +146,7 @@ def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
         policy.load_state_dict(weights.parameters["policy"])
     except Exception as error:  # settings may be anything
         raise OutputError(
-            f"{file} is not the policy of its settings: {_brief(error)}; it was written by another "
+            f"{file} is not the policy of its settings: {brief(error)}; it was written by another "
             "run, or is damaged"
         ) from None
     policy.set_training_mode(False)
@@ -277,7 +278,10 @@ def _space(told: Mapping[str, Any], most: int) -> Any:
     raise ValueError(f"there is no space {str(kind)[:50]!r}")
 
 
-def _brief(error: Exception) -> str:
+def brief(error: Exception) -> str:
     """An error of a library in a few words."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__
+    if isinstance(error, pickle.UnpicklingError):
+        return "it holds more than numbers, or what is none"
+    text = "".join(c if c.isprintable() else " " for c in str(error))
+    text = " ".join(text.split())[:200]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
