@@ -14,6 +14,7 @@ import json
 import math
 import pickle
 import re
+import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -64,7 +65,6 @@ def read_weights(file: Path) -> Weights:
     Raises:
         OutputError: it cannot be read, or is no such file; says what is wrong.
     """
-    torch = need("torch", extra="train", purpose=_PURPOSE)
     if not file.is_file():
         raise OutputError(f"{file} cannot be read: there is no such file")
     try:
@@ -72,9 +72,7 @@ def read_weights(file: Path) -> Weights:
             names = archive.namelist()
             data = parse_json(_entry(archive, _DATA, file).decode(), f"{_DATA} in {file}")
             tensors = {
-                name.removesuffix(_TENSORS): torch.load(
-                    io.BytesIO(_entry(archive, name, file)), map_location="cpu", weights_only=True
-                )
+                name.removesuffix(_TENSORS): _tensors(_entry(archive, name, file))
                 for name in names
                 if name.endswith(_TENSORS)
             }
@@ -177,6 +175,17 @@ def _entry(archive: zipfile.ZipFile, name: str, file: Path) -> bytes:
     if entry.file_size > max(_SMALL, _RATIO * entry.compress_size):
         raise OutputError(f"{file} is damaged: {name} is larger than anything that belongs there")
     return archive.read(name)
+
+
+def _tensors(content: bytes) -> Any:
+    """What PyTorch saved, if that is tensors and plain values."""
+    torch = need("torch", extra="train", purpose=_PURPOSE)
+    # Its older kinds of files are not zips, and were not safe to read in older versions.
+    if not content.startswith(b"PK"):
+        raise pickle.UnpicklingError
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what a stranger's file may have in it
+        return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
 
 
 def _state(state: object, file: Path) -> dict[str, Any]:

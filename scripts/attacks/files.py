@@ -68,8 +68,8 @@ class Bomb:
     def __init__(self, marker: Path) -> None:
         self._marker = marker
 
-    def __reduce__(self) -> tuple[Callable[..., object], tuple[str, str]]:
-        return open, (str(self._marker), "w")
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[str]]:
+        return os.mkdir, (str(self._marker),)
 
 
 # Runs to be damaged
@@ -264,7 +264,7 @@ def _places(content: Any) -> Iterator[tuple[Any, Any]]:
 
 def _module(_rng: random.Random, file: Path, _others: object, marker: Path) -> str:
     for place in (file.parent, marker.parent):
-        code = f"open({str(marker)!r}, 'w')\n"
+        code = f"import os\nos.mkdir({str(marker)!r})\n"
         (place / f"{_EVIL}.py").write_text(code)
     content = json.loads(file.read_text())
     content["environment"] = f"{_EVIL}:Evil-v0"
@@ -465,7 +465,7 @@ def _round(kind: str, folder: Path, how: str, marker: Path, said: set[str]) -> s
     except Exception as error:
         return f"{how}: {type(error).__name__}: {str(error)[:300]}"
     if marker.exists():
-        marker.unlink()
+        marker.rmdir()
         return f"{how}: code was executed"
     seconds, grown = time.monotonic() - began, _memory() - before
     if seconds > SECONDS or grown > MEGABYTES:
