@@ -1,6 +1,8 @@
 """Training: what is interrupted goes on, what is wrong is refused, what is counted is right."""
 
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +15,7 @@ import pytest
 from scipy import stats
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from mjgranular import files
 from mjgranular.cli import main
 from mjgranular.errors import (
     GranularWarning,
@@ -21,7 +24,7 @@ from mjgranular.errors import (
     OutputError,
     UnknownNameError,
 )
-from mjgranular.learn import durable, environments
+from mjgranular.learn import environments
 from mjgranular.learn.agents import Random, Zero
 from mjgranular.learn.episodes import run_episodes
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
@@ -29,6 +32,7 @@ from mjgranular.learn.normalizer import (
     Normalizer,
     normalizer_state,
     read_normalizer,
+    read_state,
     restore_normalizer,
 )
 from mjgranular.learn.policies import POLICY_FILES, load_policy
@@ -72,7 +76,7 @@ def quick(algorithm: str = "ppo", *changes: str) -> Settings:
 
 def weights(run: Run) -> np.ndarray:
     """All numbers of a run's policy."""
-    parameters = load_policy(run.path).model.policy.state_dict().values()
+    parameters = load_policy(run.path).model.state_dict().values()
     return np.concatenate([p.numpy().ravel() for p in parameters])
 
 
@@ -140,10 +144,96 @@ def test_damaged_checkpoints_are_skipped_with_one_sentence(tmp_path):
     (newest / "policy.zip").unlink()
     with pytest.warns(GranularWarning, match="policy.zip is missing"):
         assert run.steps() == 256
-    (newest / durable.MANIFEST).unlink()
+    (newest / files.MANIFEST).unlink()
     with pytest.warns(GranularWarning, match="cannot be read"):
         assert train(run).progress.steps == 512
     assert run.newest_checkpoint() == newest  # made anew
+
+
+def test_damaged_checkpoints_do_not_count_among_the_newest_two(tmp_path):
+    run = begin_run(tmp_path / "run", ID, quick("ppo", "checkpoint_every=256"), seed=0)
+    train(run)
+    whole = [folder.name for folder in run.checkpoints()]
+    assert whole == ["step-0000001152", "step-0000001024"]
+    for steps in (2000, 3000):  # newer, and damaged
+        run.checkpoint_folder(steps).mkdir()
+    run.remove_old_checkpoints()
+    assert [folder.name for folder in run.checkpoints()][2:] == whole
+
+
+def test_one_of_two_that_begin_the_same_run_is_refused(tmp_path):
+    """The folder is locked before it is looked at: no configuration over others' checkpoints."""
+    with files.locked(tmp_path / "run"), pytest.raises(OutputError, match="in use by another"):
+        begin_run(tmp_path / "run", ID, quick(), seed=1)
+    first = begin_run(tmp_path / "run", ID, quick(), seed=1)
+    (tmp_path / "run" / ".lock").touch()  # a killed process leaves one that nobody holds
+    with pytest.raises(OutputError, match="holds a training run already"):
+        begin_run(tmp_path / "run", ID, quick(), seed=2)
+    assert open_run(first.path).seed == 1
+
+
+@pytest.mark.parametrize("left", [(), ("policy.zip",), ("policy.zip", "curve.csv")])
+def test_what_was_killed_after_its_last_checkpoint_is_finished(left, trained, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(trained.path, folder)
+    for name in ("policy.zip", "normalizer.json", "curve.csv"):
+        if name not in left:
+            (folder / name).unlink()
+    (folder / ".publish.part0").mkdir()
+    assert train(open_run(folder)).progress.steps == 1152
+    for name in ("policy.zip", "normalizer.json", "curve.csv"):
+        assert (folder / name).read_bytes() == (trained.path / name).read_bytes()
+    assert not list(folder.glob(".*"))
+
+
+def test_a_signal_after_the_last_step_stops_nothing(tmp_path, monkeypatch):
+    from stable_baselines3 import PPO
+
+    learn = PPO.train
+
+    def signalled(model):
+        learn(model)
+        if model.num_timesteps >= 512:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr(PPO, "train", signalled)
+    run = begin_run(tmp_path / "run", ID, quick("ppo", "total_steps=512"), seed=0)
+    assert train(run).stopped_by is None
+    assert (run.path / "policy.zip").exists()
+
+
+def test_a_checkpoint_of_another_run_is_refused(trained, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(trained.path, folder)
+    file = folder / "config.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "seed": 4}))
+    for read in (load_policy, lambda path: train(open_run(path))):
+        with pytest.raises(OutputError, match=r"is of another run .* seed 3"):
+            read(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (None, "normalizer.json cannot be read"),
+        ({"mean": [0.0]}, r"its mean has shape \(1,\), an observation \(3,\)"),
+        ({"mean": 0.0}, "its mean has shape"),
+        ({"variance": [1.0, -1.0, 1.0]}, "a variance must be positive"),
+        ({"variance": ["x"] * 3}, "variance must be numbers"),
+        ({"observations": False}, "its observations are normalised"),
+        ({"clip": None}, "clip must be a number"),
+    ],
+)
+def test_a_policy_without_its_normaliser_does_not_act(change, message, trained, tmp_path):
+    for name in POLICY_FILES:
+        (tmp_path / name).write_bytes((trained.path / name).read_bytes())
+    file = tmp_path / "normalizer.json"
+    if change is None:
+        file.unlink()
+    else:
+        file.write_text(json.dumps({**json.loads(file.read_text()), **change}))
+    with pytest.raises(OutputError, match=message):
+        load_policy(tmp_path)
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path):
@@ -152,11 +242,11 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(OutputError, match="No space left on device"):
-        durable.write_folder(tmp_path / "checkpoint", fill)
+        files.write_folder(tmp_path / "checkpoint", fill)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / ".step-1.part99").mkdir()
     (tmp_path / ".curve.csv.part99").write_text("")
-    durable.remove_leftovers(tmp_path)
+    files.remove_leftovers(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -225,12 +315,13 @@ def test_observations_are_normalised_as_in_training(tmp_path):
     for _ in range(50):
         env.step(np.zeros((3, 1), np.float32))
     (tmp_path / "normalizer.json").write_text(json.dumps(normalizer_state(env)))
-    normalizer = read_normalizer(tmp_path / "normalizer.json")
+    like = {"normalized": True, "shape": (3,)}
+    normalizer = read_normalizer(tmp_path / "normalizer.json", **like)
     assert isinstance(normalizer, Normalizer)
     seen = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32) * 30
     np.testing.assert_array_equal(normalizer(seen), env.normalize_obs(seen))
     other = environments()
-    restore_normalizer(other, json.loads((tmp_path / "normalizer.json").read_text()))
+    restore_normalizer(other, read_state(tmp_path / "normalizer.json", **like))
     np.testing.assert_array_equal(other.obs_rms.var, env.obs_rms.var)
     assert other.ret_rms.count == env.ret_rms.count
 

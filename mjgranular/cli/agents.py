@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ def find_actor(
     agent: str = "policy",
     environment: str | None = None,
     gait: Mapping[str, float] | None = None,
+    trust: bool = False,
 ) -> Actor:
     """Who is meant by a word on the command line.
 
@@ -44,12 +45,13 @@ def find_actor(
         agent: policy, or one of `BASELINES`.
         environment: another than the one that the policy was trained in.
         gait: parameters of the gait, where they differ from its own.
+        trust: whether a module that only the run's file names may be imported.
     """
     if agent not in ("policy", *BASELINES):
         raise UnknownNameError("agent", agent, ("policy", *BASELINES))
     if agent == "policy":
         try:
-            return _policy(what, load_policy(what), environment)
+            return _policy(what, load_policy(what), environment, trust)
         except UnknownNameError as error:
             if not _is_environment(what):
                 raise
@@ -61,13 +63,16 @@ def find_actor(
         raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
     env_id, arguments = what, {}
     if not _is_environment(what):
-        run = load_policy(what).run
+        run = replace(load_policy(what).run, trusted=trust)
+        run.check_environment()
         env_id, arguments = run.environment, dict(run.settings.environment)
     return Actor(agent, env_id, arguments, lambda env: make_baseline(agent, env_id, env, gait=gait))
 
 
-def _policy(what: str, policy: Policy, environment: str | None) -> Actor:
-    run = policy.run
+def _policy(what: str, policy: Policy, environment: str | None, trust: bool) -> Actor:
+    run = replace(policy.run, trusted=trust)
+    if environment is None:  # else the user names it himself
+        run.check_environment()
     env_id = environment or run.environment
     same = env_id == run.environment
     arguments = dict(run.settings.environment) if same else {}

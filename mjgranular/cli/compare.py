@@ -10,9 +10,9 @@ import tyro
 from rich.table import Table
 
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
-from mjgranular.errors import InputError, MissingExtraError
+from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
 from mjgranular.experiment.folder import SUMMARY, ResultFolder
-from mjgranular.learn.compare import Cell, compare
+from mjgranular.learn.compare import GROUNDS, Cell, compare
 
 _FIGURE = "compare.png"
 
@@ -45,10 +45,16 @@ class CompareCommand:
         if self.policies < 1:
             raise InputError(f"a comparison needs at least 1 policy, not {self.policies}")
         path = self.out or Path("runs") / f"compare-{self.robot}"
+        if self.robot not in GROUNDS:
+            raise UnknownNameError("robot to compare grounds with", self.robot, GROUNDS)
+        with ResultFolder(path, (SUMMARY, _FIGURE)).claimed(overwrite=True) as folder:
+            return self._run(folder)
+
+    def _run(self, folder: ResultFolder) -> int:
         with progress_bar("preparing", 1.0) as show:
             cells = compare(
                 self.robot,
-                path,
+                folder.path,
                 policies=self.policies,
                 seeds=self.seeds,
                 total_steps=self.total_steps,
@@ -58,8 +64,8 @@ class CompareCommand:
         if isinstance(cells, int):
             show_error("stopped, all that was learned is kept; the same command goes on")
             return 128 + cells
-        folder = ResultFolder(path, (SUMMARY, _FIGURE))
-        folder.write_json(SUMMARY, [cell.as_json() for cell in cells])
+        with folder.published():
+            folder.write_json(SUMMARY, [cell.as_json() for cell in cells])
         if self.json:
             print_json([cell.as_json() for cell in cells])
         else:
@@ -70,7 +76,7 @@ class CompareCommand:
             title = f"{self.robot}: mean return"
             folder.write(_FIGURE, lambda file: draw_comparison(file, cells, title=title))
         except MissingExtraError as error:
-            show_error(f"{error} (the numbers are in {path})")
+            show_error(f"{error} (the numbers are in {folder.path})")
             return 2
         return 0
 

@@ -104,7 +104,7 @@ class DropCommand:
         if self.out is None:
             self._show(self._run(drop))
             return 0
-        names = (*RUN_FILES, FIGURE, *((FILM,) if self.video else ()))
+        names = (*RUN_FILES, FIGURE, FILM)
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             result = self._run(drop)
             write_drop(folder, result)

@@ -80,9 +80,10 @@ class ElementsCommand:
             sand, qpos = self._cut()
             summary = self._summary(sand)
             if self.out is not None:
-                folder.write_config("elements", {**self._config(), "law": sand.law.name})
-                folder.write(_CSV, lambda path: _write_csv(path, sand))
-                folder.write_json(SUMMARY, summary)
+                with folder.published():
+                    folder.write_config("elements", {**self._config(), "law": sand.law.name})
+                    folder.write(_CSV, lambda path: _write_csv(path, sand))
+                    folder.write_json(SUMMARY, summary)
             self._show(summary)
             try:
                 folder.write(

@@ -44,6 +44,8 @@ class EvaluateCommand:
     """Episodes, one a seed."""
     first_seed: Annotated[int, tyro.conf.arg(metavar="N")] = FIRST_SEED
     """The first seed; the others follow it."""
+    trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Import the module of an environment that only a run's file names: this executes it."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the results; nothing is written without it."""
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -72,8 +74,9 @@ class EvaluateCommand:
                 "seeds": self.seeds,
                 "first_seed": self.first_seed,
             }
-            folder.write_config("evaluate", asked)
-            folder.write_json(SUMMARY, [score.as_json() for score in scores])
+            with folder.published():
+                folder.write_config("evaluate", asked)
+                folder.write_json(SUMMARY, [score.as_json() for score in scores])
             self._show(scores)
         if not self.json:
             out.print(f"written to {self.out}", highlight=False, markup=False)
@@ -81,7 +84,13 @@ class EvaluateCommand:
 
     def _scores(self) -> list[Score]:
         actors = [
-            find_actor(what, agent=self.agent, environment=self.env, gait=parse_variant(self.gait))
+            find_actor(
+                what,
+                agent=self.agent,
+                environment=self.env,
+                gait=parse_variant(self.gait),
+                trust=self.trust,
+            )
             for what in self.policies
         ]
         jobs = [(actor, variant) for actor in actors for variant in ("", *self.on)]

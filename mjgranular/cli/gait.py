@@ -59,8 +59,9 @@ class GaitCommand:
         with ResultFolder(self.out, (CONFIG, SUMMARY)).claimed(overwrite=self.overwrite) as folder:
             content = self._found(arguments, ranges)
             asked = {"environment": self.environment, "search": self.search, "ranges": ranges}
-            folder.write_config("gait", {**asked, "by": self.by, "variant": self.on})
-            folder.write_json(SUMMARY, content)
+            with folder.published():
+                folder.write_config("gait", {**asked, "by": self.by, "variant": self.on})
+                folder.write_json(SUMMARY, content)
             self._show(content)
         return 0
 

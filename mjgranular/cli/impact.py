@@ -69,7 +69,7 @@ class ImpactCommand(LinkOptions):
             self._show(self._drop(impact))
             return 0
         film = self._film(impact.link) if self.video else None
-        names = (*RUN_FILES, *FIGURES, *((VIDEO,) if self.video else ()))
+        names = (*RUN_FILES, *FIGURES, VIDEO)
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             result = self._drop(impact)
             write_impact(folder, result)
@@ -93,7 +93,7 @@ class ImpactCommand(LinkOptions):
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
         drop = chain_drop(impact, count)
-        names = (*RUN_FILES, models.FIGURE, *((models.FILM,) if self.video else ()))
+        names = (*RUN_FILES, models.FIGURE, models.FILM)
         folder = None if self.out is None else ResultFolder(self.out, names)
         problems: list[GranularError] = []
         with nullcontext() if folder is None else folder.claimed(overwrite=self.overwrite):

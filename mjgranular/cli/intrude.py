@@ -90,9 +90,10 @@ class IntrudeCommand:
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             result = run_intrusion(intrusion)
             rows = result.rows()
-            folder.write_config("intrude", {**intrusion.config(), "law": result.law})
-            folder.write(_CSV, lambda path: _write_csv(path, result))
-            folder.write_json(SUMMARY, rows)
+            with folder.published():
+                folder.write_config("intrude", {**intrusion.config(), "law": result.law})
+                folder.write(_CSV, lambda path: _write_csv(path, result))
+                folder.write_json(SUMMARY, rows)
             self._show(result)
             try:
                 from mjgranular.picture.figures import draw_intrusion

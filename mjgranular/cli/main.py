@@ -27,10 +27,9 @@ from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
 from mjgranular.errors import GranularError, GranularWarning
+from mjgranular.signals import signal_of, stopped_by_signals
 
-# What a shell expects of a program that was interrupted: 128 + SIGINT.
-INTERRUPTED = 130
-PIPE_CLOSED = 141  # the same of a reader that went away: 128 + SIGPIPE
+PIPE_CLOSED = 141  # what a shell expects when the reader went away: 128 + SIGPIPE
 
 Command = (
     Annotated[ImpactCommand, tyro.conf.subcommand("impact")]
@@ -60,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         Exit status: 0 done; 2 for a mistake in what was asked for, told in one sentence; 130 when
-        interrupted, 141 when nobody reads the output any more.
+        interrupted, 143 when told to end, 141 when nobody reads the output any more.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given in (["--version"], ["-V"]):
@@ -76,16 +75,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     show_compilation()
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), stopped_by_signals():
             warnings.simplefilter("always", GranularWarning)
             warnings.showwarning = show_warning
             return command.run()
     except GranularError as error:
         show_error(str(error))
         return 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         show_error("interrupted")
-        return INTERRUPTED
+        return 128 + signal_of(stop)
     except BrokenPipeError:  # the reader of our output has gone: `mjgranular ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED

@@ -12,9 +12,10 @@ import tyro
 from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.drop import FILM
 from mjgranular.cli.impact import VIDEO, film_impact, write_film
-from mjgranular.errors import GranularError, InputError
+from mjgranular.errors import GranularError, InputError, OutputError
 from mjgranular.experiment.drop import load
 from mjgranular.experiment.folder import ResultFolder, read_drop, read_impact, saved_command
+from mjgranular.models import Chain
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
@@ -49,6 +50,8 @@ class RenderCommand:
     """Of a training run: a variant of its environment, for example medium=glass_beads."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Of a training run: the seed of the episode."""
+    trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Import the module of an environment that only the run's file names: this executes it."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mp4")] = None
     """The file; of a training run also .gif. Default: impact.mp4, drop.mp4 or policy.mp4 in the
     folder of the run."""
@@ -73,8 +76,13 @@ class RenderCommand:
             height=self.height,
             fps=self.fps,
         )
-        draws = {"impact": self._impact, "train": self._policy}
-        draw = draws.get(command, self._model)(film)
+        draws = {"impact": self._impact, "drop": self._model, "train": self._policy}
+        if command not in draws:
+            raise InputError(
+                f"{self.run_folder} holds the result of '{command}': a video can be made of an "
+                "impact, of a drop or of a training run"
+            )
+        draw = draws[command](film)
         folder = ResultFolder(target.parent, (target.name,))
         with folder.claimed(overwrite=self.overwrite):
             problems = draw(folder, target.name)
@@ -108,7 +116,14 @@ class RenderCommand:
         from mjgranular.picture.video import Motion, frames_of_model
 
         drop, arrays = read_drop(self.run_folder)
+        if isinstance(drop.model, Chain) and drop.model.count > arrays["qpos"].shape[1]:
+            raise OutputError(f"{self.run_folder} is damaged: its samples are of a shorter chain")
         model, _ = load(drop)
+        if arrays["qpos"].shape[1] != model.nq:
+            raise OutputError(
+                f"{self.run_folder} has samples of {arrays['qpos'].shape[1]} positions, "
+                f"{drop.title} has {model.nq}: it is not the model that ran"
+            )
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
         count, pictures = frames_of_model(film, model, motion)
         return lambda folder, name: write_film(folder, name, film, lambda: (count, pictures))
@@ -119,7 +134,7 @@ class RenderCommand:
         from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
         from mjgranular.learn.film import film_episode
 
-        actor = find_actor(str(self.run_folder))
+        actor = find_actor(str(self.run_folder), trust=self.trust)
         arguments = {**actor.arguments, **parse_variant(self.on)}
 
         def draw(folder: ResultFolder, name: str) -> list[GranularError]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +18,7 @@ from mjgranular.errors import MissingExtraError
 from mjgranular.experiment import CASES, Impact, ImpactResult, Sweep, reproduce, run_sweep
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.paper import PaperCase, comparison
+from mjgranular.signals import Stopped
 
 _SWEEPS = {
     5: Sweep("speed", 1.0, 10.0, 19, Impact(angle=math.radians(45))),
@@ -53,8 +55,9 @@ class ReproduceCommand:
         names = (CONFIG, SUMMARY, *figures)
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             results = self._reproduce(base)
-            folder.write_config("reproduce", asdict(base))
-            folder.write_json(SUMMARY, [comparison(*pair) for pair in results])
+            with folder.published():
+                folder.write_config("reproduce", asdict(base))
+                folder.write_json(SUMMARY, [comparison(*pair) for pair in results])
             self._show(results)
             try:
                 self._draw(folder, results, base)
@@ -89,7 +92,10 @@ class ReproduceCommand:
             )
             sweep = replace(sweep, impact=impact)
             with progress_bar(f"sweeping over the {sweep.over}", sweep.points) as progress:
-                rows = run_sweep(sweep, workers=self.workers, progress=progress).rows
+                swept = run_sweep(sweep, workers=self.workers, progress=progress)
+            if swept.interrupted:  # a figure of a part would be taken for that of the whole
+                raise Stopped(swept.stopped_by or signal.SIGTERM)
+            rows = swept.rows
             common = f"{impact.medium}, {impact.timestep:g} s"
 
             def draw_rows(

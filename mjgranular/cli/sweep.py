@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.table import Table
@@ -17,6 +18,7 @@ from mjgranular.cli.options import LinkOptions
 from mjgranular.errors import MissingExtraError
 from mjgranular.experiment import Sweep, SweepResult, run_sweep
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
+from mjgranular.experiment.unfinished import UNFINISHED, Unfinished
 
 _CSV = "sweep.csv"
 _FIGURE = "sweep.png"
@@ -27,7 +29,8 @@ _RANGE = {"speed": (1.0, 10.0, 19), "angle": (30.0, 60.0, 31)}  # as in the pape
 class SweepCommand(LinkOptions):
     """Many drops over a range of speeds or angles, as in Figs. 5 and 9 of the paper.
 
-    The drops are spread over the cores. Ctrl-C ends the sweep; what is finished is kept.
+    The drops are spread over the cores. Ctrl-C ends the sweep; with --out what is finished is kept,
+    whatever ended it, and the same command goes on.
     """
 
     over: Literal["speed", "angle"] = "speed"
@@ -55,12 +58,18 @@ class SweepCommand(LinkOptions):
         """Runs the command."""
         sweep = self._sweep()
         if self.out is None:
-            result = self._run(sweep)
+            result = self._run(sweep, {}, None)
             self._show(result)
             return self._status(result, kept=None)
-        names = (CONFIG, SUMMARY, _CSV, _FIGURE)
-        with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
-            result = self._run(sweep)
+        names = (CONFIG, SUMMARY, _CSV, _FIGURE, UNFINISHED)
+        unfinished = Unfinished(self.out, sweep)
+        with ResultFolder(self.out, names).claimed(
+            overwrite=self.overwrite, goes_on=lambda: unfinished.rows() is not None
+        ) as folder:
+            rows = unfinished.begin()
+            if rows:
+                err.print(f"{len(rows)} of {sweep.points} drops are finished", style="dim")
+            result = self._run(sweep, rows, unfinished.keep)
             self._show(result)
             if result.rows:
                 self._write(folder, result)
@@ -86,9 +95,16 @@ class SweepCommand(LinkOptions):
             impact=base,
         )
 
-    def _run(self, sweep: Sweep) -> SweepResult:
+    def _run(
+        self,
+        sweep: Sweep,
+        finished: dict[int, dict[str, Any]],
+        keep: Callable[[int, dict[str, Any]], None] | None,
+    ) -> SweepResult:
         with progress_bar("dropping links", sweep.points) as progress:
-            return run_sweep(sweep, workers=self.workers, progress=progress)
+            return run_sweep(
+                sweep, workers=self.workers, progress=progress, finished=finished, keep=keep
+            )
 
     def _show(self, result: SweepResult) -> None:
         if self.json:
@@ -110,31 +126,33 @@ class SweepCommand(LinkOptions):
         out.print(table)
 
     def _write(self, folder: ResultFolder, result: SweepResult) -> None:
-        folder.write_config("sweep", {**asdict(result.sweep), "interrupted": result.interrupted})
-        folder.write(_CSV, lambda path: _write_csv(path, result))
-        folder.write_json(SUMMARY, result.rows)
         from mjgranular.picture.figures import draw_sweep
 
         first = result.rows[0]
         fixed = f"{first['angle_deg']:g} deg" if self.over == "speed" else f"{first['speed']:g} m/s"
         title = f"{fixed}, {first['medium']}, {first['law']} law, {first['timestep']:g} s"
-        try:
-            folder.write(
-                _FIGURE, lambda path: draw_sweep(path, result.rows, over=self.over, title=title)
-            )
-        except MissingExtraError as error:
-            err.print(f"no figure: {error}", highlight=False, markup=False)
+        with folder.published(keep=(UNFINISHED,) if result.interrupted else ()):
+            asked = {**asdict(result.sweep), "interrupted": result.interrupted}
+            folder.write_config("sweep", asked)
+            folder.write(_CSV, lambda path: _write_csv(path, result))
+            folder.write_json(SUMMARY, result.rows)
+            try:
+                folder.write(
+                    _FIGURE, lambda path: draw_sweep(path, result.rows, over=self.over, title=title)
+                )
+            except MissingExtraError as error:
+                err.print(f"no figure: {error}", highlight=False, markup=False)
 
     def _status(self, result: SweepResult, *, kept: Path | None) -> int:
         for value, reason in result.failures:
             show_error(f"{self.over} {value:g}: {reason}")
         if result.interrupted:
-            where = f", kept in {kept}" if kept else ""
+            where = f", kept in {kept}; the same command goes on" if kept else ""
             show_error(
                 f"interrupted: {len(result.rows)} of {result.sweep.points} drops are "
                 f"finished{where}"
             )
-            return 130
+            return 2 if result.stopped_by is None else 128 + result.stopped_by
         return 2 if result.failures else 0
 
 

@@ -37,6 +37,9 @@ class TrainCommand:
     """Id of the environment."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Go on with the run in this folder, up to its --total-steps or to a new number of them."""
+    trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """With --resume: import the module of an environment that only the run's file names, and read a
+    pickled replay buffer, as version 0.1 wrote them: both execute code."""
     algorithm: Annotated[str | None, tyro.conf.arg(metavar="ppo|sac|td3")] = None
     """Default: the one that the settings name."""
     total_steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -56,16 +59,18 @@ class TrainCommand:
         """Runs the command."""
         run = self._begun() if self.resume is None else self._resumed(self.resume)
         with run.locked():
-            if self.resume is not None and self.total_steps is not None:
-                run = run.extended(self.total_steps)
+            if self.resume is not None:
+                run = open_run(run.path, trust=self.trust)  # as it is now that it is ours
+                if self.total_steps is not None:
+                    run = run.extended(self.total_steps)
             try:
                 training = self._train(run)
             except InputError:
                 if self.resume is None:
                     run.discard()
                 raise
-        if training.progress.curve:
-            _draw(run, training)
+            if training.progress.curve:
+                _draw(run, training)
         return self._tell(run, training)
 
     def _begun(self) -> Run:
@@ -74,6 +79,8 @@ class TrainCommand:
                 "train needs an environment, for example mjgranular train mjgranular/ChainSwim-v0, "
                 "or --resume DIR"
             )
+        if self.trust:
+            raise InputError("--trust is for --resume")
         environments.find_spec(self.environment)
         settings = change(self._settings(self.environment), self.set)
         if self.total_steps is not None:
@@ -104,7 +111,9 @@ class TrainCommand:
                 f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away "
                 "(--total-steps may be given)"
             )
-        return open_run(path)
+        run = open_run(path, trust=self.trust)
+        run.check_environment()
+        return run
 
     def _train(self, run: Run) -> Training:
         total = run.settings.total_steps

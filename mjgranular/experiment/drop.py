@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.experiment.scenery import add_bed
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
@@ -19,6 +19,7 @@ from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
 from mjgranular.sand import Sand
 from mjgranular.sand.work import WorkMeter
+from mjgranular.saved import checked_fields, is_text
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
 LARGEST_STEP = 1e-4
@@ -108,17 +109,28 @@ class Drop:
         return {**asdict(self), "model": model}
 
     @classmethod
-    def from_config(cls, config: dict[str, Any]) -> Drop:
-        """The drop that `config` described."""
-        model = config["model"]
+    def from_config(cls, config: object) -> Drop:
+        """The drop that `config` described.
+
+        Raises:
+            OutputError: it is of no drop; says what is wrong.
+        """
+        where = "the drop's configuration"
+        plain = {**config} if isinstance(config, dict) else {}
+        model = plain.pop("model", None)
+        plain = {**checked_fields(cls, plain, where)}
         if isinstance(model, dict):
-            torque = math.inf if model["torque"] is None else model["torque"]
-            plain = {**config, "model": Chain(**{**model, "torque": torque})}
+            chain = {**model}
+            limited = chain.pop("torque", None)
+            torque = math.inf if limited is None else limited
+            plain["model"] = Chain(**checked_fields(Chain, chain, where), torque=torque)
+        elif is_text(model):
+            plain["model"] = Path(str(model))
         else:
-            plain = {**config, "model": Path(model)}
-        plain.setdefault("groups", ())  # runs that were saved before there was a choice of them
-        for key in ("bodies", "geoms", "groups", "state"):
-            plain[key] = None if plain[key] is None else tuple(plain[key])
+            raise OutputError(f"{where} names no model")
+        for key in ("bodies", "geoms", "groups", "state"):  # absent in older ones
+            if plain.get(key) is not None:
+                plain[key] = tuple(plain[key])
         return cls(**plain)
 
     @property
@@ -268,6 +280,8 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         if isinstance(drop.model, Chain):
             spec = drop.model.spec()
         else:
+            if drop.model.exists() and not drop.model.is_file():
+                raise InputError(f"{drop.model} is not a file: a model is an MJCF file")
             spec = mujoco.MjSpec.from_file(str(drop.model))
             if isinstance(drop.surface, Plane):
                 add_bed(spec, drop.surface)

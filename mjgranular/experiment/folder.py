@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -15,14 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.errors import OutputError
+from mjgranular import files
+from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.provenance import versions
 from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.saved import (
+    checked_fields,
+    is_plain_name,
+    is_text,
+    number,
+    read_arrays,
+    read_json,
+)
 
 CONFIG = "config.json"
 SUMMARY = "summary.json"
+TRAINING = "train"
+"""What `config.json` of a training run names as its command."""
 _CSV = "trajectory.csv"
 _NPZ = "trajectory.npz"
 
@@ -32,7 +41,7 @@ class ResultFolder:
 
     Args:
         path: the folder; need not exist.
-        names: names of the files that will be written.
+        names: names of the files that may be written.
 
     Attributes:
         path: the folder.
@@ -41,49 +50,84 @@ class ResultFolder:
     def __init__(self, path: Path, names: Sequence[str]) -> None:
         self.path = path
         self._names = tuple(names)
+        self._waiting: Path | None = None  # where files lie that are to be published together
 
     @contextmanager
-    def claimed(self, *, overwrite: bool = False) -> Iterator[ResultFolder]:
+    def claimed(
+        self, *, overwrite: bool = False, goes_on: Callable[[], bool] | None = None
+    ) -> Iterator[ResultFolder]:
         """Makes sure beforehand that the result can be written, and cleans up if there is none.
 
+        Until then no other process can write a result there.
+
+        Args:
+            overwrite: whether files of these names may be replaced.
+            goes_on: asked, when nobody else is at work there, whether what is there is a part of
+                this very result; then it may be replaced, too.
+
         Raises:
-            OutputError: the folder holds one of the files already and `overwrite` is false, it is
-                not a folder, or it cannot be written to.
+            OutputError: another process is at work in the folder, it holds one of the files already
+                and `overwrite` is false, it holds a training run, is not a folder, or it cannot be
+                written to.
         """
-        if not overwrite:
-            present = [name for name in self._names if (self.path / name).exists()]
-            if present:
-                raise OutputError(
-                    f"{self.path} holds a result already ({', '.join(present)}): choose another "
-                    "folder, or say --overwrite"
-                )
-        made = self._make()
+        made = _missing(self.path)
+        # A single file, such as a film, may go to a folder in which a process is at work.
+        lock = files.LOCK if self._is_a_result else f".{self._names[0]}{files.LOCK}"
         try:
-            yield self
+            with files.locked(self.path, lock):
+                if self._is_a_result:
+                    files.finish_publishing(self.path)
+                files.remove_leftovers(self.path, self._names)
+                self._check(overwrite or (goes_on is not None and goes_on()))
+                yield self
         finally:
             for folder in made:  # the innermost first; one with something in it stays
                 with suppress(OSError):
                     folder.rmdir()
 
-    def _make(self) -> list[Path]:
-        missing = []
-        folder = self.path
-        while not folder.exists() and folder != folder.parent:
-            missing.append(folder)
-            folder = folder.parent
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=self.path):
-                pass
-        except OSError as error:
-            for made in missing:
-                with suppress(OSError):
-                    made.rmdir()
+    @property
+    def _is_a_result(self) -> bool:
+        return CONFIG in self._names or SUMMARY in self._names
+
+    def _check(self, overwrite: bool) -> None:
+        present = [name for name in self._names if (self.path / name).exists()]
+        if present and not overwrite:
             raise OutputError(
-                f"cannot write to {self.path}: {error.strerror or error}; choose a folder that "
-                "can be written to"
-            ) from None
-        return missing
+                f"{self.path} holds a result already ({', '.join(present)}): choose another "
+                "folder, or say --overwrite"
+            )
+        if CONFIG in present and self._command() == TRAINING:
+            raise OutputError(
+                f"{self.path} holds a training run, which --overwrite does not replace: choose "
+                "another folder"
+            )
+
+    def _command(self) -> object:
+        with suppress(OutputError):
+            return read_json(self.path / CONFIG).get("command")
+        return None
+
+    @contextmanager
+    def published(self, *, keep: Sequence[str] = ()) -> Iterator[None]:
+        """What is written within appears at once, in place of the whole result that was there.
+
+        Args:
+            keep: names of files that stay although they are not written anew.
+        """
+        stale = [name for name in (*self._names, *self._names_before()) if name not in keep]
+        with files.published(self.path, instead_of=stale) as waiting:
+            self._waiting = waiting
+            try:
+                yield
+            finally:
+                self._waiting = None
+
+    def _names_before(self) -> list[str]:
+        """Files that the result may have which is there now; another command's, perhaps."""
+        names: object = None
+        with suppress(OutputError):
+            names = read_json(self.path / CONFIG).get("files")
+        return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
 
     def write(self, name: str, fill: Callable[[Path], object]) -> Path:
         """Writes one file whole or not at all.
@@ -92,18 +136,10 @@ class ResultFolder:
             name: of the file, one of those claimed.
             fill: writes the path it is given.
         """
-        path = self.path / name
-        # The ending stays: writers choose the format by it.
-        part = self.path / f".{path.stem}.part{os.getpid()}{path.suffix}"
-        try:
+        path = (self._waiting or self.path) / name
+        with files.whole(path) as part:
             fill(part)
-            part.replace(path)
-        except OSError as error:
-            raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
-        finally:
-            with suppress(OSError):
-                part.unlink()
-        return path
+        return self.path / name
 
     def write_json(self, name: str, content: Any) -> Path:
         """Writes numbers and names as JSON."""
@@ -120,31 +156,43 @@ class ResultFolder:
                 "seed": None,  # nothing is random
                 "versions": versions(),
                 "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+                "files": list(self._names),
             },
         )
+
+
+def _missing(folder: Path) -> list[Path]:
+    """Folders that have to be made, the innermost first."""
+    missing = []
+    while not folder.exists() and folder != folder.parent:
+        missing.append(folder)
+        folder = folder.parent
+    return missing
 
 
 RUN_FILES = (CONFIG, SUMMARY, _CSV, _NPZ)
 
 
 def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
-    """Writes a drop: configuration, trajectory and, last, the summary."""
-    folder.write_config("impact", {**asdict(result.impact), "law": result.law})
-    folder.write(_CSV, result.trajectory.write_csv)
-    folder.write(_NPZ, result.trajectory.write_npz)
-    folder.write_json(SUMMARY, result.summary())
+    """Writes a drop: configuration, trajectory and summary, at once."""
+    with folder.published():
+        folder.write_config("impact", {**asdict(result.impact), "law": result.law})
+        folder.write(_CSV, result.trajectory.write_csv)
+        folder.write(_NPZ, result.trajectory.write_npz)
+        folder.write_json(SUMMARY, result.summary())
 
 
 _DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
 
 
 def write_drop(folder: ResultFolder, result: DropResult) -> None:
-    """Writes a run of a model: configuration, samples and, last, the summary."""
-    folder.write_config("drop", result.drop.config())
-    folder.write(_CSV, lambda path: _write_drop_csv(path, result))
+    """Writes a run of a model: configuration, samples and summary, at once."""
     arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
-    folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
-    folder.write_json(SUMMARY, result.summary())
+    with folder.published():
+        folder.write_config("drop", result.drop.config())
+        folder.write(_CSV, lambda path: _write_drop_csv(path, result))
+        folder.write(_NPZ, lambda path: np.savez_compressed(path, **arrays))
+        folder.write_json(SUMMARY, result.summary())
 
 
 def _write_drop_csv(path: Path, result: DropResult) -> None:
@@ -169,11 +217,14 @@ def saved_command(path: Path) -> str:
         OutputError: it holds none.
     """
     try:
-        return str(json.loads((path / CONFIG).read_text(encoding="utf-8"))["command"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        command = read_json(files.current(path, CONFIG)).get("command")
+    except OutputError as error:
         raise OutputError(
             f"{path} holds no saved run ({error}); make one with mjgranular impact --out {path}"
         ) from None
+    if not is_text(command):
+        raise OutputError(f"{path} holds no saved run ({CONFIG} names no command)")
+    return str(command)
 
 
 def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
@@ -182,12 +233,34 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
     Raises:
         OutputError: the folder holds no such result.
     """
+
+    def read() -> tuple[Drop, dict[str, np.ndarray]]:
+        config = read_json(files.current(path, CONFIG)).get("config")
+        arrays = read_arrays(files.current(path, _NPZ), _DROP_ARRAYS)
+        return Drop.from_config(config), arrays
+
     try:
-        config = json.loads((path / CONFIG).read_text(encoding="utf-8"))["config"]
-        with np.load(path / _NPZ) as arrays:
-            return Drop.from_config(config), {name: arrays[name] for name in _DROP_ARRAYS}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        drop, arrays = files.consistently(path, CONFIG, read)
+    except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved drop ({error})") from None
+    wrong = _fault_of_samples(arrays, drop.duration)
+    if wrong is not None:
+        raise OutputError(f"{path} holds no saved drop ({_NPZ} is damaged: {wrong})")
+    return drop, arrays
+
+
+def _fault_of_samples(arrays: dict[str, np.ndarray], duration: float) -> str | None:
+    """What is wrong with the samples of a run of a model; None if nothing is."""
+    t, force = arrays["t"], arrays["force"]
+    if t.ndim != 1 or not len(t) or force.shape != (len(t), *force.shape[1:2], 3):
+        return "it has no samples"
+    if arrays["point"].shape != force.shape:
+        return "points and forces do not fit together"
+    if arrays["qpos"].shape[:1] != t.shape or arrays["qpos"].ndim != 2:
+        return "times and positions do not fit together"
+    if (np.diff(t) <= 0).any() or t[-1] - t[0] > 1.01 * duration:
+        return "its times are not those of a run"
+    return None
 
 
 def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
@@ -196,18 +269,33 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
     Raises:
         OutputError: the folder holds no such result.
     """
-    try:
-        config = json.loads((path / CONFIG).read_text(encoding="utf-8"))
-        summary = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
-        if config["command"] != "impact":
+
+    def read() -> tuple[Impact, dict[str, Any], Trajectory]:
+        config = read_json(files.current(path, CONFIG))
+        if config.get("command") != "impact":
             raise OutputError(
-                f"{path} holds the result of '{config['command']}': a video can be made of an "
-                "impact, mjgranular impact --out DIR"
+                f"{path} holds the result of {str(config.get('command'))[:40]!r}: a video can be "
+                "made of an impact, mjgranular impact --out DIR"
             )
-        return Impact(**config["config"]), summary, Trajectory.read_npz(path / _NPZ)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        if isinstance(error, OutputError):
-            raise
+        summary = read_json(files.current(path, SUMMARY))
+        impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
+        trajectory = Trajectory.read_npz(files.current(path, _NPZ))
+        _check_summary(summary, float(trajectory.t[-1]), path / SUMMARY)
+        return impact, summary, trajectory
+
+    try:
+        return files.consistently(path, CONFIG, read)
+    except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(
             f"{path} holds no saved impact ({error}); make one with mjgranular impact --out {path}"
         ) from None
+
+
+def _check_summary(summary: dict[str, Any], end: float, file: Path) -> None:
+    """Refuses a summary without what figures and films need of it."""
+    for name in ("speed", "angle_deg", "timestep"):
+        if number(summary, name, file) is None:
+            raise OutputError(f"{file} is damaged: {name} must be a number")
+    stop, touch = (number(summary, name, file) for name in ("stopping_time", "touchdown_time"))
+    if end <= 0 or (stop is not None and (touch is None or not 0 < touch + stop <= 1.01 * end)):
+        raise OutputError(f"{file} is damaged: the stop is not within the run")

@@ -10,8 +10,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from mjgranular.errors import OutputError
+from mjgranular.files import whole
 from mjgranular.models import Link
 from mjgranular.sand import Sand
+from mjgranular.saved import read_arrays
 
 _KEEP = 4096  # samples kept at most of each phase; chosen, not measured
 
@@ -151,24 +154,30 @@ class Trajectory:
 
     def write_csv(self, path: Path) -> None:
         """Writes the samples with a line of names that carry their units."""
-        with path.open("w", newline="", encoding="utf-8") as file:
+        with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f"{f.name} [{UNITS[f.name]}]" for f in fields(self)])
             writer.writerows([[repr(float(v)) for v in row] for row in self.table()])
 
     def write_npz(self, path: Path) -> None:
         """Writes the samples as arrays by name."""
-        np.savez_compressed(path, **{f.name: getattr(self, f.name) for f in fields(self)})
+        with whole(path) as part, part.open("wb") as file:
+            np.savez_compressed(file, **{f.name: getattr(self, f.name) for f in fields(self)})
 
     @classmethod
     def read_npz(cls, path: Path) -> Trajectory:
         """Reads what `write_npz` wrote.
 
         Raises:
-            KeyError: a column is missing.
+            OutputError: there is no such file, or it holds no trajectory.
         """
-        with np.load(path) as arrays:
-            return cls(*(arrays[field.name] for field in fields(cls)))
+        arrays = read_arrays(path, [field.name for field in fields(cls)])
+        t = arrays["t"]
+        if t.ndim != 1 or not len(t) or any(a.shape != t.shape for a in arrays.values()):
+            raise OutputError(f"{path} is damaged: a trajectory has as many samples in each column")
+        if (np.diff(t) <= 0).any():
+            raise OutputError(f"{path} is damaged: the times of a trajectory grow")
+        return cls(**arrays)
 
 
 UNITS = {

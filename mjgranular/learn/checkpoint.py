@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from mjgranular import files
 from mjgranular.errors import OutputError
 from mjgranular.experiment.folder import CONFIG
-from mjgranular.learn import durable
 from mjgranular.learn.normalizer import FILE as NORMALIZER
 from mjgranular.learn.normalizer import normalizer_state, restore_normalizer
-from mjgranular.learn.run import CURVE, POLICY, REPLAY, STATE, Run, curve_text, read_curve
-from mjgranular.learn.run import read_state as read_state
-from mjgranular.learn.settings import algorithm_class
+from mjgranular.learn.normalizer import read_state as read_normalizer_state
+from mjgranular.learn.run import (
+    CURVE,
+    POLICY,
+    REPLAY,
+    STATE,
+    Run,
+    curve_text,
+    open_run,
+    read_curve,
+    read_state,
+)
+from mjgranular.learn.weights import Weights, add_spaces, brief, check_size, read_weights
+from mjgranular.saved import read_arrays
+
+_PICKLED_REPLAY = "replay.pkl"  # of version 0.1
+_OF_THE_END = (POLICY, NORMALIZER, CURVE)  # what a finished run has in its folder itself
 
 # Of the episodes under way, which a checkpoint does not keep: see `train.begin_episodes`.
 _OF_EPISODES = (
@@ -60,47 +76,154 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
     def fill(folder: Path) -> None:
         _write_json(folder / CONFIG, run.config())
         model.save(folder / POLICY, exclude=_OF_EPISODES)
+        add_spaces(folder / POLICY, model.observation_space, model.action_space)
         _write_json(folder / NORMALIZER, normalizer_state(model.get_vec_normalize_env()))
         (folder / CURVE).write_text(curve_text(progress.curve), encoding="utf-8")
         if hasattr(model, "replay_buffer"):
-            model.save_replay_buffer(folder / REPLAY)
+            write_replay(folder / REPLAY, model.replay_buffer)
         _write_json(folder / STATE, {"steps": progress.steps, "seconds": progress.seconds})
 
     folder = run.checkpoint_folder(progress.steps)
-    durable.write_folder(folder, fill)
+    files.write_folder(folder, fill)
     run.remove_old_checkpoints()
     return folder
 
 
-def load_checkpoint(folder: Path, run: Run, env: Any) -> tuple[Any, Progress]:
+def load_checkpoint(
+    folder: Path, run: Run, env: Any, make_model: Callable[[], Any]
+) -> tuple[Any, Progress]:
     """The model and progress of a checkpoint.
+
+    Nothing in it is executed, but for the replay buffer of version 0.1 if the run is trusted.
 
     Args:
         folder: of the checkpoint, without a fault.
         run: that it belongs to.
         env: a fresh `VecNormalize`, which gets the saved state.
+        make_model: makes a fresh model of the run's settings in it.
 
     Raises:
-        OutputError: the installed packages cannot read it; says which versions wrote it.
+        OutputError: it is damaged, another run's, or the installed packages cannot read it; says
+            which versions wrote it.
     """
-    restore_normalizer(env, json.loads((folder / NORMALIZER).read_text(encoding="utf-8")))
+    check_belongs(folder, run)
+    state = read_normalizer_state(
+        folder / NORMALIZER,
+        normalized=run.settings.normalize_observations,
+        shape=env.observation_space.shape,
+    )
+    weights = read_weights(folder / POLICY)
+    check_spaces(weights, env, folder, run)
+    check_size(run.settings, weights, folder / POLICY)
+    model = make_model()
     try:
-        model = algorithm_class(run.settings.algorithm).load(folder / POLICY, env, device="cpu")
-        if hasattr(model, "replay_buffer"):
-            model.load_replay_buffer(folder / REPLAY)
-    except Exception as error:  # unpickling what other versions wrote fails in many ways
+        model.set_parameters(dict(weights.parameters), exact_match=True, device="cpu")
+        entropy = weights.variables.get("log_ent_coef")
+        if entropy is not None:
+            model.log_ent_coef.data = entropy.data.reshape(model.log_ent_coef.shape)
+    except Exception as error:  # what other versions wrote fails in many ways
         raise OutputError(
-            f"{folder} cannot be read by the packages installed here ({type(error).__name__}: "
-            f"{error}); it was written with {_versions(run)}"
+            f"{folder} cannot be read by the packages installed here ({brief(error)}); it was "
+            f"written with {_versions(run)}"
         ) from None
-    state = read_state(folder)
-    return model, Progress(state["steps"], state["seconds"], read_curve(folder / CURVE))
+    for name, value in weights.counters.items():
+        setattr(model, name, value)
+    if hasattr(model, "replay_buffer"):
+        _load_replay(folder, run, model)
+    steps, seconds = read_state(folder)
+    if steps != model.num_timesteps:
+        raise OutputError(f"{folder} is damaged: {STATE} and {POLICY} differ in the steps")
+    # Into the environment last: it is as it was if anything was wrong.
+    restore_normalizer(env, state)
+    return model, Progress(steps, seconds, read_curve(folder / CURVE))
+
+
+def check_belongs(checkpoint: Path, run: Run) -> None:
+    """Refuses a checkpoint of another run, whose files were mixed with this one's."""
+    whose = open_run(checkpoint)
+    mine, theirs = (replace(each.settings, total_steps=1) for each in (run, whose))
+    if (run.environment, run.seed, mine) != (whose.environment, whose.seed, theirs):
+        raise OutputError(
+            f"{checkpoint} is of another run ({whose.name}) than {run.path / CONFIG} ({run.name})"
+        )
+
+
+def check_spaces(weights: Weights, env: Any, folder: Path, run: Run) -> None:
+    """Refuses weights for an environment that observes or moves something else."""
+    for what in ("observation_space", "action_space"):
+        mine, there = getattr(weights, what), getattr(env, what)
+        if type(mine) is not type(there) or mine.shape != there.shape:
+            raise OutputError(
+                f"{folder} is not of {run.environment}: its {what.replace('_', ' ')} is {mine}, "
+                f"that of the environment {there}"
+            )
 
 
 def write_policy(run: Run, checkpoint: Path) -> None:
-    """Puts what evaluation needs from a checkpoint into the run's folder itself."""
-    for name in (POLICY, NORMALIZER):
-        durable.write_bytes(run.path / name, (checkpoint / name).read_bytes())
+    """Puts what evaluation needs from a checkpoint into the run's folder itself, at once."""
+    with files.published(run.path) as waiting:
+        for name in _OF_THE_END:
+            (waiting / name).write_bytes((checkpoint / name).read_bytes())
+
+
+def has_policy(run: Run, checkpoint: Path) -> bool:
+    """Whether `write_policy` was called with that checkpoint, and came to its end."""
+    return all(
+        (run.path / name).is_file()
+        and (run.path / name).read_bytes() == (checkpoint / name).read_bytes()
+        for name in _OF_THE_END
+    )
+
+
+def write_replay(file: Path, buffer: Any) -> None:
+    """Writes the part of a `ReplayBuffer` that is in use, as arrays."""
+    used = len(buffer.rewards) if buffer.full or buffer.optimize_memory_usage else buffer.pos
+    arrays = {name: getattr(buffer, name)[:used] for name in _arrays_of(buffer)}
+    with file.open("wb") as stream:
+        np.savez(stream, **arrays, pos=buffer.pos, full=buffer.full)
+
+
+def read_replay(file: Path, buffer: Any) -> None:
+    """Puts what `write_replay` wrote into a fresh buffer.
+
+    Raises:
+        OutputError: it is damaged, or of another buffer.
+    """
+    names = _arrays_of(buffer)
+    arrays = read_arrays(file, [*names, "pos", "full"], most=None)
+    rows, used = len(buffer.rewards), len(arrays["rewards"])
+    pos, full = arrays["pos"], arrays["full"]
+    if pos.shape or full.shape or not 0 <= pos < rows or used > rows or (full and used != rows):
+        raise OutputError(f"{file} is damaged: it is not of a buffer of {rows} rows")
+    if not full and pos > used:
+        raise OutputError(f"{file} is damaged: it ends before row {int(pos)}")
+    for name in names:
+        to, array = getattr(buffer, name), arrays[name]
+        if array.shape != (used, *to.shape[1:]) or array.dtype != to.dtype:
+            raise OutputError(f"{file} is damaged: {name} is not of this run")
+        to[:used] = array
+    buffer.pos, buffer.full = int(pos), bool(full)
+
+
+def _arrays_of(buffer: Any) -> list[str]:
+    names = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+    return [name for name in names if hasattr(buffer, name)]
+
+
+def _load_replay(folder: Path, run: Run, model: Any) -> None:
+    pickled = folder / _PICKLED_REPLAY
+    if (folder / REPLAY).exists() or not pickled.exists():
+        read_replay(folder / REPLAY, model.replay_buffer)
+        return
+    if not run.trusted:
+        raise OutputError(
+            f"{pickled} was written by version 0.1 and can execute code when it is read: if you "
+            "know where the run comes from, say --trust"
+        )
+    try:
+        model.load_replay_buffer(pickled)
+    except Exception as error:  # unpickling what other versions wrote fails in many ways
+        raise OutputError(f"{pickled} cannot be read: {brief(error)}") from None
 
 
 def _versions(run: Run) -> str:

@@ -95,6 +95,8 @@ def compare(
 ) -> list[Cell] | int:
     """Trains what is not trained yet, and evaluates everything on everything.
 
+    The folder must be locked by the caller.
+
     Args:
         robot: one of `GROUNDS`.
         folder: for the runs; what is there already is gone on with.

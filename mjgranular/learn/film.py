@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import GranularError, InputError, RenderError
 from mjgranular.extras import need
+from mjgranular.files import whole
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 from mjgranular.picture.video import Film
@@ -77,7 +78,8 @@ def film_episode(
     finally:
         env.close()
     codec = {"codec": "gif"} if path.suffix == ".gif" else {"codec": "h264", "crf": 20}
-    mediapy.write_video(path, pictures, fps=rate / every, **codec)
+    with whole(path) as part:
+        mediapy.write_video(part, pictures, fps=rate / every, **codec)
     return total
 
 

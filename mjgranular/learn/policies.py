@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +10,20 @@ import mujoco
 import numpy as np
 
 import mjgranular.models
+from mjgranular import files
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.experiment.folder import CONFIG
+from mjgranular.learn.checkpoint import check_belongs
 from mjgranular.learn.normalizer import FILE as NORMALIZER
 from mjgranular.learn.normalizer import Normalizer, read_normalizer
 from mjgranular.learn.run import CHECKPOINTS, CURVE, POLICY, Run, open_run, read_curve
-from mjgranular.learn.settings import algorithm_class
+from mjgranular.learn.weights import build_policy, read_weights
 
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
 """Where the policies that come with the package lie: folders with the files of `POLICY_FILES`."""
 POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
 _LAST = 0.8
+_TRIES = 3
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class Policy:
     Attributes:
         run: what it was trained as.
         folder: with its files.
-        model: of Stable-Baselines3.
+        model: a policy of Stable-Baselines3, `BasePolicy`.
         normalizer: of its observations; None if they are taken as they are.
     """
 
@@ -72,7 +75,7 @@ class Policy:
 
 
 def load_policy(where: Path | str) -> Policy:
-    """Loads a policy. Its file is a pickle: load only what you trust.
+    """Loads a policy, as data: nothing in its files is executed.
 
     Args:
         where: a run's folder (its newest checkpoint is taken), a checkpoint's, a policy's folder or
@@ -83,25 +86,47 @@ def load_policy(where: Path | str) -> Policy:
         UnknownNameError: neither a folder nor a name; lists the names.
     """
     folder = _folder(where)
-    run = open_run(folder)
-    newest = run.newest_checkpoint() if (folder / CHECKPOINTS).is_dir() else None
-    holder = newest or folder
-    if not (holder / POLICY).is_file():
+    tries = _TRIES
+    while True:
+        run = open_run(folder)
+        newest = run.newest_checkpoint() if (folder / CHECKPOINTS).is_dir() else None
+        holder = newest or folder
+        tries -= 1
+        try:
+            policy = files.consistently(holder, POLICY, lambda run=run, at=holder: _load(run, at))
+        except OutputError:
+            # A training that is at work may have removed the checkpoint for a newer one.
+            if not tries or newest is None or newest.exists():
+                raise
+        else:
+            _warn_of_version(run)
+            return replace(policy, folder=folder)
+
+
+def _load(run: Run, holder: Path) -> Policy:
+    """The policy in the folder of a run or of one of its checkpoints."""
+    file = files.current(holder, POLICY)
+    if not file.exists():
         raise OutputError(
-            f"{folder} has no policy yet: its training has written no checkpoint; go on with "
-            f"mjgranular train --resume {folder}"
+            f"{run.path} has no policy yet: its training has written no checkpoint; go on with "
+            f"mjgranular train --resume {run.path}"
         )
+    if holder != run.path:
+        check_belongs(holder, run)
     try:
-        model = algorithm_class(run.settings.algorithm).load(holder / POLICY, device="cpu")
-        normalizer = read_normalizer(holder / NORMALIZER)
-    except Exception as error:  # unpickling what other versions wrote fails in many ways
+        weights = read_weights(file)
+        model = build_policy(run.settings, weights, file)
+        normalizer = read_normalizer(
+            files.current(holder, NORMALIZER),
+            normalized=run.settings.normalize_observations,
+            shape=model.observation_space.shape,
+        )
+    except OutputError as error:
         raise OutputError(
-            f"{holder / POLICY} cannot be read by the packages installed here "
-            f"({type(error).__name__}: {error}); it was written with stable-baselines3 "
-            f"{run.versions.get('stable-baselines3')}, torch {run.versions.get('torch')}"
+            f"{error} (it was written with stable-baselines3 "
+            f"{run.versions.get('stable-baselines3')}, torch {run.versions.get('torch')})"
         ) from None
-    _warn_of_version(run)
-    return Policy(run, folder, model, normalizer)
+    return Policy(run, holder, model, normalizer)
 
 
 def shipped_policies() -> dict[str, Run]:
@@ -119,11 +144,13 @@ def last_return(run: Run) -> float | None:
     """
     try:
         rows = read_curve(run.path / CURVE)
-    except (OSError, ValueError):
+    except OutputError:
         return None
-    if not rows:
+    if sum(row[2] for row in rows) <= 0:
         return None
-    last = [row for row in rows if row[0] >= _LAST * rows[-1][0]]
+    last = [row for row in rows if row[0] >= _LAST * rows[-1][0] and row[2] > 0]
+    if not last:
+        return None
     return float(np.average([row[3] for row in last], weights=[row[2] for row in last]))
 
 

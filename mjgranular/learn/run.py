@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import shutil
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -13,22 +15,29 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mjgranular.errors import InputError, OutputError, warn_user
-from mjgranular.experiment.folder import CONFIG
+from mjgranular import files
+from mjgranular.errors import (
+    GranularError,
+    InputError,
+    MissingExtraError,
+    OutputError,
+    warn_user,
+)
+from mjgranular.experiment.folder import CONFIG, TRAINING
 from mjgranular.experiment.provenance import versions
-from mjgranular.extras import need
-from mjgranular.learn import durable
+from mjgranular.learn.normalizer import FILE as NORMALIZER
 from mjgranular.learn.settings import Settings
+from mjgranular.saved import is_text, number, read_json, read_text
 
 CHECKPOINTS = "checkpoints"
 TENSORBOARD = "tensorboard"
 CURVE = "curve.csv"
 POLICY = "policy.zip"
 STATE = "state.json"
-REPLAY = "replay.pkl"
+REPLAY = "replay.npz"
 CURVE_COLUMNS = ("steps", "seconds", "episodes", "mean_return", "mean_length")
 _PACKAGES = ("gymnasium", "stable-baselines3", "torch")
-_LOCK = ".lock"
+_IN_A_CHECKPOINT = (CONFIG, POLICY, NORMALIZER, CURVE, STATE)
 _KEPT = 2  # checkpoints; the older one is for the case that the newer gets damaged
 
 
@@ -42,6 +51,7 @@ class Run:
         settings: resolved.
         seed: all random numbers follow from it.
         versions: of the packages that it was begun with.
+        trusted: whether the user vouches for it, so that what it names may be executed.
     """
 
     path: Path
@@ -49,6 +59,7 @@ class Run:
     settings: Settings
     seed: int
     versions: dict[str, Any]
+    trusted: bool = False
 
     @property
     def name(self) -> str:
@@ -58,7 +69,7 @@ class Run:
     def config(self) -> dict[str, Any]:
         """What is in `config.json`."""
         return {
-            "command": "train",
+            "command": TRAINING,
             "environment": self.environment,
             "seed": self.seed,
             "settings": self.settings.as_json(),
@@ -72,15 +83,8 @@ class Run:
         Raises:
             OutputError: another process is at work in the folder.
         """
-        filelock = need("filelock", extra="train", purpose="Training a policy")
-        try:
-            with filelock.FileLock(self.path / _LOCK).acquire(timeout=0):
-                yield
-        except filelock.Timeout:
-            raise OutputError(
-                f"{self.path} is in use by another process: wait for it, or choose another folder "
-                "with --out"
-            ) from None
+        with files.locked(self.path):
+            yield
 
     def checkpoints(self) -> list[Path]:
         """Folders of the checkpoints, the newest first; unchecked."""
@@ -89,10 +93,11 @@ class Run:
     def newest_checkpoint(self) -> Path | None:
         """The newest checkpoint that is whole; a damaged one is skipped with a warning."""
         for folder in self.checkpoints():
-            wrong = durable.fault(folder)
+            wrong = files.fault(folder, _IN_A_CHECKPOINT)
             if wrong is None:
                 return folder
-            warn_user(f"the checkpoint {folder} is damaged ({wrong}) and was skipped")
+            if folder.exists():  # else a training at work has removed it: there is a newer one
+                warn_user(f"the checkpoint {folder} is damaged ({wrong}) and was skipped")
         return None
 
     def checkpoint_folder(self, steps: int) -> Path:
@@ -100,16 +105,20 @@ class Run:
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
     def remove_old_checkpoints(self) -> None:
-        """Keeps the newest two."""
-        for folder in self.checkpoints()[_KEPT:]:
-            durable.remove_folder(folder)
+        """Keeps the newest two that are whole, and damaged ones among them to be looked at."""
+        whole = 0
+        for folder in self.checkpoints():
+            if whole == _KEPT:
+                files.remove_folder(folder)
+            elif files.fault(folder, _IN_A_CHECKPOINT) is None:
+                whole += 1
 
     def extended(self, total_steps: int) -> Run:
         """The run with another number of steps to go to, noted in its folder."""
         longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
         file = self.path / CONFIG
-        content = json.loads(file.read_text(encoding="utf-8"))
-        durable.write_text(file, json.dumps({**content, **longer.config()}, indent=2) + "\n")
+        content = {**read_json(file), **longer.config()}
+        files.write_text(file, json.dumps(content, indent=2) + "\n")
         return longer
 
     def discard(self) -> None:
@@ -120,33 +129,59 @@ class Run:
     def steps(self) -> int:
         """Steps that the newest checkpoint has behind it; 0 without one."""
         folder = self.newest_checkpoint()
-        return 0 if folder is None else int(read_state(folder)["steps"])
+        return 0 if folder is None else read_state(folder)[0]
+
+    def check_environment(self) -> None:
+        """Makes sure that nothing is imported only because a stranger's file names it.
+
+        An environment `module:Name-v0` executes its module. It may if the user vouches for the run,
+        or has imported the module himself.
+
+        Raises:
+            OutputError: it may not.
+        """
+        module, colon, _ = self.environment.rpartition(":")
+        # These of Gymnasium's make an environment of whatever module their arguments name.
+        gate = self.environment.startswith("GymV2")
+        if self.trusted or not (colon or gate) or (module in sys.modules and not gate):
+            return
+        raise OutputError(
+            f"{self.path / CONFIG} names an environment of the module "
+            f"{module or 'in its arguments'}, which importing it would execute: if you know where "
+            f"the run comes from, say --trust"
+        )
 
 
 def begin_run(path: Path, environment: str, settings: Settings, *, seed: int) -> Run:
-    """Makes the folder of a new run.
+    """Makes the folder of a new run. Of two processes that try at once one is refused.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written to.
     """
     if not 0 <= seed < 2**31:
         raise InputError(f"a seed is a whole number from 0 to {2**31 - 1}, not {seed}")
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        if any(path.iterdir()):
-            held = "a training run" if (path / CONFIG).exists() else "something"
-            raise OutputError(
-                f"{path} holds {held} already: choose another folder with --out, or go on with a "
-                f"run by mjgranular train --resume {path}"
-            )
-    except OSError as error:
-        if isinstance(error, OutputError):
-            raise
-        raise OutputError(f"cannot write to {path}: {error.strerror or error}") from None
-    run = Run(path, environment, settings, seed, current_versions())
+    if not is_text(environment):
+        raise InputError(f"an environment has a name that can be printed, not {environment!r}")
+    run = Run(path, environment, settings, seed, current_versions(), trusted=True)
     started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
-    durable.write_text(path / CONFIG, json.dumps({**run.config(), **started}, indent=2) + "\n")
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"cannot write to {path}: it is not a folder")
+    if (path / CONFIG).exists():  # a run at work is locked, and told of as a run all the same
+        raise _held(path)
+    with files.locked(path):
+        files.remove_leftovers(path, (CONFIG,))
+        if any(file.name != files.LOCK for file in path.iterdir()):
+            raise _held(path)
+        files.write_text(path / CONFIG, json.dumps({**run.config(), **started}, indent=2) + "\n")
     return run
+
+
+def _held(path: Path) -> OutputError:
+    held = "a training run" if (path / CONFIG).exists() else "something"
+    return OutputError(
+        f"{path} holds {held} already: choose another folder with --out, or go on with a "
+        f"run by mjgranular train --resume {path}"
+    )
 
 
 def current_versions() -> dict[str, Any]:
@@ -154,32 +189,56 @@ def current_versions() -> dict[str, Any]:
     return versions(*_PACKAGES)
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path, *, trust: bool = False) -> Run:
     """The run whose `config.json` is in a folder: a run, one of its checkpoints, a policy.
+
+    Nothing of it is executed.
+
+    Args:
+        path: the folder.
+        trust: whether the user vouches for the run; see `Run.trusted`.
 
     Raises:
         OutputError: the folder holds none.
     """
     try:
-        content = json.loads((path / CONFIG).read_text(encoding="utf-8"))
-        if content["command"] != "train":
-            raise OutputError(
-                f"{path} holds the result of mjgranular {content['command']}, not a training run"
-            )
-        settings = Settings.from_json(content["settings"])
-        return Run(path, content["environment"], settings, content["seed"], content["versions"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        if isinstance(error, (OutputError, InputError)):
-            raise
+        content = read_json(path / CONFIG)
+        command, environment = content.get("command"), content.get("environment")
+        if command != TRAINING and is_text(command):
+            raise OutputError(f"it is the result of mjgranular {command}")
+        if not is_text(environment):
+            raise OutputError(f"{CONFIG} names no environment")
+        seed, made_with = content.get("seed"), content.get("versions")
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
+            raise OutputError(f"{CONFIG}: seed must be a whole number from 0 to {2**31 - 1}")
+        if not isinstance(made_with, dict) or not all(
+            is_text(name) and (version is None or is_text(version))
+            for name, version in made_with.items()
+        ):
+            raise OutputError(f"{CONFIG}: versions must name packages and their versions")
+        settings = Settings.from_json(content.get("settings"))
+    except MissingExtraError:
+        raise
+    except GranularError as error:
         raise OutputError(
             f"{path} holds no training run ({error}); make one with mjgranular train ENV --out "
             f"{path}"
         ) from None
+    return Run(path, str(environment), settings, seed, made_with, trust)
 
 
-def read_state(checkpoint: Path) -> dict[str, Any]:
-    """Steps and seconds behind a checkpoint."""
-    return json.loads((checkpoint / STATE).read_text(encoding="utf-8"))
+def read_state(checkpoint: Path) -> tuple[int, float]:
+    """Steps and seconds behind a checkpoint.
+
+    Raises:
+        OutputError: its file is damaged.
+    """
+    file = checkpoint / STATE
+    content = read_json(file)
+    steps, seconds = (number(content, name, file) for name in ("steps", "seconds"))
+    if steps is None or seconds is None or steps < 0 or steps != int(steps):
+        raise OutputError(f"{file} is damaged: steps and seconds must be numbers")
+    return int(steps), seconds
 
 
 def curve_text(rows: Sequence[Sequence[float]]) -> str:
@@ -192,6 +251,16 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
 
 
 def read_curve(file: Path) -> list[tuple[float, ...]]:
-    """Reads a learning curve; rows of `CURVE_COLUMNS`."""
-    with file.open(newline="", encoding="utf-8") as stream:
-        return [tuple(float(value) for value in row) for row in list(csv.reader(stream))[1:]]
+    """Reads a learning curve; rows of `CURVE_COLUMNS`.
+
+    Raises:
+        OutputError: it cannot be read, or is no curve.
+    """
+    text = read_text(file)
+    try:
+        rows = [tuple(map(float, row)) for row in list(csv.reader(io.StringIO(text)))[1:]]
+    except (ValueError, csv.Error):
+        raise OutputError(f"{file} is damaged: a learning curve consists of numbers") from None
+    if not all(len(row) == len(CURVE_COLUMNS) and all(map(math.isfinite, row)) for row in rows):
+        raise OutputError(f"{file} is damaged: a row is {', '.join(CURVE_COLUMNS)}")
+    return rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import tomllib
 import types
 import typing
@@ -30,6 +31,8 @@ _GIVEN_BY_US = (
 )
 _TABLES = ("arguments", "policy", "environment")
 _LINEAR = "linear_"
+_MOST_ENVS = 2**16  # far more than anyone steps together; chosen
+_FAR = 100_000  # divisors of the steps are looked for so far from the batch size
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during the training
 
 
@@ -65,6 +68,9 @@ class Settings:
     environment: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("algorithm", "activation"):
+            if not isinstance(getattr(self, name), str):
+                raise InputError(f"{name} must be a text")
         if self.algorithm not in ALGORITHMS:
             raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS)
         if self.activation not in ACTIVATIONS:
@@ -73,6 +79,8 @@ class Settings:
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or value < 1:
                 raise InputError(f"{name} must be a whole number of at least 1, not {value!r}")
+        if self.num_envs > _MOST_ENVS:
+            raise InputError(f"num_envs must be at most {_MOST_ENVS}, not {self.num_envs}")
         for name in ("normalize_observations", "normalize_rewards"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name} must be true or false, not {getattr(self, name)!r}")
@@ -82,6 +90,8 @@ class Settings:
             raise InputError(f"net must be widths of layers such as [64, 64], not {self.net!r}")
         for name in _TABLES:
             if not isinstance(getattr(self, name), Mapping):
+                raise InputError(f"{name} must be a table of names and values")
+            if not all(isinstance(key, str) and key.isidentifier() for key in getattr(self, name)):
                 raise InputError(f"{name} must be a table of names and values")
         _check_arguments(self.algorithm, self.arguments)
         if self.algorithm == "ppo":
@@ -101,9 +111,21 @@ class Settings:
         return {**asdict(self), "net": list(self.net)}
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Settings:
-        """The settings of which `as_json` made `content`."""
-        return cls(**{**content, "net": tuple(content["net"])})
+    def from_json(cls, content: object) -> Settings:
+        """The settings of which `as_json` made `content`.
+
+        Raises:
+            InputError: it made no such thing; says what is wrong.
+        """
+        known = {entry.name: entry for entry in fields(cls)}
+        if not isinstance(content, Mapping):
+            raise InputError("settings must be an object")
+        unknown = [name for name in content if name not in known]
+        missing = [name for name in ("algorithm", "total_steps", "num_envs") if name not in content]
+        if unknown or missing:
+            raise InputError(f"settings have no {str((unknown + missing)[0])[:50]!r}")
+        net = content.get("net", [64, 64])
+        return cls(**{**content, "net": tuple(net) if isinstance(net, list) else net})
 
 
 def find_settings(
@@ -265,7 +287,7 @@ def _fits(value: object, kind: Any) -> bool:
         if member in (int, bool, str) and type(value) is member:
             return True
         if member is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-            return True
+            return math.isfinite(value)
         if typing.get_origin(member) is tuple and isinstance(value, (list, tuple)):
             return True
     return False
@@ -277,5 +299,8 @@ def _words(kind: Any) -> str:
 
 
 def _nearest_divisor(steps: int, batch: int) -> int:
-    divisors = [d for d in range(2, steps + 1) if steps % d == 0]
-    return min(divisors, key=lambda d: abs(d - batch)) if divisors else steps
+    for away in range(min(steps, _FAR)):
+        for divisor in (batch - away, batch + away):
+            if 2 <= divisor <= steps and steps % divisor == 0:
+                return divisor
+    return steps

@@ -13,24 +13,30 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular import files
 from mjgranular.errors import InputError, UnstableError, warn_user
+from mjgranular.experiment.folder import CONFIG
 from mjgranular.extras import need
-from mjgranular.learn import durable, environments
+from mjgranular.learn import environments
 from mjgranular.learn.checkpoint import (
     Progress,
+    has_policy,
     load_checkpoint,
     save_checkpoint,
     write_policy,
 )
+from mjgranular.learn.normalizer import FILE as NORMALIZER
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
+    POLICY,
     TENSORBOARD,
     Run,
     current_versions,
     curve_text,
 )
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
+from mjgranular.learn.weights import policy_arguments
 
 _ROWS_PER_CHECKPOINT = 5  # of the learning curve
 
@@ -70,15 +76,18 @@ def train(run: Run, *, report: Report | None = None) -> Training:
 
     Raises:
         InputError: the environment, the algorithm or its arguments do not go together.
-        OutputError: a checkpoint cannot be written or read; those before it are whole.
+        OutputError: the environment's module would be executed only because a file names it; or a
+            checkpoint cannot be written or read; those before it are whole.
         UnstableError: the policy's numbers are not finite any more.
     """
     torch = need("torch", extra="train", purpose="Training a policy")
     need("tensorboard", extra="train", purpose="Training a policy")
     # Networks of this size are quicker on one thread; the other cores step environments.
     torch.set_num_threads(1)
-    durable.remove_leftovers(run.path)
-    durable.remove_leftovers(run.path / CHECKPOINTS)
+    run.check_environment()
+    files.finish_publishing(run.path)
+    files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
+    files.remove_leftovers(run.path / CHECKPOINTS)
     env = _environments(run)
     try:
         newest = run.newest_checkpoint()
@@ -86,9 +95,11 @@ def train(run: Run, *, report: Report | None = None) -> Training:
             model, progress = _new_model(run, env), Progress(0, 0.0, [])
         else:
             _warn_of_versions(run)
-            model, progress = load_checkpoint(newest, run, env)
-        if progress.steps >= run.settings.total_steps:
-            return Training(progress, None, progress.steps)
+            model, progress = load_checkpoint(newest, run, env, lambda: _new_model(run, env))
+            if progress.steps >= run.settings.total_steps:
+                if not has_policy(run, newest):  # the process was killed before that
+                    write_policy(run, newest)
+                return Training(progress, None, progress.steps)
         return _learn(run, model, progress, report)
     finally:
         env.close()
@@ -159,20 +170,11 @@ def _new_model(run: Run, env: Any) -> Any:
             env,
             seed=run.seed,
             device="cpu",
-            policy_kwargs={
-                "net_arch": list(settings.net),
-                "activation_fn": _activation(settings.activation),
-                **settings.policy,
-            },
+            policy_kwargs=policy_arguments(settings),
             **_arguments(settings, env),
         )
-    except (AssertionError, TypeError, ValueError) as error:
+    except Exception as error:  # it checks its arguments in many ways, some of them not at all
         raise InputError(f"{settings.algorithm}: {' '.join(str(error).split())}") from None
-
-
-def _activation(name: str) -> Any:
-    torch = need("torch", extra="train", purpose="Training a policy")
-    return {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU, "elu": torch.nn.ELU}[name]
 
 
 def _arguments(settings: Settings, env: Any) -> dict[str, Any]:
@@ -202,7 +204,7 @@ def _learn(run: Run, model: Any, progress: Progress, report: Report | None) -> T
 
     model.set_logger(configure(str(run.path / TENSORBOARD), ["tensorboard"]))
     # Rows after the checkpoint that is gone on from belong to what was lost.
-    durable.write_text(run.path / CURVE, curve_text(progress.curve))
+    files.write_text(run.path / CURVE, curve_text(progress.curve))
     keeper = _keeper(run, progress, report)
     begin_episodes(model, run.seed)
     with _signals() as received:
@@ -220,7 +222,9 @@ def _learn(run: Run, model: Any, progress: Progress, report: Report | None) -> T
             raise
         saved = keeper.save()
     model.logger.close()
-    stopped_by = received[0] if received else None
+    # Of a signal after the last step nothing is left to be stopped.
+    finished = saved.steps >= run.settings.total_steps
+    stopped_by = received[0] if received and not finished else None
     if stopped_by is None:
         write_policy(run, run.checkpoint_folder(saved.steps))
     return Training(saved, stopped_by, progress.steps)
@@ -287,7 +291,7 @@ def _keeper(run: Run, progress: Progress, report: Report | None) -> Any:
                 )
                 self.curve.append(row)
                 self.ended = []
-                durable.write_text(run.path / CURVE, curve_text(self.curve))
+                files.write_text(run.path / CURVE, curve_text(self.curve))
 
         def seconds(self) -> float:
             """Spent in training, this sitting and those before it [s]."""

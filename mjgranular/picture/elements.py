@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, OutputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.extras import need
+from mjgranular.files import whole
 from mjgranular.sand import Report, Sand
 from mjgranular.surface import Plane
 
@@ -250,10 +251,8 @@ def _set_state(target: np.ndarray, values: Sequence[float] | np.ndarray | None, 
 
 
 def _save(figure: Figure, file: Path) -> None:
-    try:
-        figure.savefig(file, dpi=150, facecolor="white", bbox_inches="tight", pad_inches=0.15)
-    except OSError as error:
-        raise OutputError(f"cannot write {file}: {error.strerror or error}") from None
+    with whole(file) as part:
+        figure.savefig(part, dpi=150, facecolor="white", bbox_inches="tight", pad_inches=0.15)
 
 
 def _draw(figure: Any, shown: _Shown, surface: Any, *, normals: bool, forces: bool) -> None:

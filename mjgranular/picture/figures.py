@@ -11,6 +11,7 @@ import numpy as np
 from mjgranular.experiment.paper import CASES, PaperCase
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
+from mjgranular.files import whole
 
 _BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"
 PALETTE = (_BLUE, _OCHRE, _RED)
@@ -40,7 +41,8 @@ def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
 def save_figure(figure: Any, context: Any, path: Path) -> None:
     """Writes a figure of `figure_of_size`."""
     try:
-        figure.savefig(path)
+        with whole(path) as part:
+            figure.savefig(part)
     finally:
         context.__exit__(None, None, None)
 

@@ -13,10 +13,12 @@ import numpy as np
 from mjgranular.errors import InputError, RenderError, UnknownNameError
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
+from mjgranular.files import whole
 from mjgranular.models import Link
 
 _ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
 _PURPOSE = "Writing a video"
+_LONGEST = 3600.0  # film [s]
 
 
 @dataclass(frozen=True)
@@ -173,6 +175,7 @@ def frames_of_model(
         Their number, and the pictures, shape (height, width, 3), uint8.
 
     Raises:
+        InputError: the run is longer than an hour.
         UnknownNameError: no such camera.
         RenderError: MuJoCo cannot draw on this machine, says what to install.
     """
@@ -180,6 +183,8 @@ def frames_of_model(
     if film.camera != "free" and film.camera not in known:
         raise UnknownNameError("camera", film.camera, ["free", *known])
     span = float(motion.t[-1] - motion.t[0])
+    if span > _LONGEST:
+        raise InputError(f"a film of the run's {span:g} s would be longer than {_LONGEST:g} s")
     seconds = max(film.seconds, span)
     count = max(2, round(seconds * film.fps))
     return count, _draw_model(film, model, motion, count, seconds / span if span else 1.0)
@@ -351,7 +356,10 @@ def write_video(
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     first = next(pictures)  # a machine that cannot draw is found out before a file is begun
     shape = (film.height, film.width)
-    with mediapy.VideoWriter(path, shape=shape, fps=film.fps, crf=20) as writer:
+    with (
+        whole(path) as part,
+        mediapy.VideoWriter(part, shape=shape, fps=film.fps, crf=20) as writer,
+    ):
         writer.add_image(first)
         for done, picture in enumerate(pictures, start=2):
             writer.add_image(picture)

@@ -1,0 +1,378 @@
+"""Files that survive a killed process: written beside, flushed, renamed; one writer at a time.
+
+All that the package writes goes through here. Four things are promised:
+
+- `whole`: a file is there with all of its content, or as it was before.
+- `published`: several files that belong together appear at once. They wait in a hidden folder, and
+  one rename makes them the result; whoever comes next finishes what a killed process began, and
+  `current` reads what waits as if it were in its place.
+- `write_folder`: the same of a folder, with sums by which damage is found out.
+- `locked`: one process at a time. The system lets go of the lock when its holder ends.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TypeVar
+
+from mjgranular.errors import GranularError, OutputError, warn_user
+from mjgranular.saved import is_plain_name, read_json
+
+if os.name == "nt":
+    import msvcrt
+else:
+    import fcntl
+
+T = TypeVar("T")
+
+MANIFEST = "manifest.json"
+LOCK = ".lock"
+_READY = ".publish"  # folder of files that are the result already, but not in their places yet
+_LIST = "publish.json"  # in it: what goes, now that they come
+_PART, _GONE = ".part", ".gone"
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+_TRIES = 5
+
+
+# One file
+
+
+@contextmanager
+def whole(file: Path) -> Iterator[Path]:
+    """Gives a path to write to; what it holds at the end is `file`, whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    # The ending stays: writers choose the format by it.
+    part = file.with_name(f".{file.name}{_PART}{secrets.token_hex(4)}{file.suffix}")
+    try:
+        yield part
+        _flush(part)
+        part.replace(file)
+        _flush(file.parent)
+    except OSError as error:
+        raise _said(file, error) from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def write_bytes(file: Path, content: bytes) -> None:
+    """Writes a file whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    with whole(file) as part:
+        part.write_bytes(content)
+
+
+def write_text(file: Path, text: str) -> None:
+    """Writes a text file whole or not at all, in UTF-8.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    write_bytes(file, text.encode())
+
+
+# Files that belong together
+
+
+@contextmanager
+def published(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]:
+    """Gives a folder to write files to; at the end they are all in `folder`, or none of them.
+
+    Args:
+        folder: must be locked.
+        instead_of: names of files in it that go when the new ones come.
+
+    Raises:
+        OutputError: they cannot be written.
+    """
+    part = folder / f"{_READY}{_PART}{secrets.token_hex(4)}"
+    try:
+        part.mkdir()
+        yield part
+        names = {file.name for file in part.iterdir()}
+        stale = [name for name in instead_of if name not in names and is_plain_name(name)]
+        (part / _LIST).write_text(json.dumps({"remove": stale}), encoding="utf-8")
+        for file in part.iterdir():
+            _flush(file)
+        _flush(part)
+        finish_publishing(folder)
+        part.replace(folder / _READY)  # from here on they are the result
+        _flush(folder)
+        finish_publishing(folder)
+    except OSError as error:
+        raise _said(folder, error) from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def finish_publishing(folder: Path) -> None:
+    """Puts files in their places that a killed process had published; the folder must be locked."""
+    ready = folder / _READY
+    if not ready.is_dir():
+        return
+    try:
+        stale = read_json(ready / _LIST).get("remove")
+    except OutputError:  # it goes last: all the others are in their places
+        stale = None
+    for name in stale if isinstance(stale, list) else []:
+        if is_plain_name(name):
+            (folder / name).unlink(missing_ok=True)
+    for file in ready.iterdir():
+        if file.name != _LIST:
+            file.replace(folder / file.name)
+    _flush(folder)
+    shutil.rmtree(ready)
+
+
+def current(folder: Path, name: str) -> Path:
+    """Where a file of a folder is to be read: in its place, or where it waits to be put there."""
+    waiting = folder / _READY / name
+    return waiting if waiting.exists() else folder / name
+
+
+def consistently(folder: Path, name: str, read: Callable[[], T]) -> T:
+    """Reads several files of a folder so that all are of the same result.
+
+    Args:
+        folder: with the files.
+        name: of one that every result writes anew.
+        read: reads them, each by `current`; called again if the result changed meanwhile.
+
+    Raises:
+        OutputError: as `read` does, or the files change all the time.
+    """
+
+    def state() -> tuple[object, ...]:
+        try:
+            there = current(folder, name).stat()
+        except OSError:
+            return (time.monotonic_ns(),) if (folder / _READY).exists() else ()
+        return there.st_ino, there.st_mtime_ns, there.st_size
+
+    for last in (False,) * (_TRIES - 1) + (True,):
+        before, moving = state(), (folder / _READY).exists()
+        try:
+            found = read()
+        except OutputError:
+            if last or (state() == before and not moving):
+                raise
+        else:
+            if state() == before:
+                return found
+        time.sleep(0.02)
+    raise OutputError(f"{folder} is being written by another process: try again when that is done")
+
+
+# Folders
+
+
+def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Writes a folder whole or not at all, with a manifest of sizes and SHA-256 sums.
+
+    Args:
+        folder: replaced if it is there.
+        fill: writes files into the folder it is given.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    part = folder.with_name(f".{folder.name}{_PART}{secrets.token_hex(4)}")
+    try:
+        part.mkdir(parents=True)
+        fill(part)
+        manifest = {
+            file.name: {"bytes": file.stat().st_size, "sha256": _sum(file)}
+            for file in sorted(part.iterdir())
+        }
+        (part / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        for file in part.iterdir():
+            _flush(file)
+        _flush(part)
+        gone = folder.with_name(f".{folder.name}{_GONE}")
+        shutil.rmtree(gone, ignore_errors=True)
+        if folder.exists():
+            folder.replace(gone)
+        part.replace(folder)
+        _flush(folder.parent)
+        shutil.rmtree(gone, ignore_errors=True)
+    except OSError as error:
+        raise _said(folder, error) from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def remove_folder(folder: Path) -> None:
+    """Removes a folder so that a half removed one is never taken for a whole one."""
+    if folder.exists():
+        gone = folder.with_name(f".{folder.name}{_PART}{secrets.token_hex(4)}")
+        folder.replace(gone)
+        shutil.rmtree(gone, ignore_errors=True)
+
+
+def fault(folder: Path, names: Sequence[str] = ()) -> str | None:
+    """What is wrong with a folder written by `write_folder`; None if nothing is.
+
+    Args:
+        folder: the folder.
+        names: of files that must be in it.
+    """
+    try:
+        manifest = read_json(folder / MANIFEST)
+    except OutputError as error:
+        return str(error)
+    try:
+        for name in (*manifest, *names):
+            file = folder / name
+            if name not in manifest:
+                return f"{MANIFEST} lacks {name}"
+            if not is_plain_name(name) or not file.is_file():
+                return f"{name} is missing"
+            entry = manifest[name]
+            if file.stat().st_size != entry["bytes"] or _sum(file) != entry["sha256"]:
+                return f"{name} is not as it was written"
+    except OSError as error:
+        return f"it cannot be read ({error.strerror or error})"
+    except (ValueError, KeyError, TypeError):
+        return f"{MANIFEST} is damaged"
+    return None
+
+
+def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
+    """Removes what killed processes left half written; the folder must be locked.
+
+    Args:
+        folder: the folder.
+        names: of the files and folders whose leftovers go; None for all.
+    """
+    mine = {_READY[1:], *(names or ())}
+    for path in list(folder.glob(".*")):
+        name = path.name.lstrip(".")  # of a part of a part there are two
+        whose, mark, _ = name.partition(_PART)
+        old = not mark and name.endswith(_GONE)
+        if old:
+            whose = name.removesuffix(_GONE)
+        elif not mark:
+            continue
+        if whose not in mine and names is not None:
+            continue
+        if old and not (folder / whose).exists():
+            path.replace(folder / whose)  # killed between two renames: the old one is the newest
+        elif path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+# One process at a time
+
+
+@contextmanager
+def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
+    """Keeps other processes out of a folder, which is made if it is not there.
+
+    Before anything is read that is to be changed, not only before it is written. A file system
+    without locks gives a warning.
+
+    Args:
+        folder: the folder.
+        name: of the file that stands for the lock; gone at the end.
+
+    Raises:
+        OutputError: another process is at work in the folder, or it cannot be written to.
+    """
+    file = folder / name
+    try:
+        descriptor = _lock(file)
+    except BlockingIOError:
+        raise OutputError(
+            f"{folder} is in use by another process: wait for it, or choose another folder "
+            "with --out"
+        ) from None
+    except OSError as error:
+        if error.errno in _NO_LOCKS:
+            warn_user(f"the file system of {folder} has no locks: let no other process write there")
+            yield
+            return
+        raise OutputError(
+            f"cannot write to {folder}: {error.strerror or error}; choose a folder that can be "
+            "written to"
+        ) from None
+    try:
+        yield
+    finally:
+        if os.name == "nt":  # where an open file cannot be removed
+            os.close(descriptor)
+            with suppress(OSError):
+                file.unlink()
+        else:
+            with suppress(OSError):
+                file.unlink()
+            os.close(descriptor)
+
+
+def _lock(file: Path) -> int:
+    """Opens and locks a file; raises `BlockingIOError` if another process has it."""
+    tries = 0
+    while True:
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        except FileNotFoundError:  # the holder before us removed the folder that it had made
+            tries += 1
+            if tries == _TRIES:
+                raise
+            continue
+        try:
+            if os.name == "nt":
+                try:
+                    msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+                except OSError:
+                    raise BlockingIOError from None
+                return descriptor
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # The one who had it removes the file: a lock on a removed file is none.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(descriptor), file.stat()):
+                    return descriptor
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+
+
+def _flush(path: Path) -> None:
+    """Has the system write a file or folder to the disk."""
+    if path.is_dir() and os.name == "nt":
+        return  # folders cannot be opened there
+    descriptor = os.open(path, os.O_RDONLY if os.name != "nt" else os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sum(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _said(path: Path, error: OSError) -> OSError:
+    """The error in one sentence, unless it is one already."""
+    if isinstance(error, GranularError):
+        return error
+    return OutputError(f"cannot write {path}: {error.strerror or error}")

@@ -1,0 +1,217 @@
+"""Reading what a process wrote before, perhaps a stranger's: as data, with nothing taken on trust.
+
+A file may be missing, cut off, of the wrong kind, endless, or made to do harm. Whatever it is, each
+function here returns values of the kind that it says, or raises `OutputError` with one sentence.
+Nothing of a file is executed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import stat
+import types
+import typing
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Union
+
+import numpy as np
+
+from mjgranular.errors import OutputError
+
+# Far beyond what the package writes; chosen, not measured.
+_MOST_TEXT = 16 * 2**20  # bytes
+_MOST_ARRAYS = 384 * 2**20  # bytes, unpacked
+_LONGEST = 1000  # characters of a name
+
+
+def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
+    """The content of a regular file.
+
+    Args:
+        file: the file.
+        most: bytes that it may have.
+
+    Raises:
+        OutputError: there is none, it cannot be read, or it is larger.
+    """
+    try:
+        # A pipe would have to be waited for, were it not opened so.
+        descriptor = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        with open(descriptor, "rb") as stream:  # noqa: PTH123  of a descriptor
+            there = os.fstat(stream.fileno())
+            if not stat.S_ISREG(there.st_mode):
+                raise OutputError(f"{file} is not a file")
+            content = stream.read(most + 1)
+    except OutputError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise OutputError(f"{file} cannot be read: {reason or error}") from None
+    if len(content) > most:
+        raise OutputError(f"{file} is larger than anything that belongs there")
+    return content
+
+
+def read_text(file: Path) -> str:
+    """The text of a file, UTF-8.
+
+    Raises:
+        OutputError: it cannot be read, or is no text.
+    """
+    try:
+        return read_bytes(file).decode()
+    except UnicodeDecodeError:
+        raise OutputError(f"{file} is damaged: it is no text") from None
+
+
+def read_json(file: Path) -> dict[str, Any]:
+    """The object in a JSON file.
+
+    Raises:
+        OutputError: it cannot be read, is not JSON, or not an object; says where.
+    """
+    return parse_json(read_text(file), str(file))
+
+
+def parse_json(text: str, where: str) -> dict[str, Any]:
+    """The object in a JSON text.
+
+    Args:
+        text: the text.
+        where: it is from, for the message.
+
+    Raises:
+        OutputError: not JSON, or not an object.
+    """
+    try:
+        content = json.loads(text, parse_constant=_refuse_constant)
+        if "\\u" in text:  # halves of characters cannot be printed
+            json.dumps(content, ensure_ascii=False).encode()
+    except (ValueError, RecursionError) as error:
+        reason = "" if isinstance(error, RecursionError) else f": {str(error)[:200]}"
+        raise OutputError(f"{where} is damaged{reason}") from None
+    if not isinstance(content, dict):
+        raise OutputError(f"{where} is damaged: it must be an object, not {_kind(content)}")
+    return content
+
+
+def read_arrays(
+    file: Path, names: Sequence[str], *, most: int | None = _MOST_ARRAYS
+) -> dict[str, np.ndarray]:
+    """Arrays of numbers from an `.npz` file, all of them finite.
+
+    Args:
+        file: the file.
+        names: of the arrays.
+        most: bytes that they may have; None for as many as the file itself.
+
+    Raises:
+        OutputError: it cannot be read, or lacks one of the names; says which.
+    """
+    if not file.is_file():
+        raise OutputError(f"{file} cannot be read: there is no such file")
+    try:
+        with zipfile.ZipFile(file) as archive:
+            size = sum(archive.getinfo(f"{name}.npy").file_size for name in names)
+        if size > (file.stat().st_size if most is None else most):
+            raise OutputError(f"{file} is larger than anything that belongs there")
+        with np.load(file, allow_pickle=False) as archive:
+            arrays = {name: np.asarray(archive[name]) for name in names}
+    except OutputError:
+        raise
+    except Exception as error:  # zip, zlib, headers and dtypes fail in a way of their own each
+        reason = f"{error.args[0]}" if isinstance(error, KeyError) and error.args else str(error)
+        raise OutputError(f"{file} is damaged: {reason[:200] or type(error).__name__}") from None
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiub" or not np.isfinite(array).all():
+            raise OutputError(f"{file} is damaged: {name} must be finite numbers")
+    return arrays
+
+
+def number(content: Mapping[str, Any], name: str, where: object) -> float | None:
+    """A finite number or None from an object that was read.
+
+    Raises:
+        OutputError: it is missing, or something else.
+    """
+    value = content.get(name, "")
+    if value is not None and not _fits(value, float):
+        raise OutputError(f"{where} is damaged: {name} must be a number, not {_kind(value)}")
+    return None if value is None else float(value)
+
+
+def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
+    """The fields of a dataclass from an object that was read: known names, right types.
+
+    Args:
+        cls: the dataclass; annotated with plain types, their unions, tuples and literals.
+        content: what was read.
+        where: it was read from, for the message.
+
+    Raises:
+        OutputError: says which field is wrong, and what it must be.
+    """
+    if not isinstance(content, dict):
+        raise OutputError(f"{where} is damaged: it must be an object, not {_kind(content)}")
+    hints = typing.get_type_hints(cls)
+    for name, value in content.items():
+        if name not in hints:
+            raise OutputError(f"{where} is damaged: there is no {name[:50]!r}")
+        if not _fits(value, hints[name]):
+            raise OutputError(f"{where} is damaged: {name} cannot be {_kind(value)}")
+    return content
+
+
+def is_plain_name(name: object) -> bool:
+    """Whether a name is that of a visible file in the folder itself, and nowhere else."""
+    return (
+        isinstance(name, str)
+        and is_text(name)
+        and name == Path(name).name
+        and not name.startswith(".")
+        and "\\" not in name
+    )
+
+
+def is_text(value: object) -> bool:
+    """Whether a value is a text that can be shown: of sensible length, without control codes."""
+    return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable()
+
+
+def _fits(value: object, kind: Any) -> bool:
+    origin = typing.get_origin(kind)
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, member) for member in typing.get_args(kind))
+    if origin is Literal:
+        return isinstance(value, str) and value in typing.get_args(kind)
+    if origin is tuple:
+        of = typing.get_args(kind)[0]
+        return isinstance(value, (list, tuple)) and all(_fits(item, of) for item in value)
+    if kind is None or kind is type(None):
+        return value is None
+    if isinstance(value, bool):
+        return kind is bool
+    if kind is float:
+        return isinstance(value, (int, float)) and abs(value) < 1e300 and not math.isnan(value)
+    if kind is int:
+        return isinstance(value, int) and abs(value) < 2**53
+    if kind in (str, Path):
+        return is_text(value)
+    return False
+
+
+def _kind(value: object) -> str:
+    """A value for a message: never long, never with control codes."""
+    if isinstance(value, (dict, list)):
+        return "an object" if isinstance(value, dict) else "a list"
+    if value is None or isinstance(value, (bool, int, float)):
+        return json.dumps(value)[:40]
+    return f"the text {str(value)[:40]!r}"
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number")

@@ -1,0 +1,51 @@
+"""Signals that end a program, as exceptions: what is unfinished is cleaned up, as after Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+# What a scheduler, a shell and a closed terminal send; the last is unknown to Windows.
+_ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class Stopped(KeyboardInterrupt):
+    """The process was told to end.
+
+    Args:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.number = int(number)
+        super().__init__(signal.Signals(number).name)
+
+
+def signal_of(stop: KeyboardInterrupt) -> int:
+    """The number of the signal that an interruption comes from."""
+    return stop.number if isinstance(stop, Stopped) else int(signal.SIGINT)
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Raises `Stopped` where SIGTERM or SIGHUP would end the process on the spot.
+
+    A signal that something else takes care of, or that is ignored (`nohup`), is left alone.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals belong to the main thread
+        return
+    mine = [number for number in _ENDING if signal.getsignal(number) is signal.SIG_DFL]
+
+    def stop(number: int, _frame: object) -> None:
+        raise Stopped(number)
+
+    for number in mine:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in mine:
+            signal.signal(number, signal.SIG_DFL)

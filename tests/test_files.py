@@ -1,0 +1,425 @@
+"""Files survive a killed process: whole or not at all, together, and by one writer at a time."""
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjgranular import files
+from mjgranular.cli import main
+from mjgranular.errors import OutputError
+from mjgranular.experiment import Impact, Sweep, run_sweep
+from mjgranular.experiment.folder import ResultFolder, read_impact
+from mjgranular.experiment.unfinished import UNFINISHED, Unfinished
+from mjgranular.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
+
+ATTACKS = Path(__file__).resolve().parent.parent / "scripts" / "attacks"
+QUICK = ["--timestep", "1e-4", "--duration", "0.05", "--json"]
+
+
+def attack(name: str, *options: str, seconds: float) -> None:
+    """Runs one of the attacks in a process of its own; fails with what it found."""
+    command = [sys.executable, str(ATTACKS / f"{name}.py"), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+# One file
+
+
+def test_a_file_is_written_whole_or_left_as_it_was(tmp_path):
+    file = tmp_path / "a.txt"
+    files.write_text(file, "old")
+
+    def half(error: BaseException) -> None:
+        with files.whole(file) as part:
+            assert part.suffix == ".txt"  # writers choose the format by it
+            part.write_text("half")
+            raise error
+
+    with pytest.raises(OutputError, match="No space left on device"):
+        half(OSError(28, "No space left on device"))
+    assert file.read_text() == "old"
+    with pytest.raises(KeyboardInterrupt):
+        half(KeyboardInterrupt())
+    assert file.read_text() == "old"
+    with files.whole(file) as part:
+        part.write_text("new")
+    assert file.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+# Files that belong together
+
+
+class Killed(BaseException):
+    """As good as a lost machine: nothing catches it."""
+
+
+OPERATIONS = 30
+
+
+@pytest.mark.parametrize("at", range(OPERATIONS))
+def test_files_that_belong_together_are_never_mixed(at, tmp_path, monkeypatch):
+    """At whatever operation the process is killed: all old or all new for a reader."""
+    names = ("a", "b", "c")
+
+    def publish(what: str, some: tuple[str, ...]) -> None:
+        with files.published(tmp_path, instead_of=names) as waiting:
+            for name in some:
+                (waiting / name).write_text(what)
+
+    def read() -> dict[str, str]:
+        there = {name: files.current(tmp_path, name) for name in names}
+        return {name: path.read_text() for name, path in there.items() if path.exists()}
+
+    publish("old", names)
+    count = 0
+
+    def counted(original):
+        def operation(*args, **kwargs):
+            nonlocal count
+            count += 1
+            if count == at + 1:
+                raise Killed
+            if count > at:  # a killed process does not clean up
+                raise Killed
+            return original(*args, **kwargs)
+
+        return operation
+
+    with monkeypatch.context() as patch:
+        for name in ("replace", "rename", "fsync", "unlink", "mkdir", "rmdir"):
+            patch.setattr(os, name, counted(getattr(os, name)))
+        try:
+            publish("new", ("a", "b"))
+        except Killed:
+            killed = True
+        else:
+            killed = False
+    old, new = dict.fromkeys(names, "old"), {"a": "new", "b": "new"}
+    seen = read()
+    # What goes may be there until the next process has cleaned up; a reader knows it by the others.
+    assert seen in (old, new, {**new, "c": "old"})
+    files.finish_publishing(tmp_path)
+    files.remove_leftovers(tmp_path)
+    assert read() in ((old,) if seen == old else (new,))
+    assert {path.name for path in tmp_path.iterdir()} == set(read())
+    assert killed or read() == new
+    assert killed == (at < count) or not killed
+
+
+def test_what_waits_names_nothing_elsewhere(tmp_path):
+    """A stranger's folder cannot have files removed that are not in it."""
+    mine = tmp_path / "mine"
+    mine.write_text("")
+    folder = tmp_path / "folder"
+    (folder / ".publish").mkdir(parents=True)
+    names = ["../mine", str(mine), ".hidden", 7, None]
+    (folder / ".publish" / "publish.json").write_text(json.dumps({"remove": names}))
+    files.finish_publishing(folder)
+    assert mine.exists()
+    assert not (folder / ".publish").exists()
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../a", "/a", "a/b", ".a", "a\0", "a\\b", 7, None])
+def test_plain_names(name):
+    assert not is_plain_name(name)
+    assert is_plain_name("trajectory.npz")
+
+
+# Folders
+
+
+def test_damage_of_a_folder_is_found_out(tmp_path):
+    folder = tmp_path / "step-1"
+
+    def fill(at: Path) -> None:
+        (at / "a").write_text("a")
+
+    files.write_folder(folder, fill)
+    assert files.fault(folder, ["a"]) is None
+    assert files.fault(folder, ["b"]) == "manifest.json lacks b"
+    (folder / files.MANIFEST).write_text("{}")  # says nothing of what is there
+    assert files.fault(folder, ["a"]) is not None
+    (folder / files.MANIFEST).write_text('{"../step-1/a": {}}')
+    assert files.fault(folder) is not None
+
+
+def test_the_old_folder_comes_back_if_the_new_one_was_not_in_its_place_yet(tmp_path):
+    (tmp_path / ".step-1.gone").mkdir()
+    (tmp_path / ".step-1.part0").mkdir()
+    (tmp_path / ".other.part0").mkdir()
+    files.remove_leftovers(tmp_path, ["step-1"])
+    assert {path.name for path in tmp_path.iterdir()} == {"step-1", ".other.part0"}
+
+
+# One process at a time
+
+
+def hold(folder: Path, ready, go_on) -> None:
+    with files.locked(folder):
+        ready.set()
+        go_on.wait()
+
+
+def test_one_process_at_a_time(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    ready, go_on = context.Event(), context.Event()
+    process = context.Process(target=hold, args=(tmp_path / "new", ready, go_on))
+    process.start()
+    assert ready.wait(60)
+    with (
+        pytest.raises(OutputError, match="in use by another process"),
+        files.locked(tmp_path / "new"),
+    ):
+        pass
+    assert main(["impact", *QUICK, "--out", str(tmp_path / "new")]) == 2
+    process.kill()  # the system lets go of its lock
+    process.join()
+    with files.locked(tmp_path / "new"):
+        assert (tmp_path / "new" / files.LOCK).exists()
+        with pytest.raises(OutputError), files.locked(tmp_path / "new"):
+            pass
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def contend(folder: Path, count: int) -> None:
+    while count:
+        try:
+            with files.locked(folder):
+                count -= 1
+                number = int((folder / "number").read_text())
+                (folder / "number").write_text(str(number + 1))
+                (folder / "log").open("a").write("x")
+        except OutputError:
+            time.sleep(0.001)
+
+
+def test_a_lock_that_is_removed_by_its_holder_still_keeps_others_out(tmp_path):
+    (tmp_path / "number").write_text("0")
+    context = multiprocessing.get_context("spawn")
+    several = [context.Process(target=contend, args=(tmp_path, 60)) for _ in range(3)]
+    for process in several:
+        process.start()
+    for process in several:
+        process.join()
+        assert process.exitcode == 0
+    assert int((tmp_path / "number").read_text()) == (tmp_path / "log").stat().st_size == 180
+
+
+# Results
+
+
+def test_a_result_takes_the_place_of_the_whole_one_before(tmp_path, capfd):
+    folder = tmp_path / "run"
+    assert main(["impact", *QUICK, "--out", str(folder)]) == 0
+    (folder / "impact.mp4").write_text("a film of the old one")
+    (folder / "diary.txt").write_text("mine")
+    assert main(["sweep", "--points", "2", "--workers", "1", *QUICK, "--out", str(folder)]) == 2
+    again = ["--out", str(folder), "--overwrite"]
+    assert main(["sweep", "--points", "2", "--workers", "1", *QUICK, *again]) == 0
+    assert {path.name for path in folder.iterdir()} == {
+        *("config.json", "summary.json", "sweep.csv", "sweep.png", "diary.txt")
+    }
+
+
+def test_a_training_run_is_not_overwritten(tmp_path, capfd):
+    (tmp_path / "config.json").write_text('{"command": "train"}')
+    assert main(["impact", *QUICK, "--out", str(tmp_path), "--overwrite"]) == 2
+    assert "holds a training run" in capfd.readouterr().err
+    assert (tmp_path / "config.json").read_text() == '{"command": "train"}'
+
+
+def test_a_reader_sees_one_result_while_it_is_replaced(tmp_path, monkeypatch):
+    """The result changes between two files that belong together: read again."""
+    folder = tmp_path / "run"
+    for speed in ("2", "4"):
+        name = str(tmp_path / speed)
+        assert main(["impact", *QUICK, "--speed", speed, "--out", name]) == 0
+    (tmp_path / "2").rename(folder)
+    calls = 0
+
+    def arrays(file, names, **options):
+        nonlocal calls
+        calls += 1
+        if calls == 1:  # after configuration and summary were read, before the samples
+            claimed = ResultFolder(folder, ("config.json", "summary.json", "trajectory.npz"))
+            with claimed.claimed(overwrite=True), claimed.published():
+                for path in (tmp_path / "4").glob("*.[jn]*"):
+                    claimed.write(
+                        path.name, lambda to, path=path: to.write_bytes(path.read_bytes())
+                    )
+        return read_arrays(file, names, **options)
+
+    monkeypatch.setattr("mjgranular.experiment.trajectory.read_arrays", arrays)
+    impact, summary, trajectory = read_impact(folder)
+    assert impact.speed == summary["speed"] == 4.0
+    assert trajectory.v_Ty[0] == pytest.approx(4.0, rel=1e-2)
+    assert calls == 2
+
+
+# Sweeps
+
+
+SWEEP = Sweep(points=3, impact=Impact(speed=2.0, timestep=1e-4, duration=0.05))
+
+
+def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
+    whole = run_sweep(SWEEP, workers=1).rows
+    unfinished = Unfinished(tmp_path, SWEEP)
+    assert unfinished.rows() is None
+    unfinished.keep(2, whole[2])
+    with (tmp_path / UNFINISHED).open("a") as file:
+        file.write('{"index": 1, "ro')  # killed while it wrote
+    assert unfinished.begin() == {2: whole[2]}
+    assert Unfinished(tmp_path, Sweep(points=4, impact=SWEEP.impact)).rows() is None
+    computed = []
+    result = run_sweep(
+        SWEEP,
+        workers=1,
+        finished=unfinished.rows(),
+        keep=lambda index, row: computed.append(index),
+    )
+    assert computed == [0, 1]
+    assert result.rows == whole
+
+
+def test_another_unfinished_sweep_is_not_lost(tmp_path, capfd):
+    Unfinished(tmp_path, SWEEP).keep(0, run_sweep(SWEEP, workers=1).rows[0])
+    before = (tmp_path / UNFINISHED).read_bytes()
+    command = ["sweep", "--points", "5", "--workers", "1", *QUICK, "--out", str(tmp_path)]
+    assert main(command) == 2
+    assert UNFINISHED in capfd.readouterr().err
+    assert (tmp_path / UNFINISHED).read_bytes() == before
+    assert main(["sweep", "--points", "3", *command[3:]]) == 0
+    assert not (tmp_path / UNFINISHED).exists()
+    assert len(json.loads((tmp_path / "summary.json").read_text())) == 3
+
+
+def workers_of(pid: int) -> list[int]:
+    """Processes that a process has started and that are still there."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if fields[3] == str(pid) and fields[0] != "Z" and entry.name != str(pid):
+            found.append(int(entry.name))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes as Linux does")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_a_sweep_that_is_ended_and_its_rows_are_kept(number, tmp_path):
+    command = [sys.executable, "-m", "mjgranular", "sweep", "--points", "400", "--workers", "2"]
+    command += ["--timestep", "1e-6", "--out", str(tmp_path)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True) as process:
+        deadline = time.monotonic() + 100
+        while not (tmp_path / UNFINISHED).exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert len(workers_of(process.pid)) >= 2
+        process.send_signal(number)
+        said = process.communicate(timeout=30)[1].decode()
+    assert process.returncode == (143 if number == signal.SIGTERM else -9)
+    assert "Traceback" not in said.partition("multiprocessing")[0]
+    deadline = time.monotonic() + 5
+    while workers_of(process.pid) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not workers_of(process.pid)
+    assert (tmp_path / UNFINISHED).read_text().count("\n") >= 2
+    if number == signal.SIGTERM:
+        assert "the same command goes on" in said
+        assert json.loads((tmp_path / "config.json").read_text())["config"]["interrupted"] is True
+
+
+# Reading what strangers wrote
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "Expecting value"),
+        ("[1]", "must be an object, not a list"),
+        ("[" * 100_000, "is damaged"),
+        ('{"a": NaN}', "NaN is no number"),
+        ('{"a": ' + "9" * 5000 + "}", "is damaged"),
+        ('{"a": "\\ud800"}', "surrogates not allowed"),
+        ("\x00", "is damaged"),
+    ],
+)
+def test_json_that_is_none_is_told_of(text, message, tmp_path):
+    file = tmp_path / "config.json"
+    file.write_text(text)
+    with pytest.raises(OutputError, match=message) as caught:
+        read_json(file)
+    assert len(str(caught.value)) < 400
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files of POSIX")
+def test_only_regular_files_of_sensible_size_are_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    (tmp_path / "itself").symlink_to(tmp_path / "itself")
+    (tmp_path / "folder").mkdir()
+    with (tmp_path / "huge").open("wb") as stream:
+        stream.truncate(2**40)
+    for name in ("pipe", "endless", "itself", "folder", "huge", "missing"):
+        with pytest.raises(OutputError, match=name):
+            read_bytes(tmp_path / name)
+    with pytest.raises(OutputError):
+        read_bytes(Path("nul\0"))
+
+
+def test_arrays_are_numbers_or_refused(tmp_path):
+    file = tmp_path / "a.npz"
+    np.savez(file, a=np.array([{}], dtype=object))
+    with pytest.raises(OutputError, match="is damaged"):
+        read_arrays(file, ["a"])
+    for value in (np.array([np.nan]), np.array(["x"]), np.array([1j])):
+        np.savez(file, a=value)
+        with pytest.raises(OutputError, match="a must be finite numbers"):
+            read_arrays(file, ["a"])
+    with pytest.raises(OutputError, match=r"b\.npy"):
+        read_arrays(file, ["b"])
+    np.savez_compressed(file, a=np.zeros(10**6))
+    for most in (10**6, None):
+        with pytest.raises(OutputError, match="larger than anything"):
+            read_arrays(file, ["a"], most=most)
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(OutputError, match="not a zip file"):
+        read_arrays(file, ["a"])
+
+
+@pytest.mark.parametrize(
+    "content", [None, [], {"a": 1}, {"speed": "x"}, {"speed": True}, {"law": 7}, {"until": "x"}]
+)
+def test_fields_have_known_names_and_types(content):
+    with pytest.raises(OutputError):
+        checked_fields(Impact, content, "config.json")
+    assert checked_fields(Impact, {"speed": 1, "law": None}, "") == {"speed": 1, "law": None}
+
+
+def test_files_of_strangers_are_read_as_data_or_refused():
+    attack("files", "--count", "100", "--seed", "1", seconds=200)
+
+
+@pytest.mark.slow
+def test_more_files_of_strangers():
+    attack("files", "--count", "600", "--seed", "2", seconds=600)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
+@pytest.mark.parametrize("kind", ["impact", "sweep", "train", "compare"])
+def test_killed_commands_lose_nothing(kind):
+    attack("kills", "--count", "10", "--kinds", kind, seconds=600)

@@ -1,0 +1,222 @@
+"""Runs and policies that somebody else has made: data, unless more is asked for."""
+
+import base64
+import contextlib
+import json
+import os
+import pickle
+import sys
+import zipfile
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.buffers import ReplayBuffer
+
+from mjgranular import files
+from mjgranular.cli import main
+from mjgranular.errors import OutputError
+from mjgranular.learn import change, find_settings, weights
+from mjgranular.learn.checkpoint import read_replay
+from mjgranular.learn.policies import POLICY_FILES, load_policy, shipped_policies
+from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.train import train
+
+ID = "Pendulum-v1"
+QUICK = {
+    "ppo": ("n_steps=64", "batch_size=64", "n_epochs=2"),
+    "sac": ("learning_starts=100", "buffer_size=2000", "train_freq=32", "net=[16, 16]"),
+}
+
+
+def trained(folder: Path, algorithm: str) -> Run:
+    """A run of some hundred steps."""
+    few = ("num_envs=2", "checkpoint_every=256", "total_steps=512", *QUICK[algorithm])
+    run = begin_run(folder, ID, change(find_settings(ID, algorithm=algorithm), few), seed=0)
+    train(run)
+    return run
+
+
+class Bomb:
+    """Goes off when it is unpickled."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.marker),)
+
+
+def copy(folder: Path, to: Path) -> None:
+    """Copies what is in a checkpoint, but for its sums."""
+    for file in folder.iterdir():
+        if file.name != files.MANIFEST:
+            (to / file.name).write_bytes(file.read_bytes())
+
+
+def plant(file: Path, bomb: bytes) -> None:
+    """Puts a bomb in place of every pickle in a file of Stable-Baselines3."""
+    with zipfile.ZipFile(file) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    data = json.loads(entries["data"])
+    pickles = [v for v in data.values() if isinstance(v, dict) and ":serialized:" in v]
+    assert pickles
+    for value in pickles:
+        value[":serialized:"] = base64.b64encode(bomb).decode()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in {**entries, "data": json.dumps(data).encode()}.items():
+            archive.writestr(name, content)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_nothing_in_a_run_is_unpickled(algorithm, tmp_path):
+    run = trained(tmp_path / "run", algorithm)
+    marker = tmp_path / "executed"
+    bomb = pickle.dumps(Bomb(marker))
+    for file in run.path.rglob("policy.zip"):
+        plant(file, bomb)
+    for folder in run.checkpoints():  # with sums that are right again
+        files.write_folder(folder, lambda to, of=folder: copy(of, to))
+    assert main(["evaluate", str(run.path), "--seeds", "2"]) == 0
+    assert train(open_run(run.path).extended(640)).progress.steps == 640
+    assert not marker.exists()
+    older = run.path / "policy.zip"
+    plant(older, bomb)
+    with contextlib.suppress(Exception):  # so it would have gone off
+        {"ppo": PPO, "sac": SAC}[algorithm].load(older, device="cpu")
+    assert marker.exists()
+
+
+def test_weights_that_hold_a_pickle_are_refused(tmp_path):
+    run = trained(tmp_path / "run", "ppo")
+    marker = tmp_path / "executed"
+    for file in (run.path / "policy.zip", run.checkpoints()[0] / "policy.zip"):
+        with zipfile.ZipFile(file) as archive:
+            entries = {name: archive.read(name) for name in archive.namelist()}
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, content in {**entries, "policy.pth": pickle.dumps(Bomb(marker))}.items():
+                archive.writestr(name, content)
+        with pytest.raises(OutputError, match="holds more than numbers"):
+            weights.read_weights(file)
+    assert not marker.exists()
+
+
+def test_a_pickled_replay_buffer_is_read_only_if_that_is_asked_for(tmp_path, capfd):
+    run = trained(tmp_path / "run", "sac")
+    newest = run.newest_checkpoint()
+    env = gym.make(ID)
+    buffer = ReplayBuffer(2000, env.observation_space, env.action_space, "cpu", n_envs=2)
+    read_replay(newest / "replay.npz", buffer)
+    assert buffer.pos == 256
+
+    def as_before(to: Path) -> None:  # as version 0.1 wrote it
+        copy(old, to)
+        (to / "replay.npz").unlink()
+        (to / "replay.pkl").write_bytes(pickle.dumps(buffer))
+
+    old = tmp_path / "old"
+    newest.rename(old)
+    files.write_folder(newest, as_before)
+    resume = ["train", "--resume", str(run.path), "--total-steps", "576"]
+    assert main(resume) == 2
+    assert "can execute code when it is read" in " ".join(capfd.readouterr().err.split())
+    assert main([*resume, "--trust"]) == 0
+    assert open_run(run.path).steps() == 576
+
+
+def test_a_module_that_only_a_file_names_is_not_imported(tmp_path, monkeypatch, capfd):
+    code = "import gymnasium\n"
+    code += "gymnasium.register('Strange-v0', 'gymnasium.envs.classic_control:PendulumEnv', "
+    code += "max_episode_steps=5)\n"
+    (tmp_path / "a_strange_module.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    run = trained(tmp_path / "run", "ppo")
+    folder = tmp_path / "policy"
+    folder.mkdir()
+    for name in POLICY_FILES:
+        (folder / name).write_bytes((run.path / name).read_bytes())
+    file = folder / "config.json"
+    env_id = "a_strange_module:Strange-v0"
+    config = json.loads(file.read_text())
+    file.write_text(json.dumps({**config, "environment": env_id}))
+    evaluate_it = ["evaluate", str(folder), "--seeds", "2"]
+    film = ["render", str(folder), "--out", str(tmp_path / "a.mp4")]
+    for command in (evaluate_it, film, ["train", "--resume", str(folder)]):
+        assert main(command) == 2
+        assert "--trust" in capfd.readouterr().err
+    with pytest.raises(OutputError, match="--trust"):
+        train(open_run(folder))
+    load_policy(folder)  # without an environment there is nothing to import
+    assert "a_strange_module" not in sys.modules
+    try:
+        assert main([*evaluate_it, "--trust"]) == 0
+        assert main(evaluate_it) == 0  # the user has imported it by now
+        del sys.modules["a_strange_module"], gym.registry["Strange-v0"]
+        assert main([*evaluate_it, "--env", env_id]) == 0  # he names it himself
+        # These make an environment of whatever module their arguments name.
+        file.write_text(json.dumps({**config, "environment": "GymV21Environment-v0"}))
+        assert main(evaluate_it) == 2
+        assert "--trust" in capfd.readouterr().err
+    finally:
+        sys.modules.pop("a_strange_module", None)
+        gym.registry.pop("Strange-v0", None)
+
+
+@pytest.mark.parametrize("name", ["mine", *shipped_policies()])
+def test_policies_act_as_stable_baselines_has_them(name, tmp_path):
+    """Ours, and those of version 0.1, whose spaces are texts."""
+    policy = load_policy(trained(tmp_path / "run", "ppo").path if name == "mine" else name)
+    whole = PPO.load(policy.folder / "policy.zip", device="cpu")
+    for what in ("observation_space", "action_space"):
+        assert getattr(policy.model, what) == getattr(whole, what)
+    seen = np.random.default_rng(0).normal(size=(9, *whole.observation_space.shape)) * 3
+    np.testing.assert_array_equal(
+        policy.model.predict(seen, deterministic=True)[0],
+        whole.predict(seen, deterministic=True)[0],
+    )
+
+
+def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(tmp_path):
+    policy = load_policy(trained(tmp_path / "run", "sac").path)
+    whole = SAC.load(policy.folder / "policy.zip", device="cpu")
+    seen = np.random.default_rng(0).normal(size=(9, 3))
+    actions = policy.model.predict(seen, deterministic=True)[0]
+    np.testing.assert_array_equal(actions, whole.predict(seen, deterministic=True)[0])
+    assert policy.model.action_space.high[0] == 2.0
+
+
+@pytest.mark.parametrize(
+    "space",
+    [
+        gym.spaces.Box(np.array([-0.1, -np.inf]), np.array([1 / 3, np.inf]), dtype=np.float64),
+        gym.spaces.Box(-0.4, 0.4, (2, 3), np.float32),
+        gym.spaces.Box(0, 255, (2, 2), np.uint8),
+        gym.spaces.Discrete(5, start=-2),
+        gym.spaces.MultiDiscrete([3, 4]),
+        gym.spaces.MultiBinary(4),
+    ],
+    ids=str,
+)
+def test_spaces_are_kept_as_they_are(space):
+    told = json.loads(json.dumps(weights._as_json(space)))
+    assert weights._space(told, 1000) == space
+    with pytest.raises(ValueError, match=r"shape|actions"):
+        weights._space(told, 1)  # more than there are weights
+
+
+def test_settings_of_a_net_that_would_fill_the_memory_are_refused(tmp_path):
+    run = trained(tmp_path / "run", "ppo")
+    for name in ("", run.checkpoints()[0].name):
+        folder = run.path / "checkpoints" / name if name else run.path
+        config = json.loads((folder / "config.json").read_text())
+        config["settings"]["net"] = [1_000_000, 1_000_000]
+        (folder / "config.json").write_text(json.dumps(config))
+    (run.checkpoints()[1]).rename(tmp_path / "away")
+    newest = run.checkpoints()[0]
+    newest.rename(tmp_path / "old")
+    files.write_folder(newest, lambda to: copy(tmp_path / "old", to))
+    for read in (load_policy, lambda path: train(open_run(path))):
+        with pytest.raises(OutputError, match="they ask for a net of"):
+            read(run.path)
