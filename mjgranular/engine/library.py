@@ -8,6 +8,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
+from mjgranular.errors import InputError
 from mjgranular.kernel.engine import library as loaded_library
 
 _ADDRESS, _INT, _TEXT = ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p
@@ -50,10 +51,21 @@ def instance_name(model: int, instance: int) -> str:
 
 
 def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
-    """What is written for an instance under each key, "" for nothing."""
+    """What is written for an instance under each key, "" for nothing.
+
+    Raises:
+        InputError: what is written is not UTF-8.
+    """
     read = library().mj_getPluginConfig
-    texts = {key: read(model, instance, key.encode()) for key in keys}
-    return {key: (text or b"").decode() for key, text in texts.items()}
+    texts = {}
+    for key in keys:
+        try:
+            texts[key] = (read(model, instance, key.encode()) or b"").decode()
+        except UnicodeDecodeError:
+            raise InputError(
+                f"config {key!r}: the text is not UTF-8, as that of an MJCF file must be"
+            ) from None
+    return texts
 
 
 def memory_at(address: int, size: int) -> np.ndarray:

@@ -34,8 +34,7 @@ from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_of
 from mjgranular.law import get_law, make_scene
-from mjgranular.medium import media
-from mjgranular.medium.medium import get_medium
+from mjgranular.medium import get_medium, media
 from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.shape import select_geoms

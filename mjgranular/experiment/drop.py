@@ -17,6 +17,7 @@ from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
+from mjgranular.reading import check_regular
 from mjgranular.sand import Sand
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
@@ -265,6 +266,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         if isinstance(drop.model, Chain):
             spec = drop.model.spec()
         else:
+            check_regular(drop.model, "the model")
             spec = mujoco.MjSpec.from_file(str(drop.model))
             if isinstance(drop.surface, Plane):
                 add_bed(spec, drop.surface)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 import mujoco
 
@@ -38,8 +39,10 @@ def select_geoms(
     Raises:
         UnknownNameError: a name that the model does not have, or a group without a collision geom
             of a body that can move; lists those there are.
-        InputError: nothing is left, what is named cannot move, or a group is no integer.
+        InputError: nothing is left, what is named cannot move, a group is no integer, or names of
+            the model are not UTF-8.
     """
+    _check_names(model)
     meets = [
         geom
         for geom in range(model.ngeom)
@@ -92,15 +95,26 @@ def _names(names: Sequence[str] | str | None) -> Sequence[str]:
     return (names,) if isinstance(names, str) else names
 
 
+def _check_names(model: mujoco.MjModel) -> None:
+    """Refuses names that Python cannot read: MuJoCo takes any bytes."""
+    try:
+        bytes(model.names).decode()
+    except UnicodeDecodeError:
+        raise InputError(
+            "a name in the model is not UTF-8, as those of an MJCF file must be: save it anew"
+        ) from None
+
+
 def _find(model: mujoco.MjModel, kind: str, name: str) -> int | None:
     """The id of a body or geom, None for all of them."""
     objects, count = {
         "body": (mujoco.mjtObj.mjOBJ_BODY, model.nbody),
         "geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom),
     }[kind]
-    found = mujoco.mj_name2id(model, objects, name)
-    if found >= 0:
-        return found
+    with suppress(UnicodeEncodeError):  # of an argument that is not UTF-8: no name is like that
+        found = mujoco.mj_name2id(model, objects, name)
+        if found >= 0:
+            return found
     if name == EVERY:
         return None
     known = (mujoco.mj_id2name(model, objects, i) for i in range(count))
