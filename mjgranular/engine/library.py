@@ -8,7 +8,6 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
 from mjgranular.kernel.engine import library as loaded_library
 
 _ADDRESS, _INT, _TEXT = ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p
@@ -51,21 +50,10 @@ def instance_name(model: int, instance: int) -> str:
 
 
 def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
-    """What is written for an instance under each key, "" for nothing.
-
-    Raises:
-        InputError: what is written is not UTF-8.
-    """
+    """What is written for an instance under each key, "" for nothing."""
     read = library().mj_getPluginConfig
-    texts = {}
-    for key in keys:
-        try:
-            texts[key] = (read(model, instance, key.encode()) or b"").decode()
-        except UnicodeDecodeError:
-            raise InputError(
-                f"config {key!r}: the text is not UTF-8, as that of an MJCF file must be"
-            ) from None
-    return texts
+    texts = {key: read(model, instance, key.encode()) for key in keys}
+    return {key: (text or b"").decode() for key, text in texts.items()}
 
 
 def memory_at(address: int, size: int) -> np.ndarray:

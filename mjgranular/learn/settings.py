@@ -17,8 +17,9 @@ from mjgranular.reading import place, read_file
 
 ALGORITHMS = ("ppo", "sac", "td3")
 ACTIVATIONS = ("tanh", "relu", "elu")
-LARGEST = 100_000
-"""Size up to which a file is read [bytes]; chosen, a hundred times what settings need."""
+LARGEST = 20_000
+"""Size up to which a file is read [bytes]; chosen, ten times what settings need. A dotted key costs
+the square of its length."""
 
 FOLDER = Path(__file__).resolve().parent / "settings"
 _GIVEN_BY_US = (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 
 import mujoco
 
@@ -111,10 +110,9 @@ def _find(model: mujoco.MjModel, kind: str, name: str) -> int | None:
         "body": (mujoco.mjtObj.mjOBJ_BODY, model.nbody),
         "geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom),
     }[kind]
-    with suppress(UnicodeEncodeError):  # of an argument that is not UTF-8: no name is like that
-        found = mujoco.mj_name2id(model, objects, name)
-        if found >= 0:
-            return found
+    found = mujoco.mj_name2id(model, objects, name)
+    if found >= 0:
+        return found
     if name == EVERY:
         return None
     known = (mujoco.mj_id2name(model, objects, i) for i in range(count))
