@@ -19,6 +19,7 @@ _FUNCTIONS = {
     "mj_id2name": (_TEXT, _ADDRESS, _INT, _INT),
     "mj_copyModel": (_ADDRESS, _ADDRESS, _ADDRESS),
     "mju_malloc": (_ADDRESS, ctypes.c_size_t),
+    "mju_free": (None, _ADDRESS),
 }
 
 
@@ -46,14 +47,22 @@ def plugin_slot(name: str) -> int:
 def instance_name(model: int, instance: int) -> str:
     """The name of an instance, or its number."""
     name = library().mj_id2name(model, int(mujoco.mjtObj.mjOBJ_PLUGIN), instance)
-    return (name or str(instance).encode()).decode()
+    return text_of(name) or str(instance)
 
 
 def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
     """What is written for an instance under each key, "" for nothing."""
     read = library().mj_getPluginConfig
     texts = {key: read(model, instance, key.encode()) for key in keys}
-    return {key: (text or b"").decode() for key, text in texts.items()}
+    return {key: text_of(text) for key, text in texts.items()}
+
+
+def text_of(raw: bytes | None) -> str:
+    """A text of MuJoCo's, "" for none. A model file may hold any bytes: what is no UTF-8 is shown.
+
+    Where MuJoCo's Python bindings read it they raise `UnicodeDecodeError`.
+    """
+    return (raw or b"").decode(errors="backslashreplace")
 
 
 def memory_at(address: int, size: int) -> np.ndarray:

@@ -156,7 +156,7 @@ def judge(case: dict[str, Any], answer: Answer) -> str | None:
     if not wrong:
         return None
     shown = json.dumps(case)
-    shown = shown if len(shown) < 600 else f"{shown[:600]}..."
+    shown = shown if len(shown) < 3000 else f"{shown[:3000]}..."
     return f"{'; '.join(wrong)}: {answer.kind} {answer.said[:300]!r} for {shown}"
 
 
