@@ -8,23 +8,24 @@ from pathlib import Path
 
 from mjgranular.errors import InputError, one_line
 
+_PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not all on all systems
 _LONGEST_PATH = 300  # characters of it that a message shows; chosen
 
 
 def check_regular(path: Path, what: str) -> None:
-    """Makes sure that a path leads to a regular file, before somebody else's code opens it.
+    """Refuses what is no regular file, before it is opened, by us or by others.
 
-    A pipe would have the reader wait for a writer, a device never end.
+    A pipe would have the reader wait for a writer, a device never end. What is not there at all is
+    left to the reader to tell.
 
     Raises:
-        InputError: there is no such file, or it is something else; `what` says what it was to be.
+        InputError: there is something else; `what` says what it was to be.
     """
     try:
         mode = path.stat().st_mode
-    except (OSError, ValueError) as error:
-        raise _unreadable(path, what, error) from None
-    if not stat.S_ISREG(mode):
-        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")
+    except (OSError, ValueError):
+        return
+    _check_mode(mode, path, what)
 
 
 def read_file(path: Path, what: str, *, largest: int) -> bytes:
@@ -41,15 +42,15 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
     check_regular(path, what)  # opening alone can move a tape or take a terminal
     try:
         # Another may stand in its place by now: opened so that nothing blocks, and asked again.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
         with os.fdopen(descriptor, "rb") as file:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-                raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")
+            _check_mode(os.fstat(descriptor).st_mode, path, what)
             content = file.read(largest + 1) or b""
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise _unreadable(path, what, error) from None
+        reason = getattr(error, "strerror", None) or "it is not a path"
+        raise InputError(f"cannot read {what} {place(path)}: {reason}") from None
     if len(content) > largest:
         raise InputError(
             f"cannot read {what} {place(path)}: it is larger than {largest // 1000} kB"
@@ -63,6 +64,6 @@ def place(path: Path) -> str:
     return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
 
 
-def _unreadable(path: Path, what: str, error: OSError | ValueError) -> InputError:
-    reason = getattr(error, "strerror", None) or "it is not a path"
-    return InputError(f"cannot read {what} {place(path)}: {reason}")
+def _check_mode(mode: int, path: Path, what: str) -> None:
+    if not stat.S_ISREG(mode):
+        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")

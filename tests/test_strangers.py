@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 import pytest
 
 import mjgranular as mg
@@ -241,6 +242,17 @@ def test_a_medium_is_printed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixt
     path.write_text(EXAMPLE.replace("weighed", "'[/red] :smile:'"), encoding="utf-8")
     assert main(["media", str(path)]) == 0
     assert "[/red] :smile:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("title", ["$\\frac$", "a$x^$", "_under", "a\x1b[31m", "$a$ $b"])
+def test_names_in_figures_are_no_formulas(tmp_path: Path, title: str) -> None:
+    pytest.importorskip("matplotlib")
+    from mjgranular.picture.figures import draw_drop
+
+    t, ones = np.linspace(0, 1, 3), np.ones((3, 2))
+    path = tmp_path / "figure.png"
+    draw_drop(path, t, [title, "b"], ones, np.ones((3, 2, 3)), ones, title=title)
+    assert path.exists()
 
 
 @pytest.mark.parametrize("arguments", [["media", "\udcff"], ["drop", "\udcff.xml"]])
