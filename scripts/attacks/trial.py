@@ -30,6 +30,9 @@ PATIENCE = 30.0
 STARTING = 600.0
 """Seconds for `prepare`, which may compile."""
 
+CASES = 100
+"""Of one process: MuJoCo does not give back the memory of an `mjData` that a plugin refuses."""
+
 MEGABYTES = 500
 """By which the process may grow."""
 
@@ -65,7 +68,7 @@ class Answer:
 
 
 class Trial:
-    """Tries cases one after the other, in a process that is begun anew where one was lost.
+    """Tries cases one after the other, in a process that is begun anew now and then.
 
     Args:
         module: name of the attacking module, "attacks.media".
@@ -75,6 +78,7 @@ class Trial:
         self._module = module
         self._folder = Path(tempfile.mkdtemp(prefix="attack-"))
         self._process: subprocess.Popen[bytes] | None = None
+        self._tried = 0
 
     def __enter__(self) -> Trial:
         return self
@@ -85,8 +89,11 @@ class Trial:
 
     def attempt(self, case: dict[str, Any]) -> Answer:
         """Tries a case."""
+        if self._tried == CASES:
+            self._end()
         if self._process is None:
             self._begin()
+        self._tried += 1
         assert self._process is not None
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
@@ -119,6 +126,7 @@ class Trial:
             cwd=self._folder,
             env={**os.environ, "PYTHONPATH": path},
         )
+        self._tried = 0
         if not self._read(STARTING):
             self._end()
             raise RuntimeError(
