@@ -184,6 +184,41 @@ def test_commands_do_not_wait_for_a_pipe(
     assert "it is not a regular file" in capsys.readouterr().err
 
 
+# Settings of a training
+
+PPO = "algorithm = 'ppo'\n[ppo]\nnum_envs = 1\ntotal_steps = "
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a = " + "[" * 15_000, "nested too deeply"),
+        ("a = " + "9" * 5000, "a number that is too long"),
+        (".".join("a" * 9_990) + " = 1", "no key 'a'"),
+        (".".join("a" * 50_000) + " = 1", "larger than 20 kB"),
+        ("'" + "x" * 15_000 + "' = 1", "no key 'xxx"),
+        (PPO + "0x" + "f" * 15_000, "not a number of 60000 bits"),
+        (PPO + "9\n[ppo.arguments]\nn_steps = 0x" + "f" * 15_000, "not a number of 60000 bits"),
+        (PPO + "9\n[ppo.arguments]\nn_steps = 1000000000000000003", "does not divide"),
+        (PPO + "9\nnet = " + "[" * 100 + "]" * 100, "not a list of 1"),
+        (PPO + "'" + "x" * 15_000 + "'", "not 'xxx"),
+    ],
+    ids=lambda text: text[:20],
+)
+def test_hostile_settings_are_refused_at_once(tmp_path: Path, text: str, said: str) -> None:
+    pytest.importorskip("stable_baselines3")
+    from mjgranular.learn.settings import read_settings
+
+    path = tmp_path / "settings.toml"
+    path.write_text(text, encoding="utf-8")
+    began = time.process_time()
+    with pytest.raises(InputError) as caught:
+        read_settings(path)
+    assert time.process_time() - began < 5
+    assert said in str(caught.value)
+    assert len(str(caught.value)) < 900
+
+
 # Configurations in MJCF
 
 

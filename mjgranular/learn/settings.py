@@ -35,8 +35,9 @@ _GIVEN_BY_US = (
 )
 _TABLES = ("arguments", "policy", "environment")
 _MOST = 10**12  # of steps and environments; chosen: weeks of the fastest simulation
-_FAR = 100_000  # from a batch size that does not fit, where the nearest one is looked for
 _LINEAR = "linear_"
+_MOST_ENVS = 2**16  # far more than anyone steps together; chosen
+_FAR = 100_000  # divisors of the steps are looked for so far from the batch size
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during the training
 
 
@@ -83,6 +84,8 @@ class Settings:
                     f"{name} must be a whole number of at least 1 and at most {_MOST:g}, not "
                     f"{shown(value)}"
                 )
+        if self.num_envs > _MOST_ENVS:
+            raise InputError(f"num_envs must be at most {_MOST_ENVS}, not {self.num_envs}")
         for name in ("normalize_observations", "normalize_rewards"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name} must be true or false, not {shown(getattr(self, name))}")
@@ -306,9 +309,8 @@ def _words(kind: Any) -> str:
 
 
 def _nearest_divisor(steps: int, batch: int) -> int:
-    """The divisor of `steps`, at least 2, that is nearest to `batch`; `steps` if that is far."""
-    for distance in range(_FAR):
-        for divisor in (batch - distance, batch + distance):
+    for away in range(min(steps, _FAR)):
+        for divisor in (batch - away, batch + away):
             if 2 <= divisor <= steps and steps % divisor == 0:
                 return divisor
     return steps
