@@ -2,7 +2,8 @@
 
 Interpreters that a machine does not have are skipped. `nox --list` shows the sessions,
 `nox -s "core-3.12(mujoco='3.17')"` runs one. `nox -s bounds` runs the fast tests with compiled code
-that checks each index.
+that checks each index; `nox -s lowest highest` runs them with the lowest and the highest version of
+every dependency that pyproject.toml allows.
 """
 
 import nox
@@ -12,8 +13,10 @@ MUJOCOS = ("3.17", "4.0")
 CORE = (
     "elements", "engine", "engine_sensor", "engine_tuning", "implicit", "sand", "step", "surfaces",
 )  # fmt: skip
+TORCH = "torch==2.13.0"  # where an index offers a build without CUDA: smaller by gigabytes
 
 nox.options.default_venv_backend = "uv|virtualenv"
+nox.options.sessions = ["core"]
 nox.options.error_on_missing_interpreters = False
 
 
@@ -34,3 +37,24 @@ def bounds(session: nox.Session) -> None:
         "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", *session.posargs,
         env={"NUMBA_BOUNDSCHECK": "1"},
     )  # fmt: skip
+
+
+@nox.session(python="3.11", venv_backend="uv")
+def lowest(session: nox.Session) -> None:
+    """The lowest version of every dependency: whether the bounds are true."""
+    session.install("--resolution", "lowest-direct", ".[test]", TORCH)
+    # What they depend on is new, and deprecates what the old ones do.
+    _run_fast_tests(session, "-W", "ignore::DeprecationWarning")
+
+
+@nox.session(python=("3.11", "3.13"), venv_backend="uv")
+def highest(session: nox.Session) -> None:
+    """The newest version of every dependency: whether an upper bound is due."""
+    session.install("--upgrade", ".[test]", TORCH)
+    _run_fast_tests(session)
+
+
+def _run_fast_tests(session: nox.Session, *options: str) -> None:
+    session.run("uv", "pip", "list", external=True)
+    fast = ("-q", "-m", "not slow", "-p", "no:cacheprovider")
+    session.run("pytest", *fast, *options, *session.posargs)

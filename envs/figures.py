@@ -20,7 +20,7 @@ from mjgranular.envs.ground import (
 )
 from mjgranular.law import get_law
 from mjgranular.law.validity import Measure
-from mjgranular.medium.medium import get_medium
+from mjgranular.medium import get_medium
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Plane
 

@@ -14,8 +14,7 @@ from mjgranular.engine import tune
 from mjgranular.envs.ground import Ground
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
-from mjgranular.medium import media
-from mjgranular.medium.medium import get_medium
+from mjgranular.medium import get_medium, media
 
 SURFACES = ("plane", "dunes")
 """Surfaces that can be drawn: level but for the slope, or fixed dunes at a place drawn anew."""

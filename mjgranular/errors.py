@@ -9,9 +9,62 @@ import sys
 import warnings
 from collections.abc import Iterable
 
+# Texts of files, models and arguments stand in messages: what a message shows of them is bounded.
+_LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
+_LONGEST_LIST = 1000  # of the names that there are
+_LONGEST_MESSAGE = 2000
+
+
+def shown(value: object) -> str:
+    """A value as a message shows it: short, whatever it is."""
+    if isinstance(value, str):
+        return repr(_cut(value, _LONGEST_VALUE))
+    if isinstance(value, int) and value.bit_length() > 64:
+        return f"a number of {value.bit_length()} bits"
+    if isinstance(value, (list, tuple)):
+        flat = len(value) <= 8 and not any(isinstance(one, (list, tuple, dict)) for one in value)
+        return f"[{', '.join(map(shown, value))}]" if flat else f"a list of {len(value)}"
+    if isinstance(value, dict):
+        return "a table"
+    return _cut(repr(value), _LONGEST_VALUE)
+
+
+def one_line(text: str) -> str:
+    """A text without line breaks, and with characters that cannot be printed written as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names with commas between them: as many as a message bears, and how many more there are."""
+    known = list(names)
+    length, count = 0, 0
+    for name in known:
+        length += len(name) + 2
+        if length > _LONGEST_LIST:
+            break
+        count += 1
+    text = ", ".join(known[:count]) or "none"
+    return text if count == len(known) else f"{text}, and {len(known) - count} more"
+
+
+def _cut(text: str, longest: int) -> str:
+    return text if len(text) <= longest else text[: longest - 3] + "..."
+
 
 class GranularError(Exception):
-    """Root of all errors that mjgranular raises on purpose."""
+    """Root of all errors that mjgranular raises on purpose.
+
+    Its message is one line of bounded length whatever names and values it tells of.
+    """
+
+    def __init__(self, *arguments: object) -> None:
+        # Cleaned before it is cut: an escape is longer than what it stands for.
+        clean = (
+            _cut(one_line(a), _LONGEST_MESSAGE) if isinstance(a, str) else a for a in arguments
+        )
+        super().__init__(*clean)
 
 
 class InputError(GranularError, ValueError):
@@ -31,8 +84,7 @@ class UnknownNameError(GranularError, KeyError):
         self.kind = kind
         self.name = name
         self.known = tuple(known)
-        listed = ", ".join(self.known) if self.known else "none"
-        super().__init__(f"no {kind} {name!r}; there are: {listed}")
+        super().__init__(f"no {kind} {shown(name)}; there are: {listed(self.known)}")
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
@@ -88,4 +140,4 @@ def warn_user(message: str) -> None:
     frame, level = sys._getframe(1), 2
     while frame.f_back and str(frame.f_globals.get("__name__")).partition(".")[0] == package:
         frame, level = frame.f_back, level + 1
-    warnings.warn(message, GranularWarning, stacklevel=level)
+    warnings.warn(_cut(one_line(message), _LONGEST_MESSAGE), GranularWarning, stacklevel=level)

@@ -192,7 +192,7 @@ def changed(old, new):
         (changed("value: 1500", "value: .inf"), f"density must be {RANGE}, not inf"),
         (changed("value: 1500", "value: -1500"), f"density must be {RANGE}, not -1500"),
         (changed("value: 1500", "value: 1.5"), f"density must be {RANGE}, not 1.5"),
-        (changed(DENSITY, "density: 1500"), r"density must be \{value: NUMBER, .*not 1500"),
+        (changed(DENSITY, "density: 1500"), r"density must be \{value: NUMBER, .*not '1500'"),
         (changed(ETA_D, "eta_d: 6.5"), r"constants.link.eta_d must be \{value: NUMBER"),
         (changed(ETA_D, "eta_d: {value: 6.5}"), r"constants.link.eta_d must be .*source"),
         (changed(ETA_D, "eta_d: {value: x, source: y}"), "constants.link.eta_d.value must be a n"),

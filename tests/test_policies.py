@@ -13,6 +13,11 @@ from mjgranular.learn.agents import Agent, make_baseline
 from mjgranular.learn.evaluate import FIRST_SEED
 from mjgranular.learn.policies import POLICY_FILES, load_policy, shipped_policies
 
+# Another MuJoCo than the one they were trained with is warned of; what they do is to be the same.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:.*was trained with MuJoCo:mjgranular.errors.GranularWarning"
+)
+
 SHIPPED = shipped_policies()
 STEPS = 100  # of 500: four seconds
 

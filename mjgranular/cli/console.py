@@ -17,11 +17,28 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 
-from mjgranular.errors import GranularWarning
+from mjgranular.errors import GranularWarning, one_line
 
-out = Console()
-err = Console(stderr=True)
+
+class _PlainConsole(Console):
+    """Shows texts as they are: names in a model or file can be anybody's.
+
+    Without this `[/]` in a name would be an error of rich's, and an escape sequence would reach the
+    terminal.
+    """
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, markup=False, emoji=False)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        lines = text.split("\n")
+        return super().render_str("\n".join(map(one_line, lines)), **options)
+
+
+out = _PlainConsole()
+err = _PlainConsole(stderr=True)
 
 
 def print_json(content: Any) -> None:
@@ -32,8 +49,8 @@ def print_json(content: Any) -> None:
 
 def show_error(message: str) -> None:
     """Says what was wrong."""
-    err.print("[bold red]error:[/] ", end="")
-    err.print(message, markup=False, highlight=False, soft_wrap=True)
+    err.print("error: ", end="", style="bold red", highlight=False)
+    err.print(message, highlight=False, soft_wrap=True)
 
 
 def show_warning(
@@ -46,8 +63,8 @@ def show_warning(
 ) -> None:
     """Takes the place of `warnings.showwarning`."""
     if issubclass(category, GranularWarning):
-        err.print("[bold yellow]warning:[/] ", end="")
-        err.print(str(message), markup=False, highlight=False, soft_wrap=True)
+        err.print("warning: ", end="", style="bold yellow", highlight=False)
+        err.print(str(message), highlight=False, soft_wrap=True)
 
 
 class _Announcement(logging.Handler):
@@ -89,16 +106,17 @@ def progress_bar(what: str, total: float, *, remaining: bool = False) -> Iterato
         A function to be called with the amount of work done.
     """
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
         *((TextColumn("left"), TimeRemainingColumn()) if remaining else ()),
     )
     with Progress(*columns, console=err, transient=True) as progress:
-        task = progress.add_task(what, total=total)
+        task = progress.add_task(one_line(what), total=total)
 
         def show(done: float, what: str | None = None) -> None:
-            progress.update(task, completed=done, description=what)
+            description = None if what is None else one_line(what)
+            progress.update(task, completed=done, description=description)
 
         yield show

@@ -18,6 +18,7 @@ from mjgranular.cli.console import out, print_json, show_error
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
+from mjgranular.reading import check_regular
 from mjgranular.sand import Sand
 from mjgranular.sand.report import Names
 
@@ -102,6 +103,7 @@ class ElementsCommand:
 
     def _cut(self) -> tuple[Sand, np.ndarray]:
         """The model on its sand, and where its bodies are drawn."""
+        check_regular(self.model, "the model")
         try:
             model = mujoco.MjSpec.from_file(str(self.model)).compile()
         except (ValueError, OSError, mujoco.FatalError) as error:
@@ -171,8 +173,8 @@ class ElementsCommand:
         table.add_column(Text("width\n[mm]"), justify="right")
         for row in summary["geoms"]:
             table.add_row(
-                Text(row["body"]),
-                Text(row["geom"]),
+                row["body"],
+                row["geom"],
                 row["shape"],
                 str(row["elements"]),
                 *(f"{row[key] * factor:.4g}" for key, (_, factor) in sums.items()),

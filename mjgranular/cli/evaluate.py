@@ -143,7 +143,7 @@ def table_of(scores: list[Score], seeds: int) -> Table:
             Text(heading), justify="left" if left else "right", no_wrap=not left, overflow="fold"
         )
     for score in scores:
-        table.add_row(*(Text(cell(score)) for _, cell in columns))
+        table.add_row(*(cell(score) for _, cell in columns))
     return table
 
 

@@ -6,6 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -26,7 +27,8 @@ from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
-from mjgranular.errors import GranularError, GranularWarning
+from mjgranular.errors import GranularError, GranularWarning, one_line
+from mjgranular.reading import place
 from mjgranular.signals import signal_of, stopped_by_signals
 
 PIPE_CLOSED = 141  # what a shell expects when the reader went away: 128 + SIGPIPE
@@ -65,6 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given in (["--version"], ["-V"]):
         print(f"mjgranular {__version__}")
         return 0
+    if not all(_is_text(argument) for argument in given):
+        show_error("an argument is not UTF-8: names and paths are to be, for MuJoCo too")
+        return 2
     command = tyro.cli(
         Command,  # pyright: ignore[reportArgumentType]
         prog="mjgranular",
@@ -88,3 +93,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone: `mjgranular ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
+    except OSError as error:  # a path that is too long, a folder that may not be looked into
+        if error.filename is None:
+            raise
+        show_error(one_line(f"{place(Path(os.fsdecode(error.filename)))}: {error.strerror}"))
+        return 2
+
+
+def _is_text(argument: str) -> bool:
+    """Whether an argument of the process could be read."""
+    try:
+        argument.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

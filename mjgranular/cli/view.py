@@ -17,6 +17,7 @@ from mjgranular.errors import GranularError, InputError, UnknownNameError
 from mjgranular.experiment.drop import LARGEST_STEP, Drop, start_from
 from mjgranular.experiment.scenery import add_bed
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
+from mjgranular.reading import check_regular
 from mjgranular.surface import Plane, Surface
 
 
@@ -102,6 +103,7 @@ class ViewCommand:
             timestep=self.timestep,
         )
         name = self.model.name
+        check_regular(self.model, "the model")
         try:
             spec = mujoco.MjSpec.from_file(str(self.model))
             self._take_out(spec)

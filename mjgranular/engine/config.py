@@ -17,10 +17,9 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from mjgranular.errors import GranularError, InputError, UnknownNameError
+from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.law import Law, laws
-from mjgranular.medium import Medium, media
-from mjgranular.medium.medium import get_medium
+from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
 from mjgranular.scheme import Scheme, schemes
 from mjgranular.surface import Bed, HeightField, Plane, Surface
@@ -33,6 +32,12 @@ KEYS = (
 
 DEFAULT_MEDIUM = "play_sand"
 """That of `Sand`."""
+
+LONGEST = 100_000
+"""Characters of a text that is read; chosen: the names of some thousand bodies."""
+
+LARGEST = 100_000
+"""Of whole numbers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
 
 DRAWINGS = ("forces", "depth")
 """What the plugin can draw: arrows of force, discs coloured by depth."""
@@ -65,6 +70,11 @@ def read_config(texts: Mapping[str, str]) -> Config:
         InputError: a text cannot be read; names the key and what would be valid.
     """
     given = {key: text for key, text in texts.items() if text}
+    for key, text in given.items():
+        if len(text) > LONGEST:
+            raise InputError(
+                f"config {key!r}: a text of {len(text)} characters; at most {LONGEST} are read"
+            )
     readers = {
         "medium": get_medium,
         "surface": _read_surface,
@@ -135,7 +145,9 @@ def _words(text: str) -> list[str]:
     try:
         return shlex.split(text)
     except ValueError as error:
-        raise InputError(f"{text!r} cannot be split into words: {str(error).lower()}") from None
+        raise InputError(
+            f"{shown(text)} cannot be split into words: {str(error).lower()}"
+        ) from None
 
 
 def _options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
@@ -145,9 +157,13 @@ def _options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
     for word in words:
         name, equals, text = word.partition("=")
         if name not in kinds:
-            raise InputError(f"the {what} has no option {name!r}; it has: {', '.join(kinds)}")
+            raise InputError(
+                f"the {what} has no option {shown(name)}; it has: {', '.join(kinds) or 'none'}"
+            )
         if not equals:
             raise InputError(f"the option {name!r} of the {what} needs a value: {name}=...")
+        if name in options:
+            raise InputError(f"the option {name!r} of the {what} is given twice")
         options[name] = _value(text, kinds[name], name)
     return options
 
@@ -155,14 +171,17 @@ def _options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
 def _value(text: str, kind: Any, name: str) -> Any:
     if kind is bool:
         if text not in ("true", "false"):
-            raise InputError(f"{name} must be true or false, not {text!r}")
+            raise InputError(f"{name} must be true or false, not {shown(text)}")
         return text == "true"
     if kind in (int, float):
         try:
-            return kind(text)
+            value = kind(text)
         except ValueError:
             word = "a whole number" if kind is int else "a number"
-            raise InputError(f"{name} must be {word}, not {text!r}") from None
+            raise InputError(f"{name} must be {word}, not {shown(text)}") from None
+        if kind is int and abs(value) > LARGEST:
+            raise InputError(f"{name} must be at most {LARGEST} in size, not {shown(value)}")
+        return value
     if kind is str:
         return text
     raise InputError(f"{name} cannot be written in MJCF: it is neither number, switch nor name")
@@ -202,7 +221,7 @@ def _read_scheme(text: str) -> Scheme:
 def _read_resolution(text: str) -> int:
     resolution = _value(text, int, "resolution")
     if resolution < 1:
-        raise InputError(f"resolution must be at least 1, not {resolution}")
+        raise InputError(f"resolution must be at least 1, not {shown(resolution)}")
     return resolution
 
 

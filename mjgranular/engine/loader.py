@@ -36,8 +36,7 @@ from mjgranular.kernel.compiled import program_of
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.law import get_law, make_scene
-from mjgranular.medium import media
-from mjgranular.medium.medium import get_medium
+from mjgranular.medium import get_medium, media
 from mjgranular.names import name_of
 from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.scheme.auto import FINE_STEP

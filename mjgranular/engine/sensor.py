@@ -20,7 +20,7 @@ from mjgranular.engine.doors import UNPREPARED
 from mjgranular.engine.layout import Layout
 from mjgranular.engine.measures import MEASURES
 from mjgranular.engine.rows import block_finder
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.foreign import External
 from mjgranular.kernel.memory import (
@@ -80,9 +80,7 @@ def find_sand(name: str, sands: Mapping[str, int]) -> int:
     if not sands:
         raise InputError("there is no instance of mjgranular.sand in the model")
     if not name:
-        raise InputError(
-            f"config 'sand': the model has several sands: name one of {', '.join(sands)}"
-        )
+        raise InputError(f"config 'sand': the model has several sands: name one of {listed(sands)}")
     if name not in sands:
         raise InputError(f"config 'sand': {UnknownNameError('sand', name, sands)}")
     return sands[name]
@@ -115,7 +113,7 @@ def make_senses(
             if body not in bodies:
                 raise InputError(
                     f"objname: body number {body} does not meet the sand; those that do: "
-                    f"{', '.join(bodies.values())}"
+                    f"{listed(bodies.values())}"
                 )
             slot = list(bodies).index(body)
         elif sensors.objtype[number] != _UNKNOWN:

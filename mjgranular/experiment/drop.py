@@ -17,6 +17,7 @@ from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
+from mjgranular.reading import check_regular
 from mjgranular.sand import Sand
 from mjgranular.sand.work import WorkMeter
 from mjgranular.saved import checked_fields, is_text
@@ -280,8 +281,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         if isinstance(drop.model, Chain):
             spec = drop.model.spec()
         else:
-            if drop.model.exists() and not drop.model.is_file():
-                raise InputError(f"{drop.model} is not a file: a model is an MJCF file")
+            check_regular(drop.model, "the model")
             spec = mujoco.MjSpec.from_file(str(drop.model))
             if isinstance(drop.surface, Plane):
                 add_bed(spec, drop.surface)

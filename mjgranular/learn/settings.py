@@ -12,11 +12,16 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Union
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.extras import need
+from mjgranular.reading import place, read_file
 
 ALGORITHMS = ("ppo", "sac", "td3")
 ACTIVATIONS = ("tanh", "relu", "elu")
+LARGEST = 20_000
+"""Size up to which a file is read [bytes]; chosen, ten times what settings need. A dotted key costs
+the square of its length."""
+
 FOLDER = Path(__file__).resolve().parent / "settings"
 _GIVEN_BY_US = (
     "self",
@@ -30,6 +35,7 @@ _GIVEN_BY_US = (
     "_init_setup_model",
 )
 _TABLES = ("arguments", "policy", "environment")
+_MOST = 10**12  # of steps and environments; chosen: weeks of the fastest simulation
 _LINEAR = "linear_"
 _MOST_ENVS = 2**16  # far more than anyone steps together; chosen
 _FAR = 100_000  # divisors of the steps are looked for so far from the batch size
@@ -77,17 +83,22 @@ class Settings:
             raise UnknownNameError("activation", self.activation, ACTIVATIONS)
         for name in ("total_steps", "num_envs", "checkpoint_every"):
             value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-                raise InputError(f"{name} must be a whole number of at least 1, not {value!r}")
+            if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= _MOST:
+                raise InputError(
+                    f"{name} must be a whole number of at least 1 and at most {_MOST:g}, not "
+                    f"{shown(value)}"
+                )
         if self.num_envs > _MOST_ENVS:
             raise InputError(f"num_envs must be at most {_MOST_ENVS}, not {self.num_envs}")
         for name in ("normalize_observations", "normalize_rewards"):
             if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name} must be true or false, not {getattr(self, name)!r}")
+                raise InputError(f"{name} must be true or false, not {shown(getattr(self, name))}")
         if not isinstance(self.net, tuple) or not all(
             isinstance(w, int) and not isinstance(w, bool) and w > 0 for w in self.net
         ):
-            raise InputError(f"net must be widths of layers such as [64, 64], not {self.net!r}")
+            raise InputError(
+                f"net must be widths of layers such as [64, 64], not {shown(self.net)}"
+            )
         for name in _TABLES:
             if not isinstance(getattr(self, name), Mapping):
                 raise InputError(f"{name} must be a table of names and values")
@@ -159,32 +170,30 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
         InputError: the file cannot be read, or has a wrong key or value in it; says which.
         UnknownNameError: there is no such algorithm, or nothing in the file on it.
     """
-    try:
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read the settings {file}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{file} is not TOML: {error}") from None
-    _check_keys(str(file), content, ("algorithm", "environment", *ALGORITHMS))
+    content = _read_toml(file)
+    where = place(file)
+    _check_keys(where, content, ("algorithm", "environment", *ALGORITHMS))
     present = [name for name in ALGORITHMS if name in content]
     name = (algorithm or str(content.get("algorithm", ""))).lower()
     if name not in ALGORITHMS:
         raise UnknownNameError("algorithm", name, present or ALGORITHMS)
     if name not in content:
         raise InputError(
-            f"{file} has no table [{name}]; it has settings for {', '.join(present) or 'none'}"
+            f"{where} has no table [{name}]; it has settings for {', '.join(present) or 'none'}"
         )
     table = content[name]
     if not isinstance(table, dict):
-        raise InputError(f"{file}: {name} must be a table, [{name}]")
+        raise InputError(f"{where}: {name} must be a table, [{name}]")
     known = {entry.name for entry in fields(Settings)} - {"algorithm", "environment"}
-    _check_keys(f"{file}, [{name}]", table, sorted(known))
+    _check_keys(f"{where}, [{name}]", table, sorted(known))
     missing = [key for key in ("total_steps", "num_envs") if key not in table]
     if missing:
-        raise InputError(f"{file}, [{name}]: {' and '.join(missing)} must be given")
+        raise InputError(f"{where}, [{name}]: {' and '.join(missing)} must be given")
     net = table.get("net", [64, 64])
     if not isinstance(net, list):
-        raise InputError(f"{file}, [{name}]: net must be widths such as [64, 64], not {net!r}")
+        raise InputError(
+            f"{where}, [{name}]: net must be widths such as [64, 64], not {shown(net)}"
+        )
     try:
         return Settings(
             algorithm=name,
@@ -194,7 +203,22 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
     except UnknownNameError:
         raise
     except InputError as error:
-        raise InputError(f"{file}, [{name}]: {error}") from None
+        raise InputError(f"{where}, [{name}]: {error}") from None
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
+    text = read_file(file, "the settings", largest=LARGEST)
+    name = place(file)
+    try:
+        return tomllib.loads(text.decode("utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{name} is not TOML: {error}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name} is not TOML: byte {error.start} is not UTF-8") from None
+    except RecursionError:
+        raise InputError(f"{name} is nested too deeply for settings") from None
+    except ValueError:  # of an int with thousands of digits
+        raise InputError(f"{name} has a number that is too long") from None
 
 
 def change(settings: Settings, changes: Sequence[str]) -> Settings:
@@ -215,7 +239,7 @@ def change(settings: Settings, changes: Sequence[str]) -> Settings:
         name, given, value = text.partition("=")
         name = name.strip()
         if not given or not name:
-            raise InputError(f"a change of the settings is NAME=VALUE, not {text!r}")
+            raise InputError(f"a change of the settings is NAME=VALUE, not {shown(text)}")
         parsed = toml_value(value)
         table, dot, key = name.partition(".")
         if dot and table in _TABLES:
@@ -231,7 +255,7 @@ def toml_value(text: str) -> Any:
     """A value as TOML writes it; a bare word is a text."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text.strip()
 
 
@@ -258,7 +282,7 @@ def linear_start(value: object) -> float | None:
 def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> None:
     for key in table:
         if key not in known:
-            raise InputError(f"{where}: no key {key!r}; there are: {', '.join(known)}")
+            raise InputError(f"{where}: no key {shown(key)}; there are: {', '.join(known)}")
 
 
 def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:
@@ -267,12 +291,14 @@ def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:
     names = [name for name in signature if name not in _GIVEN_BY_US]
     for name, value in arguments.items():
         if name not in names:
-            raise InputError(f"{algorithm} has no argument {name!r}; it has: {', '.join(names)}")
+            raise InputError(
+                f"{algorithm} has no argument {shown(name)}; it has: {', '.join(names)}"
+            )
         wanted = float if name == "action_noise" else signature[name].annotation
         if name in _SCHEDULES and linear_start(value) is not None:
             continue
         if not _fits(value, wanted):
-            raise InputError(f"{algorithm}: {name} must be {_words(wanted)}, not {value!r}")
+            raise InputError(f"{algorithm}: {name} must be {_words(wanted)}, not {shown(value)}")
 
 
 def _members(kind: Any) -> tuple[Any, ...]:
@@ -283,6 +309,8 @@ def _members(kind: Any) -> tuple[Any, ...]:
 
 
 def _fits(value: object, kind: Any) -> bool:
+    if isinstance(value, int) and value.bit_length() > 63:  # TOML has no limit
+        return False
     for member in _members(kind):
         if member in (int, bool, str) and type(value) is member:
             return True

@@ -2,8 +2,8 @@
 
 from mjgranular.medium import presets as presets
 from mjgranular.medium.file import read_medium as read_medium
+from mjgranular.medium.known import get_medium as get_medium
+from mjgranular.medium.known import media as media
+from mjgranular.medium.known import register_medium as register_medium
 from mjgranular.medium.medium import Medium as Medium
 from mjgranular.medium.medium import Quantity as Quantity
-from mjgranular.medium.medium import get_medium as get_medium
-from mjgranular.medium.medium import media as media
-from mjgranular.medium.medium import register_medium as register_medium

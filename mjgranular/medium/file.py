@@ -5,9 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.extras import need
 from mjgranular.medium.medium import Medium, Quantity
+from mjgranular.medium.outline import OutlineError, read_outline
+from mjgranular.reading import place, read_file
+
+LARGEST = 100_000
+"""Size up to which a file is read [bytes]; chosen, ten times what a medium with every law needs."""
 
 EXAMPLE = """\
 name: my_sand
@@ -29,59 +34,88 @@ _REQUIRED = ("name", "title", "density", "default_law", "constants")
 def read_medium(path: Path) -> Medium:
     """Reads a medium from a YAML file of the form of `EXAMPLE`.
 
+    The file may be anybody's: nothing in it is executed, and no more is read than a medium needs
+    (`LARGEST`, `medium.outline`).
+
     Raises:
-        InputError: the file cannot be read, lacks a key, or a value is not a number or outside
-            its range; says which.
+        InputError: the file cannot be read, is none, or is too large, lacks a key, or a value is
+            not a number or outside its range; says which.
     """
     yaml = need("yaml", extra="media", purpose="Reading a medium from a file")
+    content = read_file(path, "the medium", largest=LARGEST)
+    name = place(path)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read the medium {path}: {error.strerror or error}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not YAML: {' '.join(str(error).split())}") from None
+        outline = read_outline(content.decode("utf-8"), yaml)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name} is not YAML: byte {error.start} is not UTF-8") from None
+    except OutlineError as error:
+        raise InputError(f"{name} is not YAML as a medium needs it: {error}") from None
+    try:
+        return _medium(outline)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def _medium(content: Any) -> Medium:
     if not isinstance(content, dict):
-        raise InputError(f"{path}: a medium is a mapping with the keys {', '.join(_REQUIRED)}")
+        raise InputError(f"a medium is a mapping with the keys {', '.join(_REQUIRED)}")
     known = {*_REQUIRED, "grain"}
     for key in _REQUIRED:
         if key not in content:
-            raise InputError(f"{path}: the key {key!r} is missing; needed: {', '.join(_REQUIRED)}")
+            raise InputError(f"the key {key!r} is missing; needed: {', '.join(_REQUIRED)}")
     for key in content:
         if key not in known:
-            raise InputError(f"{path}: no key {key!r} in a medium; there are: {sorted(known)}")
+            raise InputError(f"no key {shown(key)} in a medium; there are: {sorted(known)}")
     if not isinstance(content["constants"], dict):
-        raise InputError(f"{path}: constants must map names of laws to their constants")
+        raise InputError("constants must map names of laws to their constants")
     constants = {}
     for law, values in content["constants"].items():
         if not isinstance(values, dict):
-            raise InputError(f"{path}: constants.{law} must map names to values")
-        constants[str(law)] = {
-            str(key): _quantity(path, f"constants.{law}.{key}", value)
+            raise InputError(f"constants.{_key(law)} must map names to values")
+        constants[law] = {
+            key: _quantity(f"constants.{_key(law)}.{_key(key)}", value)
             for key, value in values.items()
         }
     grain = content.get("grain")
     return Medium(
-        name=str(content["name"]),
-        title=str(content["title"]),
-        density=_quantity(path, "density", content["density"]),
-        grain=None if grain is None else _quantity(path, "grain", grain),
-        default_law=str(content["default_law"]),
+        name=_text("name", content["name"]),
+        title=_text("title", content["title"]),
+        density=_quantity("density", content["density"]),
+        grain=None if grain is None else _quantity("grain", grain),
+        default_law=_text("default_law", content["default_law"]),
         constants=constants,
     )
 
 
-def _quantity(path: Path, key: str, entry: Any) -> Quantity:
+def _quantity(key: str, entry: Any) -> Quantity:
     if not isinstance(entry, dict) or "value" not in entry or "source" not in entry:
         raise InputError(
-            f"{path}: {key} must be {{value: NUMBER, unit: UNIT, source: WHERE FROM}}, "
-            f"not {entry!r}"
+            f"{key} must be {{value: NUMBER, unit: UNIT, source: WHERE FROM}}, not {shown(entry)}"
         )
-    value = entry["value"]
-    try:
-        # YAML takes 1e-3 for a text: it wants 1.0e-3.
-        number = float(value) if isinstance(value, (int, float, str)) else None
-    except ValueError:
-        number = None
-    if number is None or isinstance(value, bool):
-        raise InputError(f"{path}: {key}.value must be a number, not {value!r}")
-    return Quantity(number, str(entry.get("unit", "")), str(entry["source"]))
+    unit = entry.get("unit")
+    return Quantity(
+        _number(f"{key}.value", entry["value"]),
+        "" if unit is None else _text(f"{key}.unit", unit),
+        _text(f"{key}.source", entry["source"]),
+    )
+
+
+def _number(key: str, value: Any) -> float:
+    """A number as Python writes it, or .inf or .nan, which are YAML's."""
+    if isinstance(value, str):
+        plain = value.lower().replace(".inf", "inf").replace(".nan", "nan")
+        try:
+            return float(plain)
+        except ValueError:
+            pass
+    raise InputError(f"{key} must be a number, not {shown(value)}")
+
+
+def _text(key: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise InputError(f"{key} must be a text, not {shown(value)}")
+    return value
+
+
+def _key(key: str) -> str:
+    return shown(key)[1:-1]

@@ -5,12 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
-from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.registry import Registry
-
-media: Registry[Medium] = Registry("medium")
+from mjgranular.errors import InputError, UnknownNameError, listed, shown
 
 # From snow to tungsten powder, from dust to gravel: what lies outside is a slip of units.
 _DENSITIES = (10.0, 25000.0)
@@ -57,28 +53,27 @@ class Medium:
     grain: Quantity | None = None
 
     def __post_init__(self) -> None:
+        medium = f"medium {shown(self.name)}"
         low, high = _DENSITIES
         if not (math.isfinite(self.density.value) and low <= self.density.value <= high):
             raise InputError(
-                f"medium {self.name!r}: the bulk density must be from {low:g} to {high:g} kg/m^3, "
+                f"{medium}: the bulk density must be from {low:g} to {high:g} kg/m^3, "
                 f"not {self.density.value}"
             )
         low, high = _GRAINS
         if self.grain is not None and not low <= self.grain.value <= high:
             raise InputError(
-                f"medium {self.name!r}: the grain size must be from {low:g} to {high:g} m, "
+                f"{medium}: the grain size must be from {low:g} to {high:g} m, "
                 f"not {self.grain.value}"
             )
         for law, constants in self.constants.items():
             for key, quantity in constants.items():
                 if not math.isfinite(quantity.value):
-                    raise InputError(
-                        f"medium {self.name!r}: {law}.{key} must be finite, not {quantity.value}"
-                    )
+                    raise InputError(f"{medium}: {law}.{key} must be finite, not {quantity.value}")
         if self.default_law not in self.constants:
             raise InputError(
-                f"medium {self.name!r}: its default law {self.default_law!r} has no constants; "
-                f"it has those of: {', '.join(sorted(self.constants)) or 'none'}"
+                f"{medium}: its default law {shown(self.default_law)} has no constants; "
+                f"it has those of: {listed(sorted(self.constants))}"
             )
 
     def constants_for(self, law: str) -> dict[str, float]:
@@ -91,34 +86,6 @@ class Medium:
             constants = self.constants[law]
         except KeyError:
             raise UnknownNameError(
-                f"constants in medium {self.name!r} for law", law, sorted(self.constants)
+                f"constants in medium {shown(self.name)} for law", law, sorted(self.constants)
             ) from None
         return {key: quantity.value for key, quantity in constants.items()}
-
-
-def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
-    """Makes a medium known by its name, everywhere a name of a medium is taken.
-
-    Raises:
-        InputError: another medium has that name and `replace` is false.
-    """
-    media.add(medium.name, medium, replace=replace)
-    return medium
-
-
-def get_medium(medium: str | Path | Medium) -> Medium:
-    """The medium of that name, or `medium` itself if it is one.
-
-    A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`).
-
-    Raises:
-        UnknownNameError: no such name; lists those that exist.
-        InputError: a file that does not describe a medium.
-    """
-    if isinstance(medium, Medium):
-        return medium
-    if isinstance(medium, Path) or str(medium).endswith((".yaml", ".yml")):
-        from mjgranular.medium.file import read_medium
-
-        return read_medium(Path(medium))
-    return media[medium]

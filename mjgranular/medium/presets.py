@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from mjgranular.medium.medium import Medium, Quantity, register_medium
+from mjgranular.medium.known import register_medium
+from mjgranular.medium.medium import Medium, Quantity
 
 _LINK_PAPER = (
     "Lee and Marghitu, Stopping Time for a Planar Link in Contact with a Granular Material"

@@ -15,6 +15,7 @@ import numpy as np
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.extras import need
 from mjgranular.files import whole
+from mjgranular.picture.plain import plain
 from mjgranular.sand import Report, Sand
 from mjgranular.surface import Plane
 
@@ -227,7 +228,7 @@ def draw_elements(
     with matplotlib.rc_context(_STYLE):
         figure = matplotlib.figure.Figure(figsize=(6.4, 5.6), layout="none")
         _draw(figure, shown, sand.surface, normals=normals, forces=forces)
-        lines = [title] if title else []
+        lines = [plain(title)] if title else []
         bodies, geoms = (len(np.unique(shown.elements[key])) for key in ("body", "geom"))
         lines.append(
             f"{count(len(shown.elements), shown.kind)} of {count(geoms, 'geoms')} on "
@@ -350,7 +351,7 @@ def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
     if len(names) < 2:
         return
     first = list(names.items())[:_MOST_NAMED]
-    handles = [patches.Patch(color=tint, label=name) for name, tint in first]
+    handles = [patches.Patch(color=tint, label=plain(name)) for name, tint in first]
     if len(names) > len(first):
         handles.append(patches.Patch(color="none", label=f"and {len(names) - len(first)} more"))
     figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.99, 0.90))

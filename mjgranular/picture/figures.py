@@ -12,6 +12,7 @@ from mjgranular.experiment.paper import CASES, PaperCase
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
 from mjgranular.files import whole
+from mjgranular.picture.plain import plain
 
 _BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"
 PALETTE = (_BLUE, _OCHRE, _RED)
@@ -69,7 +70,7 @@ def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title
     axes[2].set_ylabel("angle, $q$ [deg]")
     axes[2].set_xlabel("time since release [ms]")
     _mark_stop(axes, stop)
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     save_figure(figure, context, path)
 
 
@@ -93,7 +94,7 @@ def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title
     axes[3].set_ylabel("energy of the link [J]")
     axes[3].set_xlabel("time since release [ms]")
     _mark_stop(axes, stop)
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     save_figure(figure, context, path)
 
 
@@ -139,7 +140,7 @@ def draw_drop(
     axes = figure.subplots(3, 1, sharex=True)
     met = [k for k in range(len(names)) if depth[:, k].max() > 0] or list(range(len(names)))
     for k in met[:_MOST_CURVES]:
-        axes[0].plot(t, depth[:, k] * 1e3, label=names[k], linewidth=1.2)
+        axes[0].plot(t, depth[:, k] * 1e3, label=plain(names[k]), linewidth=1.2)
         axes[1].plot(t, np.linalg.norm(force[:, k], axis=1), linewidth=1.0)
         axes[2].plot(t, power[:, k], linewidth=1.0)
     axes[0].axhline(0, color=_OCHRE, linewidth=1.2)
@@ -151,7 +152,7 @@ def draw_drop(
     axes[0].legend(fontsize=8, ncols=2)
     if len(met) > _MOST_CURVES:
         title += f" (the first {_MOST_CURVES} of {len(met)} bodies)"
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     save_figure(figure, context, path)
 
 
@@ -181,7 +182,7 @@ def draw_intrusion(
     axes[1].set_ylabel("moment about the centre [N m]")
     axes[1].set_xlabel("depth of the deepest point [mm]")
     axes[1].legend()
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     save_figure(figure, context, path)
 
 
@@ -215,7 +216,7 @@ def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: 
     axes[1].set_ylabel("depth of T at the stop [mm]")
     axes[1].set_xlabel(label)
     axes[0].legend()
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     save_figure(figure, context, path)
 
 

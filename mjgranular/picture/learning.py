@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
+from mjgranular.picture.plain import plain
 
 if TYPE_CHECKING:
     from mjgranular.learn.compare import Cell
@@ -37,15 +38,17 @@ def draw_curves(
     for (name, runs), colour in zip(curves.items(), PALETTE * 9, strict=False):
         for k, rows in enumerate(runs):
             steps, returns = (np.array([row[column] for row in rows]) for column in (0, 3))
-            axis.plot(steps / 1e3, returns, color=colour, label=None if k else name, alpha=0.85)
+            axis.plot(
+                steps / 1e3, returns, color=colour, label=None if k else plain(name), alpha=0.85
+            )
     for name, value in (baselines or {}).items():
         axis.axhline(value, color="#8a8a8a", linestyle="--", linewidth=1)
-        axis.annotate(name, (0.995, value), xycoords=("axes fraction", "data"), ha="right")
+        axis.annotate(plain(name), (0.995, value), xycoords=("axes fraction", "data"), ha="right")
     axis.set_xlabel("steps [thousands]")
     axis.set_ylabel("mean return of episodes in training")
     if len(curves) > 1:
         axis.legend()
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     save_figure(figure, context, path)
 
 
@@ -77,5 +80,5 @@ def draw_comparison(path: Path, cells: Sequence[Cell], *, title: str = "") -> No
     axis.set_xticks(np.arange(len(grounds)), [f"on {ground}" for ground in grounds])
     axis.set_ylabel("mean return")
     figure.legend(loc="outside lower center", ncols=len(grounds))
-    figure.suptitle(title)
+    figure.suptitle(plain(title))
     save_figure(figure, context, path)

@@ -39,8 +39,10 @@ def select_geoms(
     Raises:
         UnknownNameError: a name that the model does not have, or a group without a collision geom
             of a body that can move; lists those there are.
-        InputError: nothing is left, what is named cannot move, or a group is no integer.
+        InputError: nothing is left, what is named cannot move, a group is no integer, or names of
+            the model are not UTF-8.
     """
+    _check_names(model)
     meets = [
         geom
         for geom in range(model.ngeom)
@@ -91,6 +93,16 @@ def _names(names: Sequence[str] | str | None) -> Sequence[str]:
     if names is None:
         return ()
     return (names,) if isinstance(names, str) else names
+
+
+def _check_names(model: mujoco.MjModel) -> None:
+    """Refuses names that Python cannot read: MuJoCo takes any bytes."""
+    try:
+        bytes(model.names).decode()
+    except UnicodeDecodeError:
+        raise InputError(
+            "a name in the model is not UTF-8, as those of an MJCF file must be: save it anew"
+        ) from None
 
 
 def _find(model: mujoco.MjModel, kind: str, name: str) -> int | None:

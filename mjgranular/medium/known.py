@@ -1,0 +1,37 @@
+"""Media by their names, and those that are found by a path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mjgranular.medium.file import read_medium
+from mjgranular.medium.medium import Medium
+from mjgranular.registry import Registry
+
+media: Registry[Medium] = Registry("medium")
+
+
+def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
+    """Makes a medium known by its name, everywhere a name of a medium is taken.
+
+    Raises:
+        InputError: another medium has that name and `replace` is false.
+    """
+    media.add(medium.name, medium, replace=replace)
+    return medium
+
+
+def get_medium(medium: str | Path | Medium) -> Medium:
+    """The medium of that name, or `medium` itself if it is one.
+
+    A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`).
+
+    Raises:
+        UnknownNameError: no such name; lists those that exist.
+        InputError: a file that does not describe a medium.
+    """
+    if isinstance(medium, Medium):
+        return medium
+    if isinstance(medium, Path) or str(medium).endswith((".yaml", ".yml")):
+        return read_medium(Path(medium))
+    return media[medium]

@@ -1,0 +1,69 @@
+"""Files that somebody else may have written, read without trust."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from mjgranular.errors import InputError, one_line
+
+_PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not all on all systems
+_LONGEST_PATH = 300  # characters of it that a message shows; chosen
+
+
+def check_regular(path: Path, what: str) -> None:
+    """Refuses what is no regular file, before it is opened, by us or by others.
+
+    A pipe would have the reader wait for a writer, a device never end. What is not there at all is
+    left to the reader to tell.
+
+    Raises:
+        InputError: there is something else; `what` says what it was to be.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return
+    _check_mode(mode, path, what)
+
+
+def read_file(path: Path, what: str, *, largest: int) -> bytes:
+    """The content of a regular file; others are not waited for.
+
+    Args:
+        path: to the file.
+        what: it was to be, for the message: "the medium".
+        largest: size that is read [bytes].
+
+    Raises:
+        InputError: it cannot be read, is no regular file, or is larger.
+    """
+    check_regular(path, what)  # opening alone can move a tape or take a terminal
+    try:
+        # Another may stand in its place by now: opened so that nothing blocks, and asked again.
+        descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
+        with os.fdopen(descriptor, "rb") as file:
+            _check_mode(os.fstat(descriptor).st_mode, path, what)
+            content = file.read(largest + 1) or b""
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or "it is not a path"
+        raise InputError(f"cannot read {what} {place(path)}: {reason}") from None
+    if len(content) > largest:
+        raise InputError(
+            f"cannot read {what} {place(path)}: it is larger than {largest // 1000} kB"
+        )
+    return content
+
+
+def place(path: Path) -> str:
+    """A path as a message shows it."""
+    text = one_line(str(path))
+    return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
+
+
+def _check_mode(mode: int, path: Path, what: str) -> None:
+    if not stat.S_ISREG(mode):
+        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")

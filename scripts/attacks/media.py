@@ -1,0 +1,213 @@
+"""Files of media as strangers might write them: mutated, swollen, nested, or no files at all."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from typing import Any
+
+from attacks.trial import CANARY, Trial, judge
+
+VALUES = (
+    "", "~", "null", "true", "no", "1e400", "-1e400", ".nan", ".inf", "-.Inf", "nan",
+    "0x7fffffff", "010", "1_0", "1:2:3", "1:30.5", "9" * 400, "9" * 5000, "0x" + "f" * 3000, "-0",
+    "2023-99-99", "2001-02-31T25:61:61Z", "0000-00-00", "[1500]", "[]", "{}", "{a: {b: c}}",
+    "*nowhere", "*a", "&a 5", "&a [1, *a]", "<<", "? x", "- - - x", "!!float 3", "!!binary aGk=",
+    "!!timestamp x", "!!set {a, b}", "!!omap [a: 1]", "!!python/none x",
+    "!!python/name:os.system", "!!python/object/apply:os.system [touch " + CANARY + "]",
+    "!!python/object/new:subprocess.Popen [[touch, " + CANARY + "]]", "! x", "!<tag:x> y",
+    "|\n  a\n", ">-\n  a\n   b\n", "'", '"', '"\\x00"', '"\\e[31mred"', '"\\u202e"', '"\\ud800"',
+    "[/bold]", "%s%n", "{value: {value: {value: 1}}}", "\t", "@", "`", "é" * 200, "x" * 1999,
+    "x" * 3000, "\u2028", ":",
+)  # fmt: skip
+"""What a word of a file may be replaced by."""
+
+KINDS = ("pipe", "zero", "folder", "loop", "sparse", "missing", "long", "null", "unreadable")
+"""What may stand in the place of a file."""
+
+
+def run(seed: int, count: int) -> list[str]:
+    """Tries mutated files.
+
+    Args:
+        seed: of the mutations.
+        count: how many.
+
+    Returns:
+        Failures: each a sentence with the case.
+    """
+    random = Random(seed)
+    cases = [make_case(random) for _ in range(count)]
+    with Trial("attacks.media") as trial:
+        found = [judge(case, trial.attempt(case)) for case in cases]
+    return [failure for failure in found if failure is not None]
+
+
+def make_case(random: Random) -> dict[str, Any]:
+    """A random case: what stands in the place of a file, or its bytes, each as a character."""
+    if random.random() < 0.08:
+        return {"kind": random.choice(KINDS)}
+    content = (_bomb if random.random() < 0.25 else _mutant)(random)
+    return {"kind": "file", "content": content.decode("latin-1")}
+
+
+def prepare() -> None:
+    """Loads what the first case would, and makes sure that a sound file is taken."""
+    from mjgranular.medium.file import EXAMPLE
+
+    attempt({"kind": "file", "content": EXAMPLE})
+
+
+def attempt(case: dict[str, Any]) -> str:
+    """Reads the file, makes its law, and shows it by the command line.
+
+    Raises:
+        GranularError: it is refused.
+    """
+    from mjgranular.cli import main
+    from mjgranular.law import get_law
+    from mjgranular.medium import get_medium
+
+    path = _lay(case)
+    try:
+        medium = get_medium(path)
+    except Exception:
+        assert main(["media", path]) == 2
+        raise
+    for form in ([], ["--json"]):
+        assert main(["media", path, *form]) == 0
+    return f"{medium.name} {get_law(None, medium)}"[:500]
+
+
+def _lay(case: dict[str, Any]) -> str:
+    """Lays what is to be read where it is to be read from."""
+    path = Path("stranger.yaml")
+    if path.is_dir():
+        path.rmdir()
+    path.unlink(missing_ok=True)
+    kind = case["kind"]
+    if kind == "file":
+        path.write_bytes(case["content"].encode("latin-1"))
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "zero":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "loop":
+        path.symlink_to(path)
+    elif kind == "sparse":
+        with path.open("wb") as file:
+            file.truncate(10**11)
+    elif kind == "unreadable":
+        path.symlink_to("/proc/self/mem")
+    return {"long": "x" * 5000 + ".yaml", "null": "a\0b.yaml"}.get(kind, str(path))
+
+
+def _mutant(random: Random) -> bytes:
+    """The example with some things changed."""
+    from mjgranular.medium.file import EXAMPLE
+
+    text = EXAMPLE + "grain: {value: 0.0003, unit: m, source: sieved}\n"
+    changes: tuple[Callable[[str, Random], str], ...] = (
+        _word,
+        _word,
+        _value,
+        _value,
+        _lines,
+        _letters,
+    )
+    for _ in range(random.choice((1, 1, 2, 4))):
+        text = random.choice(changes)(text, random)
+    content = text.encode("utf-8", "surrogatepass")
+    if random.random() < 0.1:
+        content = text.encode(random.choice(("utf-16", "utf-32", "utf-8-sig")), "surrogatepass")
+    for _ in range(random.choice((0, 0, 0, 1, 5))):
+        at = random.randrange(len(content))
+        content = content[:at] + random.randbytes(random.choice((1, 1, 3))) + content[at + 1 :]
+    return content
+
+
+def _word(text: str, random: Random) -> str:
+    """Another word in the place of one."""
+    words = list(re.finditer(r"[^\s:{},]+", text))
+    found = random.choice(words)
+    return text[: found.start()] + random.choice(VALUES) + text[found.end() :]
+
+
+def _value(text: str, random: Random) -> str:
+    """Another value behind a colon."""
+    found = random.choice(list(re.finditer(r"(?<=: )[^,}\n]+", text)) or [re.match("", text)])
+    assert found is not None
+    return text[: found.start()] + random.choice(VALUES) + text[found.end() :]
+
+
+def _lines(text: str, random: Random) -> str:
+    """A line more, less, elsewhere or further in."""
+    lines = text.split("\n")
+    at = random.randrange(len(lines))
+    kind = random.randrange(4)
+    if kind == 0:
+        del lines[at]
+    elif kind == 1:
+        lines.insert(random.randrange(len(lines)), lines[at])
+    elif kind == 2:
+        lines[at] = " " * random.randrange(9) + lines[at]
+    else:
+        lines.insert(
+            at, random.choice(("---", "...", "%YAML 9.9", "- x", "? y", "# z", "a: &b {c: d}"))
+        )
+    return "\n".join(lines)
+
+
+def _letters(text: str, random: Random) -> str:
+    """Some characters lost or put in."""
+    for _ in range(random.randrange(1, 6)):
+        at = random.randrange(len(text) + 1)
+        put = random.choice(
+            ("", "{", "}", "[", "]", "&", "*", "!", "%", "'", '"', ":", "-", "\x1b")
+        )
+        text = text[:at] + put + text[at + random.randrange(2) :]
+    return text
+
+
+def _bomb(random: Random) -> bytes:
+    """Something that swells where it is read."""
+    from mjgranular.medium.file import EXAMPLE
+
+    size = random.choice((100, 2000, 20_000, 99_000, 150_000, 2_000_000))
+    width = random.randrange(2, 12)
+    levels = min(size // (5 * width), 60)
+    laughs = ["a0: &a0 [" + ",".join(["x"] * width) + "]"]
+    laughs += [f"a{i}: &a{i} [{','.join([f'*a{i - 1}'] * width)}]" for i in range(1, levels)]
+    merges = ["m0: &m0 {x: 1}"]
+    merges += [
+        f"m{i}: &m{i} {{<<: [{','.join([f'*m{i - 1}'] * width)}]}}" for i in range(1, levels)
+    ]
+    bombs = (
+        "\n".join([*laughs, EXAMPLE]),
+        "\n".join([*merges, EXAMPLE]),
+        EXAMPLE.replace("1500", "&b " + "1" * min(size, 50_000))
+        + f"grain: [{'*b,' * (size // 4)}]",
+        "[" * size,
+        "{a: " * (size // 4),
+        "- " * (size // 2),
+        "? " * (size // 2),
+        "[" + "[]," * (size // 3) + "]",
+        "{" + ",".join(f"k{i}" for i in range(size // 7)) + "}",
+        "\n".join(f"k{i}: {{}}" for i in range(size // 10)),
+        EXAMPLE.replace("my_sand", "x" * size),
+        EXAMPLE.replace("my_sand", '"' + "\\x41" * (size // 4) + '"'),
+        EXAMPLE.replace("1500", "9" * size),
+        EXAMPLE.replace("1500", "1:" * (size // 2) + "1"),
+        EXAMPLE + "".join(f"    k{i}: {{value: 1, source: x}}\n" for i in range(size // 32)),
+        "&" + "a" * size + " x",
+        "%TAG ! " + "a" * size + "\n---\nx",
+        "\n" * size,
+        "|\n" + " a\n" * (size // 3),
+        "\x00" * size,
+    )
+    return random.choice(bombs).encode()
