@@ -148,7 +148,7 @@ class Walk:
         self.step = -1
         self.begun = 0  # the step at which it last began
         self.asked, self.last_answer = 0, ""
-        self.dry_until = 0  # steps that the scheme has counted
+        self.wet_steps = 0  # that the scheme has counted before this one
 
     # The beginning
 
@@ -270,6 +270,9 @@ class Walk:
         must_refuse = self.must_refuse(model, inside=False)
         quiet(data)
         counted = self.counters()
+        binding = self.sand._bindings.get(data)
+        account = None if binding is None else binding.desk.account
+        self.wet_steps = 0 if account is None else int(account[0]["steps"])
         applied = data.xfrc_applied.copy()
         self.place(self.step, 0)
         self.counts["steps"] += 1
@@ -506,9 +509,8 @@ class Walk:
         desk = self.sand._bindings[self.data].desk
         if announced or self.data.nefc or desk.account is None or not desk.holds:
             return
-        if desk.account[0]["steps"] == self.dry_until:
+        if int(desk.account[0]["steps"]) == self.wet_steps:  # nothing was in the sand
             return
-        self.dry_until = int(desk.account[0]["steps"])
         if desk.account[0]["residual"] > 1e-9:
             return
         nv = self.model.nv
@@ -565,14 +567,13 @@ class Walk:
 
     def fatal(self, door: str, before: np.ndarray, error: Exception) -> None:
         """An error of MuJoCo's: found only if it is none without sand."""
-        model = copy.copy(self.model)
-        data = mujoco.MjData(model)
-        mujoco.mj_setState(model, data, before, _STATE)
-        try:
-            mujoco.mj_step(model, data)
-        except mujoco.FatalError:
-            self.counts["errors of MuJoCo's own"] += 1
-            return
+        for data in (mujoco.MjData(self.model), self.data):
+            mujoco.mj_setState(self.model, data, before, _STATE)
+            try:
+                mujoco.mj_step(self.model, data)
+            except mujoco.FatalError:
+                self.counts["errors of MuJoCo's own"] += 1
+                return
         self.find(door, "exception", f"mujoco.FatalError: {error}")
 
     def recover(self) -> None:
