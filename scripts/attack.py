@@ -65,7 +65,7 @@ def reproduce(options: argparse.Namespace, console: Console) -> int:
     walked = walk.Walk(seed, number, options.steps, drawn)
     # Before it is walked: it may crash.
     everything = walk.failure(seed, number, "all of its steps", step=options.steps - 1, kind="case")
-    folder = write_case(everything, options.out, options.steps, models.PROGRAMS)
+    folder = write_case(everything, options.out, options.steps, models.PROGRAMS, options.kind)
     console.print(f"model and script: {folder}")
     import faulthandler
 
@@ -114,13 +114,15 @@ def main() -> int:
         options.out,
         steps=options.steps,
         programs=models.PROGRAMS,
+        kind=options.kind,
         seed=options.seed,
         first=options.first,
         wall_seconds=round(time.perf_counter() - started, 1),
     )
     console.print(f"report: {options.out / 'report.json'}")
     if tally.failures:
-        console.print("again: python scripts/attack.py --reproduce SEED:NUMBER")
+        kind = f" --kind {options.kind}" if options.kind else ""
+        console.print(f"again: python scripts/attack.py --reproduce SEED:NUMBER{kind}")
     return int(tally.failed)
 
 

@@ -402,7 +402,7 @@ class Walk:
         if apart <= ALIKE * scale:
             return
         text = f"by {apart:.3g} of {scale:.3g}"
-        if apart <= 100.0 * self.sensitivity(before, scale / max(h, 1e-12)):
+        if apart <= 10.0 * self.sensitivity(before, scale / max(h, 1e-12)):
             self.find("both", "doors differ (rounding alone does that)", text, failed=False)
             return
         self.find("both", "doors differ", text, apart / scale)
@@ -414,7 +414,7 @@ class Walk:
         """
         assert self.inside is not None
         ends = []
-        for seed in range(4):
+        for seed in range(12):
             rng = np.random.default_rng(seed)
             mujoco.mj_setState(self.inside, self.inner, before, _STATE)
             off = 1e-15 * rate * rng.normal(size=self.inside.nv) * self.inside.dof_M0
@@ -693,6 +693,7 @@ def failure(
     door: str = "",
     kind: str = "the attack itself",
     failed: bool = True,
+    about: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """A finding that is not of a step."""
-    return as_dict(Finding(seed, number, step, door, kind, text, failed=failed))
+    return as_dict(Finding(seed, number, step, door, kind, text, failed=failed, about=about or {}))
