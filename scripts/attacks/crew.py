@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from attacks import walk
 from attacks.child import DOORS, PLACE, PLACE_FORMAT, RESULTS, TASK
+from attacks.draw import draw
+from attacks.finding import failure
 
 CHUNK = 20
 HANGS = 120.0  # [s] in which nothing moves
@@ -149,7 +150,7 @@ class Crew:
         alone = list(self._run([{**job.task, "numbers": [number], "bare": True}]))
         own = any(row.get("crashed") for row in alone)
         text = job.last_words().strip().splitlines()
-        finding = walk.failure(
+        finding = failure(
             job.task["seed"],
             number,
             f"{text[0] if text else ''}{' (without sand too)' if own else ''}",
@@ -165,7 +166,7 @@ class Crew:
     def _about(task: dict[str, Any], number: int, step: int) -> dict[str, Any]:
         """What the process had before it when it ended."""
         programs = tuple(tuple(program) for program in task["programs"])
-        drawn = walk.draw(task["seed"], number, task["steps"], programs, task["kind"])
+        drawn = draw(task["seed"], number, task["steps"], programs, task["kind"])
         events = drawn.plan.events.items()
         return {
             "kind of run": drawn.kind,

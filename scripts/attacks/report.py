@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from attacks import walk
+from attacks.draw import draw
 from rich.console import Console
 from rich.table import Table
 
@@ -146,7 +146,7 @@ def write_case(
 ) -> Path:
     """Writes the model and a script for one finding; gives the folder."""
     seed, number = finding["seed"], finding["number"]
-    drawn = walk.draw(seed, number, steps, programs, kind)
+    drawn = draw(seed, number, steps, programs, kind)
     words = "".join(c if c.isalnum() else "-" for c in finding["kind"]).strip("-")
     into = folder / f"{words}-{seed}-{number}"
     into.mkdir(parents=True, exist_ok=True)
