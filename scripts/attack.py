@@ -19,9 +19,12 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from attacks import models, walk  # noqa: E402
+from attacks import changes, models  # noqa: E402
 from attacks.crew import Crew  # noqa: E402
+from attacks.draw import draw  # noqa: E402
+from attacks.finding import as_dict, failure  # noqa: E402
 from attacks.report import Tally, show, write, write_case  # noqa: E402
+from attacks.walk import Walk  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn  # noqa: E402
 
@@ -58,21 +61,21 @@ def attack_others(options: argparse.Namespace, tally: Tally, progress: Progress)
 def reproduce(options: argparse.Namespace, console: Console) -> int:
     """Walks one model in this process, and tells all about it."""
     seed, number = (int(word) for word in options.reproduce.split(":"))
-    drawn = walk.draw(seed, number, options.steps, models.PROGRAMS, options.kind)
+    drawn = draw(seed, number, options.steps, models.PROGRAMS, options.kind)
     console.print(f"{drawn.kind}: Sand(model, {drawn.model.sand})", markup=False)
     for step, lines in sorted(drawn.plan.events.items()):
         console.print(f"{step:4d}  {'; '.join(lines)}", markup=False)
-    walked = walk.Walk(seed, number, options.steps, drawn)
+    walked = Walk(seed, number, options.steps, drawn)
     # Before it is walked: it may crash.
-    everything = walk.failure(seed, number, "all of its steps", step=options.steps - 1, kind="case")
-    folder = write_case(everything, options.out, options.steps, models.PROGRAMS)
+    everything = failure(seed, number, "all of its steps", step=options.steps - 1, kind="case")
+    folder = write_case(everything, options.out, options.steps, models.PROGRAMS, options.kind)
     console.print(f"model and script: {folder}")
     import faulthandler
 
     faulthandler.enable()
     walked.run()
     for finding in walked.findings:
-        console.print_json(data=walk.as_dict(finding))
+        console.print_json(data=as_dict(finding))
     console.print(dict(walked.counts))
     return int(any(finding.failed for finding in walked.findings))
 
@@ -84,7 +87,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--models", type=int, default=3000)
     parser.add_argument("--first", type=int, default=0, help="number of the first model")
     parser.add_argument("--steps", type=int, default=STEPS, help="of each model")
-    parser.add_argument("--kind", choices=walk.KINDS_OF_RUN, help="of runs; default: all kinds")
+    parser.add_argument("--kind", choices=changes.KINDS, help="of runs; default: all kinds")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--only", nargs="+", default=["models", *OTHERS])
     parser.add_argument("--count", type=int, help="of files, kills, media, MJCF each")
@@ -114,13 +117,15 @@ def main() -> int:
         options.out,
         steps=options.steps,
         programs=models.PROGRAMS,
+        kind=options.kind,
         seed=options.seed,
         first=options.first,
         wall_seconds=round(time.perf_counter() - started, 1),
     )
     console.print(f"report: {options.out / 'report.json'}")
     if tally.failures:
-        console.print("again: python scripts/attack.py --reproduce SEED:NUMBER")
+        kind = f" --kind {options.kind}" if options.kind else ""
+        console.print(f"again: python scripts/attack.py --reproduce SEED:NUMBER{kind}")
     return int(tally.failed)
 
 

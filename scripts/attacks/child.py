@@ -64,7 +64,9 @@ def main() -> None:
 
 def walk_one(task: dict[str, Any], number: int, place: Place) -> dict[str, Any]:
     """Walks a model; what was found, as JSON has it."""
-    from attacks import walk
+    from attacks.draw import draw
+    from attacks.finding import as_dict, failure
+    from attacks.walk import Walk
 
     started = time.perf_counter()
     seed, steps = task["seed"], task["steps"]
@@ -72,13 +74,13 @@ def walk_one(task: dict[str, Any], number: int, place: Place) -> dict[str, Any]:
     findings: list[dict[str, Any]] = []
     counts: dict[str, int] = {}
     try:
-        drawn = walk.draw(seed, number, steps, programs, task.get("kind"))
-        walked = walk.Walk(seed, number, steps, drawn, place=place, bare=task.get("bare", False))
+        drawn = draw(seed, number, steps, programs, task.get("kind"))
+        walked = Walk(seed, number, steps, drawn, place=place, bare=task.get("bare", False))
         walked.run()
-        findings = [walk.as_dict(finding) for finding in walked.findings]
+        findings = [as_dict(finding) for finding in walked.findings]
         counts = dict(walked.counts)
     except Exception:  # of the attack itself
-        findings.append(walk.failure(seed, number, traceback.format_exc(limit=-3)))
+        findings.append(failure(seed, number, traceback.format_exc(limit=-3)))
     return {
         "number": number,
         "findings": findings,
@@ -91,14 +93,15 @@ def walk_one(task: dict[str, Any], number: int, place: Place) -> dict[str, Any]:
 def compile_program(law: str, surface: str, scheme: str) -> None:
     """Has both doors' machine code compiled and kept."""
     import mujoco
-    from attacks import models, walk
+    from attacks import models
+    from attacks.draw import arguments
 
     from mjgranular import Sand
     from mjgranular.engine import add_sand
 
     places = {"plane": "None", "bed": "Bed('tray')", "height_field": "HeightField('dunes')"}
     text = f"{models.LAWS[law][0]}, surface={places[surface]}, scheme='{scheme}', geoms=['g']"
-    given = walk.arguments(text)
+    given = arguments(text)
     model = mujoco.MjModel.from_xml_string(models.SMALLEST)
     Sand(model, **given).step(mujoco.MjData(model))
     spec = mujoco.MjSpec.from_string(models.SMALLEST)

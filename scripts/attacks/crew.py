@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from attacks import walk
 from attacks.child import DOORS, PLACE, PLACE_FORMAT, RESULTS, TASK
+from attacks.draw import draw
+from attacks.finding import failure
 
 CHUNK = 20
 HANGS = 120.0  # [s] in which nothing moves
+COMPILES = 1200.0  # [s], the same of one that compiles
 Program = tuple[str, str, str]
 
 
@@ -50,7 +52,8 @@ class Job:
         now = path.read_bytes() if path.exists() else b""
         if now != self.seen:
             self.seen, self.since = now, time.monotonic()
-        return time.monotonic() - self.since > HANGS
+        limit = COMPILES if "warm" in self.task else HANGS
+        return time.monotonic() - self.since > limit
 
     def where(self) -> tuple[int, int, str]:
         """Number, step and door at which it is, or has come to an end."""
@@ -147,7 +150,7 @@ class Crew:
         alone = list(self._run([{**job.task, "numbers": [number], "bare": True}]))
         own = any(row.get("crashed") for row in alone)
         text = job.last_words().strip().splitlines()
-        finding = walk.failure(
+        finding = failure(
             job.task["seed"],
             number,
             f"{text[0] if text else ''}{' (without sand too)' if own else ''}",
@@ -155,8 +158,21 @@ class Crew:
             door=door,
             kind=f"{name} (MuJoCo's own)" if own else name,
             failed=not own,
+            about=self._about(job.task, number, step),
         )
         yield {"number": number, "findings": [finding], "counts": {}, "seconds": 0.0}
+
+    @staticmethod
+    def _about(task: dict[str, Any], number: int, step: int) -> dict[str, Any]:
+        """What the process had before it when it ended."""
+        programs = tuple(tuple(program) for program in task["programs"])
+        drawn = draw(task["seed"], number, task["steps"], programs, task["kind"])
+        events = drawn.plan.events.items()
+        return {
+            "kind of run": drawn.kind,
+            "program": " ".join(drawn.model.program),
+            "recent": {at: lines for at, lines in sorted(events) if step - 12 < at <= step},
+        }
 
 
 def _name(code: int) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from attacks import walk
+from attacks.draw import draw
 from rich.console import Console
 from rich.table import Table
 
@@ -112,7 +112,15 @@ def show(tally: Tally, console: Console) -> None:
             console.print(f"  {text}", markup=False)
 
 
-def write(tally: Tally, folder: Path, *, steps: int, programs: Iterable[Any], **about: Any) -> None:
+def write(
+    tally: Tally,
+    folder: Path,
+    *,
+    steps: int,
+    programs: Iterable[Any],
+    kind: str | None = None,
+    **about: Any,
+) -> None:
     """Writes `report.json`, and the first cases of each kind in folders of their own."""
     folder.mkdir(parents=True, exist_ok=True)
     content = {
@@ -130,13 +138,15 @@ def write(tally: Tally, folder: Path, *, steps: int, programs: Iterable[Any], **
     (folder / "report.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     for (_, failed), found in tally.by_kind().items():
         for finding in found[:_MOST_CASES] if failed else ():
-            write_case(finding, folder, steps, tuple(programs))
+            write_case(finding, folder, steps, tuple(programs), kind)
 
 
-def write_case(finding: dict[str, Any], folder: Path, steps: int, programs: Any) -> Path:
+def write_case(
+    finding: dict[str, Any], folder: Path, steps: int, programs: Any, kind: str | None = None
+) -> Path:
     """Writes the model and a script for one finding; gives the folder."""
     seed, number = finding["seed"], finding["number"]
-    drawn = walk.draw(seed, number, steps, programs)
+    drawn = draw(seed, number, steps, programs, kind)
     words = "".join(c if c.isalnum() else "-" for c in finding["kind"]).strip("-")
     into = folder / f"{words}-{seed}-{number}"
     into.mkdir(parents=True, exist_ok=True)

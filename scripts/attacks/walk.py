@@ -15,107 +15,46 @@ difference between the doors belongs to one step. What is asked:
 
 from __future__ import annotations
 
-import copy
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import mujoco
 import numpy as np
-from attacks import changes, models
+from attacks import changes
+from attacks.draw import Drawn, arguments
+from attacks.finding import Finding
+from attacks.measure import (
+    JOULES,
+    STATE,
+    all_finite,
+    documented,
+    doors_may_differ,
+    quiet,
+    sand_force,
+    sand_force_inside,
+    sensitivity,
+    state_of,
+    without_which,
+)
+from attacks.original import Original
 
-import mjgranular
 from mjgranular import GranularError, Sand, UnstableError
 from mjgranular.engine import add_sand
 
-KINDS_OF_RUN = changes.KINDS
-SHARES = (0.4, 0.3, 0.2, 0.1)
 ALIKE = 1e-8  # doors, in parts of the speeds at hand
-OF_KINETIC, JOULES = 1e-10, 1e-12
+OF_KINETIC = 1e-10
 OF_IMPULSE = 1e-13  # rounding, in parts of the energy that the sand's impulse alone would make
 SAME_AS_FORESEEN = 1e-6
 STILL, MOVED = 1e-7, 1e-5  # [m/s, rad/s]
 LEFT_REASON = 1e7  # accelerations; at 1e10 MuJoCo finds a state bad, and rounding decides
 TROUBLES = 8  # after which a model is left
 
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _BAD = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")
 )
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _DISCRETE = int(getattr(mujoco.mjtIntegrator, "mjINT_DISCRETE", -1))
-_NO_PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
-_DAMPER = int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
-_SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
-# Of the model, what events change.
-_FIELDS = (
-    "dof_damping", "dof_armature", "dof_frictionloss", "jnt_stiffness", "body_mass", "body_inertia",
-    "body_ipos", "body_pos", "geom_size", "geom_pos", "geom_friction", "hfield_data", "eq_data",
-    "tendon_damping", "tendon_stiffness", "actuator_gainprm", "actuator_biasprm",
-)  # fmt: skip
-_OPTIONS = (
-    "timestep", "impratio", "tolerance", "ls_tolerance", "noslip_tolerance", "gravity", "wind",
-    "density", "viscosity", "integrator", "cone", "jacobian", "solver", "iterations",
-    "ls_iterations", "noslip_iterations", "disableflags", "enableflags",
-)  # fmt: skip
-
-
-@dataclass
-class Finding:
-    """Something that should not be.
-
-    Attributes:
-        kind: a word or two, the same for all of one kind.
-        failed: whether it is against what is promised, or only worth knowing.
-    """
-
-    seed: int
-    number: int
-    step: int
-    door: str
-    kind: str
-    text: str
-    value: float = 0.0
-    failed: bool = True
-    about: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass
-class Drawn:
-    """What belongs to a seed and a number."""
-
-    model: models.Drawn
-    kind: str
-    plan: changes.Plan
-
-
-def draw(
-    seed: int,
-    number: int,
-    steps: int,
-    programs: tuple[tuple[str, str, str], ...] = models.PROGRAMS,
-    kind: str | None = None,
-) -> Drawn:
-    """Draws a model, its sand, and what is done to it."""
-    rng = np.random.default_rng([seed, number])
-    chosen = str(rng.choice(KINDS_OF_RUN, p=SHARES))
-    program = programs[int(rng.integers(len(programs)))]
-    kind = kind or chosen
-    if kind == "rest":
-        laws = ("link_distributed", "rft2d", "rft3d")  # under which everything comes to rest
-        still = [p for p in programs if p[0] in laws and p[1:] == ("plane", "implicit")]
-        still = still or [("link_distributed", "plane", "implicit")]
-        made = models.draw_at_rest(rng, still[int(rng.integers(len(still)))])
-    else:
-        made = models.draw(rng, program)
-    return Drawn(made, kind, changes.plan(rng, kind, steps))
-
-
-def arguments(sand: str) -> dict[str, Any]:
-    """Arguments of `Sand`, from how they are written."""
-    return eval(f"dict({sand})", vars(mjgranular).copy())
 
 
 class Walk:
@@ -150,7 +89,7 @@ class Walk:
         self.step = -1
         self.begun = 0  # the step at which it last began
         self.asked, self.last_answer = 0, ""
-        self.dry_until = 0  # steps that the scheme has counted
+        self.wet_steps = 0  # that the scheme has counted before this one
 
     # The beginning
 
@@ -208,8 +147,8 @@ class Walk:
             self.find(*refused, "only one door refuses", next(iter(refused.values())))  # type: ignore[call-arg]
         if refused:
             self.counts["refused when made"] += 1
-        self.start = self.state()
-        self.original = self.kept_model(self.model)
+        self.start = state_of(self.model, self.data)
+        self.original = Original(self.model)
         self.implicit = "implicit" in (self.sand.scheme.name if self.sand else "")
         if self.inside is None and self.sand is None and not self.bare:
             return False
@@ -248,7 +187,7 @@ class Walk:
     def one_step(self, *, touched: bool) -> None:
         """One step by each door, from one state."""
         self.told.clear()
-        before = self.state()
+        before = state_of(self.model, self.data)
         speed = self.data.qvel.copy()
         heard = None
         if self.bare:
@@ -257,7 +196,7 @@ class Walk:
             self.counts["steps"] += 1
             return
         if self.inside is not None:
-            mujoco.mj_setState(self.inside, self.inner, before, _STATE)
+            mujoco.mj_setState(self.inside, self.inner, before, STATE)
         if self.sand is not None:
             heard = self.outer_step(before, speed)
         if self.inside is not None:
@@ -272,6 +211,9 @@ class Walk:
         must_refuse = self.must_refuse(model, inside=False)
         quiet(data)
         counted = self.counters()
+        binding = self.sand._bindings.get(data)
+        account = None if binding is None else binding.desk.account
+        self.wet_steps = 0 if account is None else int(account[0]["steps"])
         applied = data.xfrc_applied.copy()
         self.place(self.step, 0)
         self.counts["steps"] += 1
@@ -310,13 +252,13 @@ class Walk:
             self.find("step", "silent NaN", "the step after does not speak of it either")
             return "trouble"
         self.pending = False
-        if not self.all_finite(data):
+        if not all_finite(data):
             if not announced:
                 self.pending = True
             return "announced"
         if self.implicit:
             self.weigh_work(
-                "step", model, data, sand_momentum(self.sand, data), speed, announced, before
+                "step", model, data, sand_force(self.sand, data), speed, announced, before
             )
             self.compare_foreseen(speed, announced)
         self.watch_rest()
@@ -353,7 +295,7 @@ class Walk:
             if heard is None:
                 self.recover()
             return
-        if not self.all_finite(data) and not announced:
+        if not all_finite(data) and not announced:
             mujoco.mj_step(model, data)  # MuJoCo looks at the beginning of a step
             if not data.warning.number.any():
                 self.find("plugin", "silent NaN", "the step after does not speak of it either")
@@ -364,7 +306,7 @@ class Walk:
             if bad:
                 self.recover()
             else:
-                mujoco.mj_setState(self.model, self.data, self.state_inside(), _STATE)
+                mujoco.mj_setState(self.model, self.data, state_of(self.inside, self.inner), STATE)
             return
         if heard == "refused":
             if not must_refuse and not announced and not self.must_refuse(model, inside=False):
@@ -375,19 +317,22 @@ class Walk:
                 words = ("finds nothing bad", "finds something bad")
                 fastest = float(np.abs(data.qacc).max())
                 text = f"Sand.step: {heard}; mj_step {words[bad]}, qacc {fastest:.3g}"
-                failed = not self.excused() and fastest < LEFT_REASON
+                failed = not doors_may_differ(self.model) and fastest < LEFT_REASON
                 self.find("both", "only one door finds it bad", text, failed=failed)
             return
         if heard == "fine" and not announced:
             if self.implicit:
-                self.weigh_work("plugin", model, data, self.inner_momentum(), speed, False, before)
+                self.weigh_work(
+                    "plugin", model, data, sand_force_inside(data), speed, False, before
+                )
             self.compare_doors(speed, before)
 
     # What is asked of a step
 
     def compare_doors(self, speed: np.ndarray, before: np.ndarray) -> None:
         """Velocities at the end of the step, in parts of the speeds at hand."""
-        if self.excused():
+        assert self.inside is not None
+        if doors_may_differ(self.model):
             return
         self.counts["steps compared"] += 1
         apart = float(np.abs(self.data.qvel - self.inner.qvel).max())
@@ -403,39 +348,10 @@ class Walk:
         if apart <= ALIKE * scale:
             return
         text = f"by {apart:.3g} of {scale:.3g}"
-        if apart <= 100.0 * self.sensitivity(before, scale / max(h, 1e-12)):
+        if apart <= 10.0 * sensitivity(self.inside, self.inner, before, scale / max(h, 1e-12)):
             self.find("both", "doors differ (rounding alone does that)", text, failed=False)
             return
         self.find("both", "doors differ", text, apart / scale)
-
-    def sensitivity(self, before: np.ndarray, rate: float) -> float:
-        """How far apart steps end whose forces differ by rounding.
-
-        The engine's solver CG, or one that is stopped early, goes another way then.
-        """
-        assert self.inside is not None
-        ends = []
-        for seed in range(4):
-            rng = np.random.default_rng(seed)
-            mujoco.mj_setState(self.inside, self.inner, before, _STATE)
-            off = 1e-15 * rate * rng.normal(size=self.inside.nv) * self.inside.dof_M0
-            self.inner.qfrc_applied += off if seed else 0.0
-            mujoco.mj_step(self.inside, self.inner)
-            ends.append(self.inner.qvel.copy())
-        return max(float(np.abs(end - ends[0]).max()) for end in ends)
-
-    def excused(self) -> bool:
-        """Whether the doors are known to differ here (docs/plugin.md)."""
-        opt = self.model.opt
-        if opt.disableflags & _NO_PASSIVE == _NO_PASSIVE:
-            return True
-        return bool(opt.enableflags & _SLEEP)
-
-    def inner_momentum(self) -> np.ndarray:
-        """What is in `qfrc_passive` beside MuJoCo's own parts of it."""
-        data = self.inner
-        own = data.qfrc_spring + data.qfrc_damper + data.qfrc_gravcomp + data.qfrc_fluid
-        return data.qfrc_passive - own
 
     def weigh_work(
         self,
@@ -462,8 +378,8 @@ class Walk:
         impulse = 0.5 * h * h * float((force * force / np.maximum(model.dof_M0, 1e-9)).sum())
         if work <= OF_KINETIC * kinetic + JOULES + OF_IMPULSE * impulse:
             return
-        reason = self.documented(model) or ("counted or warned of" if announced else "")
-        kind = f"energy ({reason})" if reason else f"energy{self.without_which(model, before)}"
+        reason = documented(model) or ("counted or warned of" if announced else "")
+        kind = f"energy ({reason})" if reason else f"energy{self.without_what(before)}"
         if reason:
             self.counts[f"energy, {reason}"] += 1
         self.find(
@@ -474,36 +390,13 @@ class Walk:
             failed=not reason,
         )
 
-    def documented(self, model: mujoco.MjModel) -> str:
-        """Why the balance does not foresee this step, if docs/scheme.md says that it does not."""
-        opt = model.opt
-        if opt.noslip_iterations > 0:
-            return "noslip"
-        least = min(model.body_mass.min(), model.dof_damping.min(), model.dof_armature.min())
-        return "negative mass, damping or armature" if least < 0.0 else ""
-
-    def without_which(self, model: mujoco.MjModel, before: np.ndarray) -> str:
+    def without_what(self, before: np.ndarray) -> str:
         """Whether the work is gone with a new Sand, or if the engine's solver goes to its end."""
-        if self.sand is None or model.opt.integrator in (_RK4, _DISCRETE):
-            return ""
         if self.asked > 5:
             return self.last_answer
         self.asked += 1
-        self.last_answer = self.ask_without_which(before)
+        self.last_answer = without_which(self.model, self.drawn.model.sand, before)
         return self.last_answer
-
-    def ask_without_which(self, before: np.ndarray) -> str:
-        assert self.sand is not None
-        model = copy.copy(self.model)
-        if work_of_new_sand(model, self.drawn.model.sand, before) <= JOULES:
-            return ", not of a new Sand"
-        opt = model.opt
-        opt.solver, opt.iterations, opt.ls_iterations = 2, 500, 100
-        opt.tolerance = opt.ls_tolerance = 0.0
-        opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
-        if work_of_new_sand(model, self.drawn.model.sand, before) <= JOULES:
-            return ", not if the engine's solver goes to its end"
-        return ""
 
     def compare_foreseen(self, speed: np.ndarray, announced: bool) -> None:
         """The velocity that has been foreseen, where the engine has no constraint to solve."""
@@ -511,9 +404,8 @@ class Walk:
         desk = self.sand._bindings[self.data].desk
         if announced or self.data.nefc or desk.account is None or not desk.holds:
             return
-        if desk.account[0]["steps"] == self.dry_until:
+        if int(desk.account[0]["steps"]) == self.wet_steps:  # nothing was in the sand
             return
-        self.dry_until = int(desk.account[0]["steps"])
         if desk.account[0]["residual"] > 1e-9:
             return
         nv = self.model.nv
@@ -548,14 +440,6 @@ class Walk:
 
     # Around it
 
-    def all_finite(self, data: mujoco.MjData) -> bool:
-        return bool(
-            np.isfinite(data.qpos).all()
-            and np.isfinite(data.qvel).all()
-            and np.isfinite(data.qacc).all()
-            and np.isfinite(data.qacc_warmstart).all()
-        )
-
     def counters(self) -> tuple[int, ...]:
         """What the scheme counts of its own shortcomings."""
         assert self.sand is not None
@@ -570,14 +454,13 @@ class Walk:
 
     def fatal(self, door: str, before: np.ndarray, error: Exception) -> None:
         """An error of MuJoCo's: found only if it is none without sand."""
-        model = copy.copy(self.model)
-        data = mujoco.MjData(model)
-        mujoco.mj_setState(model, data, before, _STATE)
-        try:
-            mujoco.mj_step(model, data)
-        except mujoco.FatalError:
-            self.counts["errors of MuJoCo's own"] += 1
-            return
+        for data in (mujoco.MjData(self.model), self.data):
+            mujoco.mj_setState(self.model, data, before, STATE)
+            try:
+                mujoco.mj_step(self.model, data)
+            except mujoco.FatalError:
+                self.counts["errors of MuJoCo's own"] += 1
+                return
         self.find(door, "exception", f"mujoco.FatalError: {error}")
 
     def recover(self) -> None:
@@ -585,36 +468,12 @@ class Walk:
         self.troubles += 1
         self.begun = self.step + 1
         self.pending = False
-        self.restore_model(self.model)
+        self.original.restore(self.model)
         mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_setState(self.model, self.data, self.start, _STATE)
+        mujoco.mj_setState(self.model, self.data, self.start, STATE)
         if self.inside is not None:
-            self.restore_model(self.inside)
+            self.original.restore(self.inside)
             mujoco.mj_resetData(self.inside, self.inner)
-
-    def kept_model(self, model: mujoco.MjModel) -> dict[str, Any]:
-        kept = {name: np.copy(getattr(model, name)) for name in _FIELDS}
-        for name in _OPTIONS:
-            value = getattr(model.opt, name)
-            kept[f"opt.{name}"] = np.copy(value) if isinstance(value, np.ndarray) else value
-        return kept
-
-    def restore_model(self, model: mujoco.MjModel) -> None:
-        for name in _FIELDS:
-            getattr(model, name)[:] = self.original[name]
-        for name in _OPTIONS:
-            setattr(model.opt, name, self.original[f"opt.{name}"])
-
-    def state(self) -> np.ndarray:
-        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
-        mujoco.mj_getState(self.model, self.data, state, _STATE)
-        return state
-
-    def state_inside(self) -> np.ndarray:
-        assert self.inside is not None
-        state = np.empty(mujoco.mj_stateSize(self.inside, _STATE))
-        mujoco.mj_getState(self.inside, self.inner, state, _STATE)
-        return state
 
     def find(
         self, door: str, kind: str, text: str, value: float = 0.0, failed: bool = True
@@ -653,50 +512,3 @@ class Walk:
             self.findings.append(found)
         else:
             self.findings[self.findings.index(known)] = found
-
-
-def sand_momentum(sand: Sand, data: mujoco.MjData) -> np.ndarray:
-    """Generalized forces of the sand in the last step [N, N m]."""
-    total = np.zeros(sand.model.nv)
-    for row in sand._bindings[data].bodies:
-        wrench, body = row["wrench"], int(row["body"])
-        point = data.xipos[body]
-        mujoco.mj_applyFT(sand.model, data, wrench[:3], wrench[3:], point, body, total)
-    return total
-
-
-def work_of_new_sand(model: mujoco.MjModel, given: str, before: np.ndarray) -> float:
-    """Of one step from a state [J]; infinite where it cannot be made."""
-    data = mujoco.MjData(model)
-    mujoco.mj_setState(model, data, before, _STATE)
-    try:
-        sand = Sand(model, **arguments(given))
-        sand.step(data)
-    except (GranularError, mujoco.FatalError):
-        return np.inf
-    return float(model.opt.timestep * sand_momentum(sand, data) @ data.qvel)
-
-
-def quiet(data: mujoco.MjData) -> None:
-    """Forgets MuJoCo's warnings: a reset begins to count anew, and would hide one more."""
-    for kind in range(len(data.warning.number)):
-        data.warning[kind].number = 0
-
-
-def as_dict(finding: Finding) -> dict[str, Any]:
-    """For JSON."""
-    return asdict(finding)
-
-
-def failure(
-    seed: int,
-    number: int,
-    text: str,
-    *,
-    step: int = -1,
-    door: str = "",
-    kind: str = "the attack itself",
-    failed: bool = True,
-) -> dict[str, Any]:
-    """A finding that is not of a step."""
-    return as_dict(Finding(seed, number, step, door, kind, text, failed=failed))

@@ -1,0 +1,50 @@
+"""A model and what is done to it, from a seed and a number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from attacks import changes, models
+
+import mjgranular
+
+SHARES = (0.4, 0.3, 0.2, 0.1)
+"""Of the kinds of runs."""
+
+
+@dataclass
+class Drawn:
+    """What belongs to a seed and a number."""
+
+    model: models.Drawn
+    kind: str
+    plan: changes.Plan
+
+
+def draw(
+    seed: int,
+    number: int,
+    steps: int,
+    programs: tuple[tuple[str, str, str], ...] = models.PROGRAMS,
+    kind: str | None = None,
+) -> Drawn:
+    """Draws a model, its sand, and what is done to it."""
+    rng = np.random.default_rng([seed, number])
+    chosen = str(rng.choice(changes.KINDS, p=SHARES))
+    program = programs[int(rng.integers(len(programs)))]
+    kind = kind or chosen
+    if kind == "rest":
+        laws = ("link_distributed", "rft2d", "rft3d")  # under which everything comes to rest
+        still = [p for p in programs if p[0] in laws and p[1:] == ("plane", "implicit")]
+        still = still or [("link_distributed", "plane", "implicit")]
+        made = models.draw_at_rest(rng, still[int(rng.integers(len(still)))])
+    else:
+        made = models.draw(rng, program)
+    return Drawn(made, kind, changes.plan(rng, kind, steps))
+
+
+def arguments(sand: str) -> dict[str, Any]:
+    """Arguments of `Sand`, from how they are written."""
+    return eval(f"dict({sand})", vars(mjgranular).copy())
