@@ -130,11 +130,16 @@ class GranularWarning(UserWarning):
     """Something that may not be what the user wants, but can be computed."""
 
 
-def warn_user(message: str) -> None:
+class FloorWarning(GranularWarning):
+    """Ground of the model's own carries bodies at or above the sand's surface."""
+
+
+def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> None:
     """Warns with a `GranularWarning` that points at the user's line, the last outside this package.
 
     Args:
         message: one sentence, as an error's.
+        kind: of warning.
     """
     package = __name__.partition(".")[0]
     frame, level = sys._getframe(1), 2

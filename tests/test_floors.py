@@ -1,11 +1,14 @@
 """Ground of the model's own that carries bodies before they meet the sand."""
 
+import json
 import warnings
 
 import mujoco
 import pytest
 
-from mjgranular import Bed, GranularWarning, HeightField, Plane, Sand, add_sand
+from mjgranular import Bed, GranularWarning, HeightField, InputError, Plane, Sand, add_sand
+from mjgranular.cli import main
+from mjgranular.cli.view import ViewCommand
 from mjgranular.shape import select_geoms
 from mjgranular.surface.floors import find_floors
 
@@ -96,3 +99,46 @@ def test_both_doors_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         Sand(mujoco.MjModel.from_xml_string(xml), surface=Plane(0.2), **SAND)
+
+
+ROBOT = f"""
+<mujoco>
+  <worldbody>
+    {geom("plane")}<geom type="box" size="1 1 0.1" pos="0 0 -0.05"/>
+    <body pos="0 0 0.2"><freejoint/><geom size="0.1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_drop_refuses_ground_of_the_models_own(tmp_path, capsys):
+    model = tmp_path / "robot.xml"
+    model.write_text(ROBOT)
+    assert main(["drop", str(model), "--duration", "0.1"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "'floor' (a plane)" in said
+    assert "--instead-of floor 1, or say --keep-floor" in said  # one has no name
+    out = ["--instead-of", "floor", "1", "--duration", "0.5", "--json"]
+    assert main(["drop", str(model), *out]) == 0
+    sunk = json.loads(capsys.readouterr().out)["bodies"][0]["greatest_depth"]
+    assert main(["drop", str(model), "--keep-floor", "--duration", "0.5", "--json"]) == 0
+    kept = json.loads(capsys.readouterr().out)["bodies"][0]["greatest_depth"]
+    assert kept < 0.005 < 0.02 < sunk
+
+
+def test_a_geom_to_take_out_that_is_not_there(tmp_path, capsys):
+    model = tmp_path / "robot.xml"
+    model.write_text(ROBOT)
+    assert main(["drop", str(model), "--instead-of", "flor"]) == 2
+    assert "no geom of the model 'flor'; there are: floor" in " ".join(
+        capsys.readouterr().err.split()
+    )
+
+
+def test_view_refuses_it_too(tmp_path):
+    model = tmp_path / "robot.xml"
+    model.write_text(ROBOT)
+    with pytest.raises(InputError, match="--instead-of floor"):
+        ViewCommand(model).load()
+    loaded = ViewCommand(model, instead_of=("floor", "1")).load()
+    assert [loaded.geom(number).name for number in range(loaded.ngeom)] == ["mjgranular_bed", ""]

@@ -48,6 +48,10 @@ class DropCommand:
     """Box geom of the model that is the sand."""
     height_field: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
     """Hfield geom of the model that is the sand."""
+    instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
+    """Geoms that are taken out of the model, such as a floor that would carry it above the sand."""
+    keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Let the model stand on ground of its own at or above the surface of the sand."""
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Bodies that meet the sand. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
@@ -89,6 +93,8 @@ class DropCommand:
             uphill=math.radians(self.uphill),
             bed=self.bed,
             height_field=self.height_field,
+            instead_of=self.instead_of,
+            keep_floor=self.keep_floor,
             bodies=self.bodies,
             geoms=self.geoms,
             groups=self.groups,

@@ -13,8 +13,9 @@ import tyro
 
 from mjgranular.cli.console import err
 from mjgranular.engine import NAME, add_sand
-from mjgranular.errors import GranularError, InputError, UnknownNameError
+from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.drop import LARGEST_STEP, Drop, start_from
+from mjgranular.experiment.ground import refuse_floors, take_out
 from mjgranular.experiment.scenery import add_bed
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.reading import check_regular
@@ -50,6 +51,8 @@ class ViewCommand:
     """Hfield geom of the model that is the sand."""
     instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
     """Geoms that are taken out of the model, such as a floor that would carry it above the sand."""
+    keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Let the model stand on ground of its own at or above the surface of the sand."""
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Bodies that meet the sand. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
@@ -106,7 +109,7 @@ class ViewCommand:
         check_regular(self.model, "the model")
         try:
             spec = mujoco.MjSpec.from_file(str(self.model))
-            self._take_out(spec)
+            take_out(spec, self.instead_of)
             if self.timestep is not None:
                 spec.option.timestep = self.timestep
             elif self.scheme == "explicit":
@@ -125,7 +128,11 @@ class ViewCommand:
             raise InputError(fault) from None
 
     def _add(self, spec: mujoco.MjSpec, surface: Surface) -> None:
-        if isinstance(surface, Plane):
+        if not self.keep_floor:
+            refuse_floors(
+                spec.compile(), surface, bodies=self.bodies, geoms=self.geoms, groups=self.groups
+            )
+        if isinstance(surface, Plane) and not self.keep_floor:
             add_bed(spec, surface)
         add_sand(
             spec,
@@ -139,11 +146,3 @@ class ViewCommand:
             resolution=self.resolution,
             draw=self.draw,
         )
-
-    def _take_out(self, spec: mujoco.MjSpec) -> None:
-        for name in self.instead_of:
-            geom = spec.geom(name)
-            if geom is None:
-                known = [geom.name for geom in spec.geoms if geom.name]
-                raise UnknownNameError("geom of the model", name, known)
-            spec.delete(geom)

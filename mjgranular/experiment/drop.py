@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, OutputError, UnknownNameError
+from mjgranular.errors import FloorWarning, GranularError, InputError, OutputError, UnknownNameError
+from mjgranular.experiment.ground import refuse_floors, take_out
 from mjgranular.experiment.scenery import add_bed
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
@@ -55,6 +57,8 @@ class Drop:
         timestep: [s]; None for the model's own, but at most 1e-4 s with the explicit scheme.
         resolution: how finely geoms are cut; None for the law's default.
         state: `qpos` and `qvel` to start from, one after the other; None for the model's own.
+        instead_of: names of geoms that are taken out of the model, such as its floor.
+        keep_floor: whether ground of the model's own may carry it above the sand.
         site: name of a site whose stop is looked for; needs a level surface.
     """
 
@@ -78,6 +82,8 @@ class Drop:
     resolution: int | None = None
     state: tuple[float, ...] | None = None
     site: str | None = None
+    instead_of: tuple[str, ...] = ()
+    keep_floor: bool = False
 
     def __post_init__(self) -> None:
         if self.bed is not None and self.height_field is not None:
@@ -129,7 +135,7 @@ class Drop:
             plain["model"] = Path(str(model))
         else:
             raise OutputError(f"{where} names no model")
-        for key in ("bodies", "geoms", "groups", "state"):  # absent in older ones
+        for key in ("bodies", "geoms", "groups", "state", "instead_of"):  # absent in older ones
             if plain.get(key) is not None:
                 plain[key] = tuple(plain[key])
         return cls(**plain)
@@ -233,17 +239,21 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         UnstableError: the state left reason.
     """
     model, xml = load(drop)
-    sand = Sand(
-        model,
-        medium=drop.medium,
-        law=drop.law,
-        scheme=drop.scheme,
-        surface=drop.surface,
-        bodies=drop.bodies or None,
-        geoms=drop.geoms or None,
-        groups=drop.groups or None,
-        resolution=drop.resolution,
-    )
+    if not drop.keep_floor:
+        refuse_floors(model, drop.surface, bodies=drop.bodies, geoms=drop.geoms, groups=drop.groups)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FloorWarning)
+        sand = Sand(
+            model,
+            medium=drop.medium,
+            law=drop.law,
+            scheme=drop.scheme,
+            surface=drop.surface,
+            bodies=drop.bodies or None,
+            geoms=drop.geoms or None,
+            groups=drop.groups or None,
+            resolution=drop.resolution,
+        )
     data = mujoco.MjData(model)
     _place(drop, model, data, sand)
 
@@ -283,7 +293,8 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         else:
             check_regular(drop.model, "the model")
             spec = mujoco.MjSpec.from_file(str(drop.model))
-            if isinstance(drop.surface, Plane):
+            take_out(spec, drop.instead_of)
+            if isinstance(drop.surface, Plane) and not drop.keep_floor:
                 add_bed(spec, drop.surface)
         model = spec.compile()
         if drop.timestep is not None:
@@ -292,7 +303,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
             model.opt.timestep = min(model.opt.timestep, LARGEST_STEP)
         return model, spec.to_xml()
     except (ValueError, OSError, mujoco.FatalError) as error:
-        if isinstance(error, InputError):
+        if isinstance(error, GranularError):
             raise
         reason = " ".join(str(error).split())
         raise InputError(f"MuJoCo cannot load {drop.title}: {reason}") from None

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.errors import warn_user
+from mjgranular.errors import FloorWarning, warn_user
 from mjgranular.shape.sizes import geom_name
 from mjgranular.surface.plane import Plane
 from mjgranular.surface.surface import Surface
@@ -25,7 +25,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
 
     From each geom that meets the sand, where the model stands at `qpos0`, rays are cast down along
     the surface's normal: to the sand, and to what is fixed to the world and collides with that
-    geom. What comes first carries.
+    geom. What comes before the sand carries.
 
     Args:
         model: the model.
@@ -63,9 +63,12 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
             to_sand, _ = _cast(rays, data, centre, down, _SAND)
         else:
             to_sand = float((centre - [0.0, 0.0, plane.height]) @ plane.normal)
-        to_floor, floor = _cast(rays, data, centre, down, _FLOOR)
-        if floor >= 0 and to_floor <= to_sand + SKIN:
+        while True:  # below what is taken out there may be more
+            to_floor, floor = _cast(rays, data, centre, down, _FLOOR)
+            if to_floor > to_sand + SKIN or floor < 0:
+                break
             found.add(floor)
+            rays.geom_group[floor] = 0
     return sorted(found)
 
 
@@ -86,7 +89,8 @@ def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface
     if floors:
         warn_user(
             f"{describe_floors(model, floors)}: set contype and conaffinity of what is not to be "
-            "there to 0, or put it deeper"
+            "there to 0, or put it deeper",
+            FloorWarning,
         )
 
 
