@@ -176,6 +176,19 @@ def test_a_program_is_loaded_without_the_compiler(run, tmp_path):
     assert run(another) == ["5", "False", "True"]
 
 
+def test_what_no_file_has_is_known_by_what_is_written(run):
+    """A kernel of a notebook, changed."""
+    code = """
+text = "@compiled\\ndef inner(x):\\n    return x + {}\\n"
+text += "@compiled\\ndef outer(x):\\n    return inner(x) + MORE\\n"
+for number, more in ((1, 10), (2, 10), (2, 20)):
+    names = {"compiled": compiled, "MORE": more, "__name__": "cell"}
+    exec(compile(text.format(number), "<cell>", "exec"), names)
+    print(entry(names["outer"], "int64")(0))
+"""
+    assert run(code) == run(code) == ["11", "12", "22"]
+
+
 def test_where_a_program_cannot_be_kept_it_is_compiled(run, tmp_path):
     (tmp_path / "file").touch()
     for _ in range(2):

@@ -6,6 +6,7 @@ import io
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.registry import CPUDispatcher
 
 from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
+from mjgranular.kernel.apart import uncut
 from mjgranular.kernel.folder import folders_to_write, read, write
 from mjgranular.kernel.identity import PACKAGE_STAMP, digest, machine, parts_of
 from mjgranular.kernel.parts import OPTIONS
@@ -28,6 +30,9 @@ class Whole(CPUDispatcher):
             self._cache: Any = _PackageCache(function)
         except RuntimeError:  # numba: "no locator available"
             self._cache = _NoCache(function)
+
+    def compile(self, sig: Any) -> Any:
+        return uncut(partial(super().compile, sig))
 
 
 class _NamedFiles(IndexDataCacheFile):

@@ -40,7 +40,8 @@ class Kernel:
 
     @cached_property
     def _whole(self) -> Any:
-        from mjgranular.kernel.cache import Whole
+        with compiling():
+            from mjgranular.kernel.cache import Whole
 
         return Whole(self.py_func, inline=self._inline)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from types import FunctionType
+from types import CodeType, FunctionType
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -50,11 +50,25 @@ def identity(value: Any) -> tuple[object, ...]:
         name = (function.__module__, function.__qualname__)
         # What a kernel is made of is in its name (`compiled`).
         parts = () if kernel else parts_of(function)
-        return (*name, _stamp([path]) if path.is_file() else None, *parts)
+        return (*name, _stamp([path]) if path.is_file() else _content(function), *parts)
     name = repr(value)
     if _ADDRESS.search(name):
         raise TypeError(f"a kernel's closure holds what every process names anew: {name}")
     return (name,)
+
+
+def _content(function: FunctionType) -> str:
+    """What is written in a function that no file has, as in a notebook: code, and what it names."""
+    code = function.__code__
+    consts = [const for const in code.co_consts if not isinstance(const, CodeType)]
+    named = (function.__globals__.get(name) for name in code.co_names)
+    known = [
+        identity(value)
+        for value in named
+        if isinstance(value, (bool, int, float, str))
+        or getattr(value, "py_func", function) is not function
+    ]
+    return digest((code.co_code, consts, code.co_names, known))
 
 
 def parts_of(function: Any) -> tuple[object, ...]:
