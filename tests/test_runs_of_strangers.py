@@ -156,9 +156,10 @@ def test_a_module_that_only_a_file_names_is_not_imported(tmp_path, monkeypatch, 
         del sys.modules["a_strange_module"], gym.registry["Strange-v0"]
         assert main([*evaluate_it, "--env", env_id]) == 0  # he names it himself
         # These make an environment of whatever module their arguments name.
-        file.write_text(json.dumps({**config, "environment": "GymV21Environment-v0"}))
-        assert main(evaluate_it) == 2
-        assert "--trust" in capfd.readouterr().err
+        for gate in ("GymV21Environment-v0", "gymnasium:GymV26Environment-v0"):
+            file.write_text(json.dumps({**config, "environment": gate}))
+            assert main(evaluate_it) == 2
+            assert "--trust" in capfd.readouterr().err
     finally:
         sys.modules.pop("a_strange_module", None)
         gym.registry.pop("Strange-v0", None)
