@@ -25,7 +25,7 @@ from mjgranular.errors import OutputError
 # Far beyond what the package writes; chosen, not measured.
 _MOST_TEXT = 16 * 2**20  # bytes
 _MOST_ARRAYS = 384 * 2**20  # bytes, unpacked
-_LONGEST = 1000  # characters of a name
+_LONGEST = 4096  # characters of a name
 
 
 def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:

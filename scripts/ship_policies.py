@@ -53,23 +53,26 @@ def ship(folder: Path, to: Path) -> Path:
     there = to / run.environment.rpartition("/")[2] / f"{run.settings.algorithm}-{run.seed}"
     if there.exists():
         raise SystemExit(f"{there} is there already: remove it first")
-    there.mkdir(parents=True)
+    part = there.with_name(f".{there.name}.part")  # whole or not at all
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
     for name in POLICY_FILES:
         if name == POLICY:
-            slim(folder / name, there / name)
+            slim(folder / name, part / name)
         elif name == CONFIG:
             config = json.loads((folder / name).read_text(encoding="utf-8"))
             system, *_ = config["versions"]["platform"].split("-")
             config["versions"]["platform"] = system
-            (there / name).write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
+            (part / name).write_text(json.dumps(config, indent=2) + "\n", encoding="utf-8")
         else:
-            shutil.copyfile(folder / name, there / name)
-    before, after = load_policy(folder / POLICY), load_policy(there)
+            shutil.copyfile(folder / name, part / name)
+    before, after = load_policy(folder / POLICY), load_policy(part)
     space = before.model.observation_space
     seen = np.random.default_rng(0).standard_normal((64, *space.shape))
     if not np.array_equal(before.act(seen, np.zeros(64)), after.act(seen, np.zeros(64))):
-        shutil.rmtree(there)
+        shutil.rmtree(part)
         raise SystemExit(f"the copy of {folder} does not act as the original")
+    part.rename(there)
     return there
 
 

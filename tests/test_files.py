@@ -276,6 +276,8 @@ def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
     whole = run_sweep(SWEEP, workers=1).rows
     unfinished = Unfinished(tmp_path, SWEEP)
     assert unfinished.rows() is None
+    (tmp_path / UNFINISHED).write_text('{"sweep"')  # killed at its first line
+    assert unfinished.rows() == unfinished.begin() == {}
     unfinished.keep(2, whole[2])
     with (tmp_path / UNFINISHED).open("a") as file:
         file.write('{"index": 1, "ro')  # killed while it wrote
@@ -325,7 +327,8 @@ def test_workers_end_with_a_sweep_that_is_ended_and_its_rows_are_kept(number, tm
     command += ["--timestep", "1e-6", "--out", str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True) as process:
         deadline = time.monotonic() + 100
-        while not (tmp_path / UNFINISHED).exists() and time.monotonic() < deadline:
+        file = tmp_path / UNFINISHED
+        while not (file.exists() and file.stat().st_size) and time.monotonic() < deadline:
             time.sleep(0.1)
         assert len(workers_of(process.pid)) >= 2
         process.send_signal(number)

@@ -437,6 +437,9 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
     [
         (["train", "Pendulm-v1"], "no environment 'Pendulm-v1'; there are:"),
         (["train"], "train needs an environment"),
+        (["train", ":Some-v0"], "the module '' of the environment :Some-v0 cannot be imported"),
+        (["train", "Swimmer-v5", "--set", "environment.xml_file=x.xml"], "cannot be made"),
+        (["train", ID, "--trust"], "--trust is for --resume"),
         (["train", ID, "--algorithm", "dqn"], "no algorithm 'dqn'; there are: ppo, sac, td3"),
         (["train", ID, "--settings", "none.toml"], "cannot read the settings none.toml"),
         (["train", ID, "--set", "gamma"], "NAME=VALUE"),

@@ -156,9 +156,10 @@ def test_a_module_that_only_a_file_names_is_not_imported(tmp_path, monkeypatch, 
         del sys.modules["a_strange_module"], gym.registry["Strange-v0"]
         assert main([*evaluate_it, "--env", env_id]) == 0  # he names it himself
         # These make an environment of whatever module their arguments name.
-        file.write_text(json.dumps({**config, "environment": "GymV21Environment-v0"}))
-        assert main(evaluate_it) == 2
-        assert "--trust" in capfd.readouterr().err
+        for gate in ("GymV21Environment-v0", "gymnasium:GymV26Environment-v0"):
+            file.write_text(json.dumps({**config, "environment": gate}))
+            assert main(evaluate_it) == 2
+            assert "--trust" in capfd.readouterr().err
     finally:
         sys.modules.pop("a_strange_module", None)
         gym.registry.pop("Strange-v0", None)
@@ -220,3 +221,55 @@ def test_settings_of_a_net_that_would_fill_the_memory_are_refused(tmp_path):
     for read in (load_policy, lambda path: train(open_run(path))):
         with pytest.raises(OutputError, match="they ask for a net of"):
             read(run.path)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("config.json", {"versions": None}, "versions must name packages"),
+        ("config.json", {"environment": 7}, "names no environment"),
+        ("config.json", {"environment": "\x1b[2J"}, "names no environment"),
+        ("config.json", {"seed": "0"}, "seed must be a whole number"),
+        ("config.json", {"settings": []}, "settings must be an object"),
+        ("config.json", {"command": "impact"}, "it is the result of mjgranular impact"),
+        ("config.json", b"[]", "must be an object, not a list"),
+        ("config.json", b'{"command": "train', "Unterminated string"),
+        ("normalizer.json", b"", "is damaged"),
+        ("policy.zip", b"", "is damaged"),
+    ],
+)
+def test_a_damaged_run_is_told_of_in_one_sentence(name, change, message, tmp_path, capfd):
+    shipped = shipped_policies()["Hopper-v0/ppo-0"].path
+    for file in POLICY_FILES:
+        (tmp_path / file).write_bytes((shipped / file).read_bytes())
+    file = tmp_path / name
+    if isinstance(change, dict):
+        change = json.dumps({**json.loads(file.read_text()), **change}).encode()
+    file.write_bytes(change)
+    assert main(["evaluate", str(tmp_path)]) == 2
+    said = capfd.readouterr().err
+    assert message in " ".join(said.split())
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("body", ["link", "chain:2"])
+def test_a_damaged_result_is_told_of_in_one_sentence(body, tmp_path, capfd):
+    folder = tmp_path / "run"
+    quick = ["--timestep", "1e-4", "--duration", "0.02", "--json"]
+    assert main(["impact", "--body", body, *quick, "--out", str(folder)]) == 0
+    file = folder / "trajectory.npz"
+    whole = file.read_bytes()
+    for content in (
+        b"",
+        b"PK",
+        whole[:-100],
+        whole[:100] + b"\0" * 50 + whole[150:],
+        b"\x80\x04].",
+    ):
+        file.write_bytes(content)
+        capfd.readouterr()
+        assert main(["render", str(folder)]) == 2
+        said = capfd.readouterr().err
+        assert "holds no saved" in said
+        assert "Traceback" not in said
+    assert not (folder / "impact.mp4").exists()

@@ -46,7 +46,9 @@ class Unfinished:
             lines = [parse_json(line, "") for line in read_text(self._file).split("\n")[:-1]]
         except OutputError:
             return None
-        if not lines or lines[0] != self._asked():
+        if not lines:  # killed before it had written anything
+            return {}
+        if lines[0] != self._asked():
             return None
         rows = {}
         for line in lines[1:]:
@@ -61,9 +63,8 @@ class Unfinished:
         begun = self._file.exists()
         try:
             with self._file.open("a", encoding="utf-8") as file:
-                if not begun:
-                    file.write(_line(self._asked()))
-                file.write(_line({"index": index, "row": row}))
+                lines = [] if begun else [self._asked()]
+                file.write("".join(map(_line, [*lines, {"index": index, "row": row}])))
                 file.flush()
                 if time.monotonic() - self._flushed > _FLUSH_EVERY:
                     os.fsync(file.fileno())

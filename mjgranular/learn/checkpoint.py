@@ -85,7 +85,7 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
 
     folder = run.checkpoint_folder(progress.steps)
     files.write_folder(folder, fill)
-    run.remove_old_checkpoints()
+    run.remove_old_checkpoints(folder)
     return folder
 
 

@@ -29,7 +29,7 @@ def find_spec(env_id: str) -> Any:
         if ":" not in env_id:
             return gym.spec(env_id)
         module, _, name = env_id.partition(":")
-        need(module, extra="train", purpose=f"The environment {env_id}")
+        _import(module, env_id)
         return gym.spec(name)
     except gym.error.Error:
         known = sorted(gym.registry)
@@ -38,6 +38,18 @@ def find_spec(env_id: str) -> Any:
         raise UnknownNameError(
             "environment", env_id, [*ours, *(name for name in close if name not in ours)]
         ) from None
+
+
+def _import(module: str, env_id: str) -> None:
+    try:
+        need(module, extra="train", purpose=f"The environment {env_id}")
+    except GranularError:
+        raise
+    except Exception as error:  # it is anybody's module
+        raise InputError(
+            f"the module {module!r} of the environment {env_id} cannot be imported: "
+            f"{type(error).__name__}: {' '.join(str(error).split())}"
+        ) from error
 
 
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
@@ -154,3 +166,7 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
         raise RenderError(f"{env_id}: {' '.join(str(error).split())}") from None
     except (gym.error.Error, TypeError, ValueError) as error:
         raise InputError(f"{env_id} cannot be made: {' '.join(str(error).split())}") from None
+    except Exception as error:  # its arguments may be a stranger's, and it anybody's
+        raise InputError(
+            f"{env_id} cannot be made: {type(error).__name__}: {' '.join(str(error).split())}"
+        ) from error

@@ -104,13 +104,17 @@ class Run:
         """Where the checkpoint after so many steps goes."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
-    def remove_old_checkpoints(self) -> None:
-        """Keeps the newest two that are whole, and damaged ones among them to be looked at."""
+    def remove_old_checkpoints(self, written: Path | None = None) -> None:
+        """Keeps the newest two that are whole, and damaged ones among them to be looked at.
+
+        Args:
+            written: a checkpoint that was written just now, and need not be looked through.
+        """
         whole = 0
         for folder in self.checkpoints():
             if whole == _KEPT:
                 files.remove_folder(folder)
-            elif files.fault(folder, _IN_A_CHECKPOINT) is None:
+            elif folder == written or files.fault(folder, _IN_A_CHECKPOINT) is None:
                 whole += 1
 
     def extended(self, total_steps: int) -> Run:
@@ -140,9 +144,9 @@ class Run:
         Raises:
             OutputError: it may not.
         """
-        module, colon, _ = self.environment.rpartition(":")
+        module, colon, name = self.environment.rpartition(":")
         # These of Gymnasium's make an environment of whatever module their arguments name.
-        gate = self.environment.startswith("GymV2")
+        gate = name.startswith("GymV2")
         if self.trusted or not (colon or gate) or (module in sys.modules and not gate):
             return
         raise OutputError(

@@ -283,7 +283,7 @@ def _space(told: Mapping[str, Any], most: int) -> Any:
             raise ValueError(f"{nvec.sum()} actions")
         return spaces.MultiDiscrete(nvec)
     if kind == "MultiBinary":
-        return spaces.MultiBinary(shape if len(shape) > 1 else shape[0])
+        return spaces.MultiBinary(shape[0] if len(shape) == 1 else shape)
     raise ValueError(f"there is no space {str(kind)[:50]!r}")
 
 

@@ -334,7 +334,7 @@ def attack(case: Case, rng: random.Random, kills: int, place: Path) -> list[str]
     return failures
 
 
-def _is_done(case: Case, status: int, log: Path) -> bool:
+def _is_done(case: Case, status: int | None, log: Path) -> bool:
     """Whether a sweep came to its end before, so that the same command is refused."""
     return (
         case.kind.startswith("sweep")
