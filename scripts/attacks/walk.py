@@ -313,7 +313,7 @@ class Walk:
                 self.find("step", "only one door refuses", "mj_step goes on")
             return
         if bad != (heard == "trouble"):
-            if heard != "announced":
+            if heard == "fine" or (heard == "trouble" and not announced):
                 words = ("finds nothing bad", "finds something bad")
                 fastest = float(np.abs(data.qacc).max())
                 text = f"Sand.step: {heard}; mj_step {words[bad]}, qacc {fastest:.3g}"
