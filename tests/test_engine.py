@@ -709,3 +709,10 @@ def test_a_plugin_of_another_make_is_not_registered(monkeypatch: pytest.MonkeyPa
     plugin.register()
     with pytest.raises(LayoutError, match="tested versions"):
         add_sand(Link().spec())
+
+
+@pytest.mark.parametrize("choice", ["bodies", "geoms", "groups"])
+def test_a_choice_of_nothing_is_not_all(choice):
+    spec = mujoco.MjSpec.from_string("<mujoco/>")
+    with pytest.raises(InputError, match=f"{choice}: no names"):
+        add_sand(spec, **{choice: []})

@@ -128,6 +128,14 @@ def test_runge_kutta_under_way_is_refused(door):
     assert (run.data.qpos != place).any()
 
 
+@pytest.mark.parametrize("integrator", ["RK4", "discrete"])
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("scheme", ["auto", "implicit"])
+def test_what_the_chosen_scheme_cannot_step_is_refused_at_once(door, scheme, integrator):
+    with pytest.raises((InputError, ValueError), match="Euler, implicit"):
+        Run(boxes(f'integrator="{integrator}"'), door, scheme=scheme)
+
+
 @pytest.mark.parametrize("timestep", [0.0, -1e-3, np.nan, np.inf])
 @pytest.mark.parametrize("scheme", ["explicit", "implicit"])
 @pytest.mark.parametrize("door", DOORS)

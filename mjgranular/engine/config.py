@@ -30,6 +30,8 @@ KEYS = (
 )  # fmt: skip
 """Keys of `mjgranular.sand`, in the order in which they are written."""
 
+_CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
+
 DEFAULT_MEDIUM = "play_sand"
 """That of `Sand`."""
 
@@ -101,11 +103,11 @@ def write_config(arguments: Mapping[str, Any]) -> dict[str, str]:
     """The texts, by their keys, that `read_config` reads as these arguments of `Sand`.
 
     Args:
-        arguments: those of `Sand`, `draw` and `tunable`; None, False or an empty sequence for one
-            not given.
+        arguments: those of `Sand`, `draw` and `tunable`; None or False for one not given, and no
+            words for nothing to be drawn.
 
     Raises:
-        InputError: an object that has no name to be written by.
+        InputError: an object that has no name to be written by, or a choice of nothing.
     """
     writers = {
         "medium": _write_medium,
@@ -122,11 +124,10 @@ def write_config(arguments: Mapping[str, Any]) -> dict[str, str]:
     texts = {}
     for key in KEYS:
         value = arguments.get(key)
-        if (
-            value is not None
-            and value is not False
-            and not (isinstance(value, Sequence) and not value)
-        ):
+        empty = isinstance(value, Sequence) and not value
+        if empty and key in _CHOICES:
+            raise InputError(f"{key}: no names are nothing that could meet the sand; None is all")
+        if value is not None and value is not False and not empty:
             texts[key] = writers[key](value)
     read_config(texts)
     return texts

@@ -352,6 +352,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     warn_of_floors(model, geoms, surface)
     elements = law.elements(model, geoms, given.get("resolution"))
     scheme = scheme.settle(model, len(elements))
+    scheme.check(model)
     scene = make_scene(law, medium, surface, model)
     tunings = NO_TUNINGS
     if config.tunable:

@@ -121,6 +121,7 @@ class Sand:
         if not shared:
             refuse_sand_of_its_own(model, self._elements)
         self._scheme = asked.settle(model, len(self._elements))
+        self._scheme.check(model)
         self._scene = make_scene(self._law, self._medium, self._surface, model)
         self._kernel = self._law.kernel(self._surface)
         self._laid = self._kernel.lay(self._elements)
