@@ -89,7 +89,8 @@ def test_lumped_law_is_the_papers(reference, planar, state, coefficients, densit
     model.opt.gravity[2] = -g
     place(data, state)
     body = Sand(model, medium=medium(density, coefficients), scheme="explicit").report(data)["link"]
-    force = math.hypot(expected.F_x, expected.F_y)
+    # The smallest numbers have fewer digits.
+    force = math.hypot(expected.F_x, expected.F_y) + 1e-290
     planar_force = [body.force[0], -body.force[2]]
     assert planar_force == pytest.approx([expected.F_x, expected.F_y], abs=1e-12 * force)
     assert body.force[1] == pytest.approx(0, abs=1e-12 * force)
