@@ -716,3 +716,45 @@ def test_a_choice_of_nothing_is_not_all(choice):
     spec = mujoco.MjSpec.from_string("<mujoco/>")
     with pytest.raises(InputError, match=f"{choice}: no names"):
         add_sand(spec, **{choice: []})
+
+
+ROBOT = """
+<mujoco><worldbody><body name="ball"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>
+"""
+
+
+class TestTwice:
+    """One body, two sands in one place."""
+
+    def test_added_twice(self):
+        spec = mujoco.MjSpec.from_string(ROBOT)
+        add_sand(spec, medium="quikrete_medium")
+        add_sand(spec, medium="quikrete_medium", surface=Plane(height=-0.1))
+        with pytest.raises(
+            ValueError, match=r"'sand'.*: the sand 'sand_2' acts on body 'ball' too"
+        ):
+            spec.compile()
+
+    def test_brought_along(self):
+        """Each sand acts on all that moves in what it was attached to, the other robot included."""
+        world = mujoco.MjSpec()
+        for name in ("a", "b"):
+            robot = mujoco.MjSpec.from_string(ROBOT)
+            add_sand(robot, medium="quikrete_medium")
+            world.attach(robot, prefix=name, frame=world.worldbody.add_frame())
+        with pytest.raises(ValueError, match="would be resisted twice; say with bodies"):
+            world.compile()
+
+    def test_what_has_its_own_place_is_taken(self):
+        two = ROBOT.replace("<body", '<geom name="a" type="box" size="1 1 1"/><body')
+        two = two.replace("<body", '<geom name="b" type="box" size="1 1 1" pos="2 0 0"/><body')
+        spec = mujoco.MjSpec.from_string(two)
+        for name in ("a", "b"):
+            add_sand(spec, medium="quikrete_medium", surface=Bed(name))
+        assert len(sands_in(spec.compile())) == 2
+
+    def test_sand_that_can_be_switched_off_is_taken(self):
+        spec = mujoco.MjSpec.from_string(ROBOT)
+        for medium in ("poppy_seed_loose", "poppy_seed_close"):
+            add_sand(spec, medium=medium, tunable=True)
+        assert len(sands_in(spec.compile())) == 2

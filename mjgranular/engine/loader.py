@@ -41,7 +41,7 @@ from mjgranular.names import name_of
 from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.shape import select_geoms
-from mjgranular.surface import Plane
+from mjgranular.surface import Plane, Surface
 from mjgranular.surface.floors import warn_of_floors
 
 _KEPT = 32  # images of models of the past: they cost memory, and save preparing them again
@@ -74,6 +74,7 @@ class Prepared:
         image: of its block.
         bodies: names of the bodies that meet it by their ids, in its order.
         silent: geoms that are the sand itself, whose contacts are off.
+        place: where it always is, in words; None for sand that can be switched off (`tunable`).
         draws: whether something is to be drawn.
         origin: the medium; kept because the key of this is made with its identity.
     """
@@ -81,6 +82,7 @@ class Prepared:
     image: Image
     bodies: dict[int, str]
     silent: tuple[int, ...]
+    place: str | None
     draws: bool
     origin: object
 
@@ -115,6 +117,7 @@ class Loader:
             self._clear(data, instance)
             sands = self._sands(model)
             if instance in sands.values():
+                self._refuse_twice(model, instance, sands)
                 content = self._sand(model, instance)
             else:
                 content = self._sensor(model, instance, sands)
@@ -163,6 +166,26 @@ class Loader:
         image = self._prepare(model, instance).image
         self._retain(image.share)
         return image.content
+
+    def _refuse_twice(self, model: int, instance: int, sands: dict[str, int]) -> None:
+        """Refuses two sands in one place that act on the same body.
+
+        Raises:
+            InputError: names both, and the body.
+        """
+        if len(sands) < 2:
+            return
+        mine = self._prepare(model, instance)
+        for name, other in sands.items():
+            theirs = self._prepare(model, other)
+            common = mine.bodies.keys() & theirs.bodies.keys()
+            together = mine.place is not None and mine.place == theirs.place
+            if other != instance and common and together:
+                raise InputError(
+                    f"the sand {name!r} acts on body {mine.bodies[min(common)]!r} too, in the "
+                    f"same place ({mine.place}): the body would be resisted twice; say with "
+                    "bodies=... or geoms=... which meet each of them"
+                )
 
     def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> np.ndarray:
         texts = config_texts(model, instance, SENSOR_KEYS)
@@ -385,9 +408,15 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         image,
         bodies=bodies,
         silent=tuple(int(geom) for geom in silent),
+        place=None if config.tunable else _place_of(surface),
         draws=bool(config.draw),
         origin=medium,
     )
+
+
+def _place_of(surface: Surface) -> str:
+    """The same words for surfaces under which a body would always meet both sands."""
+    return "an endless plane" if isinstance(surface, Plane) else repr(surface)
 
 
 def _drawing(model: mujoco.MjModel, drawings: Sequence[str]) -> int:
