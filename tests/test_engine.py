@@ -758,3 +758,35 @@ class TestTwice:
         for medium in ("poppy_seed_loose", "poppy_seed_close"):
             add_sand(spec, medium=medium, tunable=True)
         assert len(sands_in(spec.compile())) == 2
+
+
+UNPICKLED = """
+import pickle, sys
+for path in sys.argv[1:]:
+    data = pickle.load(open(path, "rb"))
+    import mujoco
+    model = data if isinstance(data, mujoco.MjModel) else data.model
+    data = mujoco.MjData(model) if data is model else data
+    mujoco.mj_step(model, data)
+    print(abs(data.qfrc_passive).max() > 0)
+"""
+
+
+def test_pickles_bring_the_plugin_along(tmp_path):
+    spec = mujoco.MjSpec.from_string(ROBOT)
+    add_sand(spec, medium="quikrete_medium")
+    model = spec.compile()
+    paths = [tmp_path / "model", tmp_path / "data"]
+    for path, one in zip(paths, (model, mujoco.MjData(model)), strict=True):
+        path.write_bytes(pickle.dumps(one))
+    done = subprocess.run(
+        [sys.executable, "-c", UNPICKLED, *paths], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["True", "True"]
+
+
+def test_pickles_of_other_models_stay_as_they_were():
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    assert b"mjgranular" not in pickle.dumps(model)
+    assert copy.deepcopy(model).nv == pickle.loads(pickle.dumps(model)).nv == 0

@@ -4,12 +4,14 @@
 sand when an `mjData` is made, `block` lays it out in memory, `rows` knows whose is where; `native`
 is what runs at each step, `sensor` and `draw` are what reads its results. `tuning` is sand with
 state of its own, `adjust` has a block follow it. `layout`, `library` and `links` know MuJoCo's
-memory and functions.
+memory and functions. `pickles` has models bring mjgranular along.
 """
 
 from mjgranular.engine.instances import NAME as NAME
+from mjgranular.engine.pickles import register as register_pickles
 from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand
 from mjgranular.engine.tuning import tune as tune
 
 register()
+register_pickles()
