@@ -5,6 +5,7 @@ Every message is one sentence that says what was wrong and what would have been 
 
 from __future__ import annotations
 
+import difflib
 import sys
 import warnings
 from collections.abc import Iterable
@@ -13,6 +14,7 @@ from collections.abc import Iterable
 _LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
 _LONGEST_LIST = 1000  # of the names that there are
 _LONGEST_MESSAGE = 2000
+_SHORT_LIST = 12  # names that are listed even if one of them is near
 
 
 def shown(value: object) -> str:
@@ -84,7 +86,12 @@ class UnknownNameError(GranularError, KeyError):
         self.kind = kind
         self.name = name
         self.known = tuple(known)
-        super().__init__(f"no {kind} {shown(name)}; there are: {listed(self.known)}")
+        near = difflib.get_close_matches(str(name)[:_LONGEST_VALUE], self.known, cutoff=0.6)
+        if near and len(self.known) > _SHORT_LIST:
+            rest = f"did you mean {', '.join(near)}? There are {len(self.known)} in all"
+        else:
+            rest = f"there are: {listed(self.known)}"
+        super().__init__(f"no {kind} {shown(name)}; {rest}")
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])

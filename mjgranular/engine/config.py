@@ -246,8 +246,8 @@ def _write_medium(medium: str | Path | Medium) -> str:
     return medium.name
 
 
-def _write_words(names: Sequence[Any] | str) -> str:
-    return shlex.join([names] if isinstance(names, str) else map(str, names))
+def _write_words(names: Sequence[Any] | str | int) -> str:
+    return shlex.join([str(names)] if isinstance(names, (str, int)) else map(str, names))
 
 
 def _write_part(part: Any, register: Registry[Any], kind: str, how: str | None) -> str:
@@ -255,6 +255,8 @@ def _write_part(part: Any, register: Registry[Any], kind: str, how: str | None) 
     if isinstance(part, str):
         return part
     for name, cls in register.items():
+        if part is cls:
+            return name
         if type(part) is cls:
             return " ".join([name, *(_write_field(part, field.name) for field in fields(part))])
     hint = f"make it known with {how}" if how else f"there are: {', '.join(register)}"

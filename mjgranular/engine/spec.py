@@ -11,9 +11,11 @@ from mjgranular.engine.config import DEFAULT_MEDIUM, write_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
+from mjgranular.given import check_spec, surface_of
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.scheme import Scheme
+from mjgranular.shape.select import Choice
 from mjgranular.surface import Surface
 
 
@@ -24,8 +26,8 @@ def add_sand(
     law: str | Law | None = None,
     surface: Surface | None = None,
     scheme: str | Scheme = "auto",
-    bodies: Sequence[str] | str | None = None,
-    geoms: Sequence[str] | str | None = None,
+    bodies: Choice = None,
+    geoms: Choice = None,
     groups: Sequence[int] | int | None = None,
     resolution: int | None = None,
     draw: Sequence[str] | str = (),
@@ -60,12 +62,13 @@ def add_sand(
             not fit the model is found when it is compiled.
         LayoutError: this version of MuJoCo cannot be used with the plugin.
     """
+    check_spec(spec, "add_sand")
     check_registered()
     config = write_config(
         {
             "medium": medium,
             "law": law,
-            "surface": surface,
+            "surface": None if surface is None else surface_of(surface),
             "scheme": scheme,
             "bodies": bodies,
             "geoms": geoms,

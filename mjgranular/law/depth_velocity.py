@@ -184,7 +184,7 @@ class DepthVelocityLaw(Law):
         return cls(stiffness=stiffness, quadratic=mass / drag_length)
 
     @classmethod
-    def from_medium(cls, medium: Medium) -> Self:
+    def from_medium(cls, medium: Medium | str) -> Self:
         return cls(**constants_of(cls, medium))
 
     def elements(

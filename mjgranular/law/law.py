@@ -13,7 +13,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.validity import Limit
-from mjgranular.medium import Medium
+from mjgranular.medium import Medium, get_medium
 from mjgranular.registry import Registry
 from mjgranular.surface import Surface
 
@@ -46,8 +46,8 @@ class Law(ABC):
 
     @classmethod
     @abstractmethod
-    def from_medium(cls, medium: Medium) -> Self:
-        """The law with the medium's published constants.
+    def from_medium(cls, medium: Medium | str) -> Self:
+        """The law with the published constants of a medium, or of that of a name.
 
         Raises:
             UnknownNameError: the medium has none for this law.
@@ -97,12 +97,12 @@ def register_law(law: LawClass) -> LawClass:
     return law
 
 
-def constants_of(law: type[Law], medium: Medium, name: str | None = None) -> dict[str, Any]:
+def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) -> dict[str, Any]:
     """A medium's constants for a law, by the names of the law's fields.
 
     Args:
         law: a dataclass.
-        medium: the medium.
+        medium: the medium, or its name.
         name: under which the medium has them; None for the law's own.
 
     Raises:
@@ -110,6 +110,7 @@ def constants_of(law: type[Law], medium: Medium, name: str | None = None) -> dic
         InputError: one that the law does not know, or one that it needs is missing.
     """
     known = fields(law)  # pyright: ignore[reportArgumentType]
+    medium = get_medium(medium)
     constants = medium.constants_for(name or law.name)
     names = [field.name for field in known]
     for key in constants:
@@ -134,12 +135,14 @@ def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel
     return scene
 
 
-def get_law(law: str | Law | None, medium: Medium) -> Law:
-    """The law of that name with the medium's constants, the medium's own law, or `law` itself.
+def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
+    """The law of that name or class with the medium's constants, its own law, or `law` itself.
 
     Raises:
         UnknownNameError: no such law, or the medium has no constants for it.
     """
     if isinstance(law, Law):
         return law
+    if isinstance(law, type) and issubclass(law, Law):
+        return law.from_medium(medium)
     return laws[medium.default_law if law is None else law].from_medium(medium)

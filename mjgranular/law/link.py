@@ -61,7 +61,7 @@ class _LinkForm(Law):
                 )
 
     @classmethod
-    def from_medium(cls, medium: Medium) -> Self:
+    def from_medium(cls, medium: Medium | str) -> Self:
         return cls(**constants_of(cls, medium, LinkLaw.name))
 
     def parameters(self, medium: Medium) -> np.ndarray:

@@ -14,7 +14,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import exponential, logarithm
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
-from mjgranular.medium import Medium
+from mjgranular.medium import Medium, get_medium
 from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 
 RFT2D_DTYPE = np.dtype(
@@ -244,7 +244,8 @@ class Rft2dLaw(RftLaw):
             raise InputError("Rft2dLaw: the inertial term needs the bulk density [kg/m^3]")
 
     @classmethod
-    def from_medium(cls, medium: Medium) -> Self:
+    def from_medium(cls, medium: Medium | str) -> Self:
+        medium = get_medium(medium)
         return cls(**{"density": medium.density.value, **constants_of(cls, medium)})
 
     @classmethod

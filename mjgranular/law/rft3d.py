@@ -257,7 +257,7 @@ class Rft3dLaw(RftLaw):
                 )
 
     @classmethod
-    def from_medium(cls, medium: Medium) -> Self:
+    def from_medium(cls, medium: Medium | str) -> Self:
         return cls(**constants_of(cls, medium))
 
     @classmethod

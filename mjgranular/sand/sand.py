@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnstableError
+from mjgranular.given import check_data, check_model, surface_of
 from mjgranular.kernel import entry
 from mjgranular.law import Law, get_law, make_scene
 from mjgranular.medium import Medium, get_medium
@@ -22,8 +23,8 @@ from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.scheme import Scheme, get_scheme
 from mjgranular.scheme.status import FINE, REFUSED
 from mjgranular.shape import select_geoms
-from mjgranular.shape.select import body_name
-from mjgranular.surface import Plane, Surface
+from mjgranular.shape.select import Choice, body_name
+from mjgranular.surface import Surface
 from mjgranular.surface.floors import warn_of_floors
 
 _step1 = mujoco.mj_step1
@@ -62,8 +63,9 @@ class Sand:
         surface: where the sand is; None for the plane z = 0.
         scheme: how forces become a step: a scheme or its name. "auto" takes `Implicit`, but
             `Explicit` for fine time steps (`scheme.auto`); `Sand.scheme` says which.
-        bodies: names of the bodies that meet the sand, with all their collision geoms; or "all".
-        geoms: names of the geoms that meet the sand; or "all".
+        bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
+            or "all".
+        geoms: names or numbers of the geoms that meet the sand; or "all".
         groups: geom groups whose collision geoms meet the sand, those of bodies that can move. What
             `bodies`, `geoms` and `groups` name is taken together; with none of them, as with "all",
             every collision geom of every body that can move.
@@ -86,12 +88,13 @@ class Sand:
         law: str | Law | None = None,
         surface: Surface | None = None,
         scheme: str | Scheme = "auto",
-        bodies: Sequence[str] | str | None = None,
-        geoms: Sequence[str] | str | None = None,
+        bodies: Choice = None,
+        geoms: Choice = None,
         groups: Sequence[int] | int | None = None,
         resolution: int | None = None,
         shared: bool = False,
     ) -> None:
+        check_model(model, "Sand")
         self._arguments: dict[str, Any] = {
             "medium": medium,
             "law": law,
@@ -106,7 +109,7 @@ class Sand:
         self._model = model
         self._medium = get_medium(medium)
         self._law = get_law(law, self._medium)
-        self._surface = Plane() if surface is None else surface
+        self._surface = surface_of(surface)
         asked = get_scheme(scheme)
         asked.check(model)
         chosen = select_geoms(
@@ -296,6 +299,7 @@ class Sand:
         return self._bind(data)
 
     def _check_owner(self, data: mujoco.MjData) -> None:
+        check_data(data, "Sand")
         if data.model is not self._model and data.model._address != self._model._address:
             raise InputError(
                 "this MjData belongs to another model: make it with MjData(model) from the "
@@ -303,6 +307,7 @@ class Sand:
             )
 
     def _bind(self, data: mujoco.MjData) -> int:
+        check_data(data, "Sand")
         binding = self._bindings.get(data)
         if binding is None:
             self._check_owner(data)

@@ -116,12 +116,14 @@ class Scheme(ABC):
         """
 
 
-def get_scheme(scheme: str | Scheme) -> Scheme:
-    """The scheme of that name with its default options, or `scheme` itself.
+def get_scheme(scheme: str | Scheme | type[Scheme]) -> Scheme:
+    """The scheme of that name or class with its default options, or `scheme` itself.
 
     Raises:
         UnknownNameError: no such scheme; lists those that exist.
     """
+    if isinstance(scheme, type) and issubclass(scheme, Scheme):
+        return scheme()
     return scheme if isinstance(scheme, Scheme) else schemes[scheme]()
 
 

@@ -6,9 +6,13 @@ import operator
 from collections.abc import Iterable, Sequence
 
 import mujoco
+import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.names import name_of
+
+Choice = Sequence[str | int] | str | int | None
+"""Of bodies or geoms: a name or number, or several; None for no choice."""
 
 EVERY = "all"
 """Stands for every body or geom that can meet the sand, unless one has it for a name."""
@@ -17,8 +21,8 @@ EVERY = "all"
 def select_geoms(
     model: mujoco.MjModel,
     *,
-    bodies: Sequence[str] | str | None = None,
-    geoms: Sequence[str] | str | None = None,
+    bodies: Choice = None,
+    geoms: Choice = None,
     groups: Sequence[int] | int | None = None,
     leave_out: Sequence[int] = (),
 ) -> list[int]:
@@ -31,8 +35,8 @@ def select_geoms(
 
     Args:
         model: the model.
-        bodies: a body's name, or several.
-        geoms: a geom's name, or several.
+        bodies: a body's name or number, or several.
+        geoms: a geom's name or number, or several.
         groups: a geom group, or several.
         leave_out: ids of geoms that are the sand itself.
 
@@ -89,10 +93,16 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
     return repr(name) if name else f"number {body}"
 
 
-def _names(names: Sequence[str] | str | None) -> Sequence[str]:
+def _names(names: Choice) -> Sequence[str | int]:
     if names is None:
         return ()
-    return (names,) if isinstance(names, str) else names
+    several = names if isinstance(names, Iterable) and not isinstance(names, str) else (names,)
+    for name in several:
+        if isinstance(name, bool) or not isinstance(name, (str, int, np.integer)):
+            raise InputError(
+                f"bodies and geoms are chosen by names or numbers, not by {shown(name)}"
+            )
+    return [name if isinstance(name, str) else int(name) for name in several]
 
 
 def _check_names(model: mujoco.MjModel) -> None:
@@ -105,17 +115,21 @@ def _check_names(model: mujoco.MjModel) -> None:
         ) from None
 
 
-def _find(model: mujoco.MjModel, kind: str, name: str) -> int | None:
-    """The id of a body or geom, None for all of them."""
+def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int | None:
+    """The id of a body or geom by its name or number, None for all of them."""
     objects, count = {
         "body": (mujoco.mjtObj.mjOBJ_BODY, model.nbody),
         "geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom),
     }[kind]
-    found = mujoco.mj_name2id(model, objects, name)
-    if found >= 0:
+    found = mujoco.mj_name2id(model, objects, name) if isinstance(name, str) else name
+    if found < 0 and str(name).isdecimal():  # a number that was written as a word
+        found = int(name)
+    if 0 <= found < count:
         return found
     if name == EVERY:
         return None
+    if isinstance(name, int) or name.isdecimal():
+        raise InputError(f"the model has no {kind} number {name}: they go from 0 to {count - 1}")
     known = (name_of(model, kind, i) for i in range(count))
     raise UnknownNameError(f"{kind} of the model", name, [name for name in known if name])
 

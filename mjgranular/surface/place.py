@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.names import name_of
 
 
@@ -24,6 +24,8 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
         UnknownNameError: no such geom; lists those of the type.
         InputError: a geom of another type, on a body that moves, or in an explicit contact pair.
     """
+    if not isinstance(name, str):
+        raise InputError(f"a {word} is given by the name of its geom, not by {shown(name)}")
     geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)
     shape = kind.name.removeprefix("mjGEOM_").lower()
     if geom < 0:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
 from mjgranular.surface.surface import Surface
 
@@ -61,8 +61,8 @@ class Plane(Surface):
     def __post_init__(self) -> None:
         for name in ("height", "slope", "uphill"):
             value = getattr(self, name)
-            if not math.isfinite(value):
-                raise InputError(f"the plane's {name} must be finite, not {value}")
+            if not isinstance(value, (int, float)) or not math.isfinite(value):
+                raise InputError(f"the plane's {name} must be finite, not {shown(value)}")
         if abs(self.slope) >= math.pi / 2:
             raise InputError(
                 f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), "
