@@ -8,7 +8,12 @@ from typing import Any
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.keep import keep
 from mjgranular.kernel.memory import table_at
-from mjgranular.scheme.wrenches import BAD_STATE, is_bad, take_back_wrenches
+from mjgranular.scheme.wrenches import (
+    BAD_STATE,
+    is_bad,
+    take_back_wrenches,
+    withdraw_wrenches,
+)
 
 FINE = -1
 """What a program returns when all is well."""
@@ -34,3 +39,10 @@ def finish_step(address):
     """Takes the wrenches back when `mj_step2` is through; `FINE`, or `BAD_STATE` if it was not."""
     take_back_wrenches(address)
     return BAD_STATE if is_bad(table_at(address)) else FINE
+
+
+@compiled
+def withdraw(address):
+    """Takes back what is left of the wrenches that a Sand wrote: `FINE`."""
+    withdraw_wrenches(table_at(address))
+    return FINE
