@@ -270,7 +270,7 @@ class Slow(dict):
 
 def spec():
     made = mujoco.MjSpec.from_string(BALL)
-    for i in range(500):
+    for i in range(200):
         made.worldbody.add_geom(size=[0.1, 0, 0], pos=[9, 9, i])
     mjgranular.add_sand(made, law=LAW)
     return made
@@ -323,7 +323,7 @@ for way in ("spec", "model", "data", "sand"):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a timer that sends signals")
 def test_an_interrupt_at_any_moment_is_raised_and_leaves_nothing_half_made() -> None:
-    code = INTERRUPTED.replace("BALL", repr(BALL)).replace("MOMENTS", "20").replace("SPAN", "0.12")
+    code = INTERRUPTED.replace("BALL", repr(BALL)).replace("MOMENTS", "20").replace("SPAN", "0.08")
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""

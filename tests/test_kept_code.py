@@ -205,6 +205,35 @@ def twice(x):
 print(twice(1.0))
 """
 
+IMPORTED = """
+import mujoco, mjgranular
+from mjgranular.kernel import compiled, entry
+from mjgranular.models import Link
+
+@compiled
+def twice(x):
+    return 2.0 * x
+
+@compiled
+def add(n, x):
+    return n + int(twice(x))
+
+print(entry(add, "int64", "float64")(1, 2.0), twice(1.0))
+spec = Link().spec()
+mjgranular.add_sand(spec)
+spec.compile()
+"""
+
+
+def test_kernels_are_compiled_while_their_module_is_imported(tmp_path: Path) -> None:
+    """The compiler must not wait for the module: it is waited for."""
+    (tmp_path / "kernels.py").write_text(IMPORTED)
+    env = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", "import kernels"]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=100)
+    assert done.stdout == "5 2.0\n", done.stderr
+
+
 PLANT = """
 import pickle, sys
 from pathlib import Path

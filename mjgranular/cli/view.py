@@ -128,10 +128,7 @@ class ViewCommand:
             raise InputError(fault) from None
 
     def _add(self, spec: mujoco.MjSpec, surface: Surface) -> None:
-        if not self.keep_floor:
-            refuse_floors(
-                spec.compile(), surface, bodies=self.bodies, geoms=self.geoms, groups=self.groups
-            )
+        bare = spec.compile()
         if isinstance(surface, Plane) and not self.keep_floor:
             add_bed(spec, surface)
         add_sand(
@@ -146,3 +143,5 @@ class ViewCommand:
             resolution=self.resolution,
             draw=self.draw,
         )
+        if not self.keep_floor:
+            refuse_floors(bare, surface, bodies=self.bodies, geoms=self.geoms, groups=self.groups)

@@ -6,7 +6,6 @@ import io
 import pickle
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.registry import CPUDispatcher
 
 from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
-from mjgranular.kernel.apart import uncut
 from mjgranular.kernel.folder import folders_to_write, read, write
 from mjgranular.kernel.identity import PACKAGE_STAMP, digest, machine, parts_of
 from mjgranular.kernel.parts import OPTIONS
@@ -30,9 +28,6 @@ class Whole(CPUDispatcher):
             self._cache: Any = _PackageCache(function)
         except RuntimeError:  # numba: "no locator available"
             self._cache = _NoCache(function)
-
-    def compile(self, sig: Any) -> Any:
-        return uncut(partial(super().compile, sig))
 
 
 class _NamedFiles(IndexDataCacheFile):
@@ -69,7 +64,7 @@ class _NamedFiles(IndexDataCacheFile):
             return None
 
     @contextmanager
-    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+    def _open_for_write(self, filepath: str) -> Iterator[Any]:
         content = io.BytesIO()
         yield content
         write(Path(filepath), content.getvalue())

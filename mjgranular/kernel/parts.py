@@ -13,6 +13,7 @@ parts and optimized as a whole, once.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from types import FunctionType
 from typing import Any, ClassVar
 
 import llvmlite.binding as llvm
@@ -72,9 +73,27 @@ class _PartLowering(NativeLowering):
     def run_pass(self, state: Any) -> bool:
         state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
+        # numba would import the module that the kernel is of: for ever, where the main thread is
+        # just importing it, and waits for this one. A function of no module it takes as it is.
+        identity = state.func_ir.func_id
+        identity.func_qualname = f"{identity.func.__module__}.{identity.func_qualname}"
+        identity.func = _of_no_module(identity.func)
         # Kernels make no arrays, and need not count who uses one.
         state.targetctx = state.targetctx.subtarget(enable_nrt=False)
         return super().run_pass(state)
+
+
+def _of_no_module(function: FunctionType) -> FunctionType:
+    """A copy of a function."""
+    copy = FunctionType(
+        function.__code__,
+        function.__globals__,
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
+    copy.__module__ = None  # pyright: ignore
+    return copy
 
 
 class _Flags(compiler.Flags):

@@ -9,8 +9,9 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import entry
 from mjgranular.sand.binding import Binding
-from mjgranular.scheme.wrenches import withdraw_wrenches
+from mjgranular.sand.guard import withdraw
 from mjgranular.shape.select import body_name
 
 
@@ -72,7 +73,7 @@ class Company:
         if self._members.pop(sand).shared:
             self._clear()
         else:
-            withdraw_wrenches(binding.table)
+            _withdraw(binding)
 
     def begin(self, binding: Binding) -> None:
         """Makes room for the share of a shared Sand.
@@ -86,7 +87,11 @@ class Company:
     def _clear(self) -> None:
         """Takes all shares back, the latest first: each finds the row as it was left."""
         while self._shares:
-            withdraw_wrenches(self._shares.pop().table)
+            _withdraw(self._shares.pop())
+
+
+def _withdraw(binding: Binding) -> None:
+    entry(withdraw, "int64")(binding.table.ctypes.data)
 
 
 _companies: weakref.WeakKeyDictionary[mujoco.MjData, Company] = weakref.WeakKeyDictionary()

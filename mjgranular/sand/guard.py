@@ -9,7 +9,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.keep import keep
 from mjgranular.kernel.memory import table_at
 from mjgranular.scheme.status import BAD_STATE, FINE
-from mjgranular.scheme.wrenches import is_bad, take_back_wrenches
+from mjgranular.scheme.wrenches import is_bad, take_back_wrenches, withdraw_wrenches
 
 
 @cache
@@ -32,3 +32,10 @@ def finish_step(address):
     """Takes the wrenches back when `mj_step2` is through; `FINE`, or `BAD_STATE` if it was not."""
     take_back_wrenches(address)
     return BAD_STATE if is_bad(table_at(address)) else FINE
+
+
+@compiled
+def withdraw(address):
+    """Takes back what is left of the wrenches that a Sand wrote: `FINE`."""
+    withdraw_wrenches(table_at(address))
+    return FINE
