@@ -36,6 +36,8 @@ from mjgranular.engine import NAME
 from mjgranular.engine.instances import sands_in
 from mjgranular.models import Link
 
+pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+
 STEPS = 300
 
 TWO_BEDS = """

@@ -29,6 +29,8 @@ from mjgranular import (
 from mjgranular.engine import tune
 from mjgranular.medium import get_medium
 
+pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+
 ROD = """
 <mujoco>
   <option timestep="5e-4"/>

@@ -13,6 +13,8 @@ from mjgranular import Explicit, GranularWarning, InputError, Rft2dLaw, Rft3dLaw
 from mjgranular.shape import facets_from_model
 from mjgranular.shape.facets import FINEST, RESOLUTION
 
+pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+
 GENERIC = Rft2dLaw.generic(1.0)
 QUIKRETE = Rft3dLaw.from_medium(media["quikrete_medium"])
 LAWS = {"rft2d": GENERIC, "rft3d": QUIKRETE}

@@ -54,6 +54,7 @@ CASES = {
     "hfield above it": (hfield("floor"), Plane(), True),
     "floor of a bed": (geom("plane") + BED, Bed("bed"), False),
     "floor over a bed": (geom("plane", pos="0 0 0.3") + BED, Bed("bed"), True),
+    "floor beside a bed": (geom("plane") + geom("box", "bed", pos="5 0 0.1"), Bed("bed"), False),
     "floor of a field": (geom("plane") + hfield("field"), HeightField("field"), False),
     "wall beside it": (geom("box", size="0.1 1 1", pos="0.5 0 0"), Plane(), False),
     "on another body of the world": (f"<body>{geom('box')}</body>", Plane(), True),

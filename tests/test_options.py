@@ -132,7 +132,7 @@ def test_runge_kutta_under_way_is_refused(door):
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("scheme", ["auto", "implicit"])
 def test_what_the_chosen_scheme_cannot_step_is_refused_at_once(door, scheme, integrator):
-    with pytest.raises((InputError, ValueError), match="Euler, implicit"):
+    with pytest.raises((InputError, ValueError), match=r"implicit(fast|, implicit| or)"):
         Run(boxes(f'integrator="{integrator}"'), door, scheme=scheme)
 
 

@@ -15,6 +15,8 @@ from mjgranular import Bed, GranularWarning, InputError, Sand, UnstableError
 from mjgranular.errors import warn_user
 from mjgranular.kernel.keep import Kept, keep
 
+pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 

@@ -7,6 +7,8 @@ import pytest
 from mjgranular import InputError, LinkLaw, Sand, UnknownNameError, media
 from mjgranular.shape import select_geoms
 
+pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+
 # Of groups 0, 2, 3 and 5 there are geoms; of 0 and 3 there are some that collide and can move.
 ROBOT = """
 <mujoco>

@@ -13,6 +13,8 @@ import pytest
 
 from mjgranular import Explicit, Plane, Sand, UnstableError
 
+pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+
 STEPS = 300
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 

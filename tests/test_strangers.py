@@ -44,12 +44,6 @@ def test_mutated_models_are_refused_in_one_sentence(attacks: Any) -> None:
     assert attacks("mjcf").run(seed=1, count=120) == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["media", "mjcf"])
-def test_many_mutations(attacks: Any, name: str) -> None:
-    assert attacks(name).run(seed=2, count=1000) == []
-
-
 @pytest.mark.parametrize(
     ("answer", "wrong"),
     [

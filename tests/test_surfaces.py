@@ -25,6 +25,8 @@ from mjgranular import (
     media,
 )
 
+pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+
 LAWS = {
     "link": LinkLaw.from_medium(media["play_sand"]),
     "link_distributed": DistributedLinkLaw.from_medium(media["play_sand"]),

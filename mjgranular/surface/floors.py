@@ -63,6 +63,8 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
             to_sand, _ = _cast(rays, data, centre, down, _SAND)
         else:
             to_sand = float((centre - [0.0, 0.0, plane.height]) @ plane.normal)
+        if not np.isfinite(to_sand):  # beside the sand ground is ground
+            continue
         while True:  # below what is taken out there may be more
             to_floor, floor = _cast(rays, data, centre, down, _FLOOR)
             if to_floor > to_sand + SKIN or floor < 0:
