@@ -152,4 +152,4 @@ def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> No
     frame, level = sys._getframe(1), 2
     while frame.f_back and str(frame.f_globals.get("__name__")).partition(".")[0] == package:
         frame, level = frame.f_back, level + 1
-    warnings.warn(_cut(one_line(message), _LONGEST_MESSAGE), GranularWarning, stacklevel=level)
+    warnings.warn(_cut(one_line(message), _LONGEST_MESSAGE), kind, stacklevel=level)
