@@ -15,8 +15,8 @@ from typing import Any
 import mujoco
 import pytest
 
-from mjgranular import Bed, DepthVelocityLaw, add_sand
-from mjgranular.engine import plugin
+from mjgranular import Bed, DepthVelocityLaw, GranularError, add_sand
+from mjgranular.engine import doors, plugin
 from mjgranular.kernel.apart import apart, give_way
 
 LAW = DepthVelocityLaw(stiffness=100, linear=5)
@@ -86,7 +86,7 @@ def test_an_interrupt_before_the_first_line_is_raised(
     """Python gives no answer then: here because its function takes other arguments."""
     model = sandy_ball()
     with monkeypatch.context() as patch:
-        patch.setattr(plugin.Answer, "from_address", raising(KeyboardInterrupt()), raising=False)
+        patch.setattr(doors.Answer, "from_address", raising(KeyboardInterrupt()), raising=False)
         for make in (lambda: mujoco.MjData(model), sandy_ball):
             with pytest.raises(KeyboardInterrupt):
                 make()
@@ -97,9 +97,9 @@ def test_an_interrupt_before_the_first_line_is_raised(
     ("error", "said"),
     [
         (MemoryError(), "MemoryError"),
-        (plugin.GranularError("half\0%s%n"), r"half\\x00%s%n"),
-        (plugin.GranularError("sand" + 600 * "\N{EURO SIGN}"), "\N{EURO SIGN}...$"),
-        (plugin.GranularError("sand \udcff"), r"sand \\udcff"),
+        (GranularError("half\0%s%n"), r"half\\x00%s%n"),
+        (GranularError("sand" + 600 * "\N{EURO SIGN}"), "\N{EURO SIGN}...$"),
+        (GranularError("sand \udcff"), r"sand \\udcff"),
     ],
 )
 def test_what_goes_wrong_is_an_error_of_mujocos(
@@ -202,9 +202,10 @@ def rows(loader: Any) -> int:
 
 def test_a_load_that_fails_leaves_nothing(loader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from mjgranular.engine import block
+    from mjgranular.engine.library import library as find_library
 
     freed, taken = [], []
-    library = block.library()
+    library = find_library()
     monkeypatch.setattr(block, "library", lambda: Counting(library, taken, freed))
     before, kept = rows(loader), users(loader)
     spec = mujoco.MjSpec.from_string(BALL)

@@ -162,7 +162,7 @@ def test_what_others_own_is_not_read(
     kept: Path, monkeypatch: pytest.MonkeyPatch, whole_folder: bool
 ) -> None:
     name, ask = ("lstat", Path.lstat) if whole_folder else ("fstat", os.fstat)
-    holder = Path if whole_folder else folder.os
+    holder = Path if whole_folder else os
     monkeypatch.setattr(holder, name, lambda path: Foreign(ask(path), 12345))
     with pytest.warns(GranularWarning, match="belongs to another user"):
         assert load() is None
@@ -178,7 +178,7 @@ def test_what_the_administrator_kept_for_all_is_read(
     kept.parent.rename(kept.parents[1] / folder._name(Path(__file__), 0))
     monkeypatch.setattr(folder, "_user", lambda: 4321)
     fstat = os.fstat
-    monkeypatch.setattr(folder.os, "fstat", lambda file: Foreign(fstat(file), 0))
+    monkeypatch.setattr(os, "fstat", lambda file: Foreign(fstat(file), 0))
     lstat = Path.lstat
     monkeypatch.setattr(Path, "lstat", lambda path: Foreign(lstat(path), 0))
     assert load() == CODE

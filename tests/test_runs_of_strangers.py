@@ -172,7 +172,7 @@ def test_policies_act_as_stable_baselines_has_them(name, tmp_path):
     whole = PPO.load(policy.folder / "policy.zip", device="cpu")
     for what in ("observation_space", "action_space"):
         assert getattr(policy.model, what) == getattr(whole, what)
-    seen = np.random.default_rng(0).normal(size=(9, *whole.observation_space.shape)) * 3
+    seen = np.random.default_rng(0).normal(size=(9, *(whole.observation_space.shape or ()))) * 3
     np.testing.assert_array_equal(
         policy.model.predict(seen, deterministic=True)[0],
         whole.predict(seen, deterministic=True)[0],

@@ -17,10 +17,7 @@ from mjgranular.kernel.structs import record_of
 
 OPTION_DTYPE = record_of("mjOption")
 option_records = records(OPTION_DTYPE)
-_OFFSETS: dict[str, int] = {
-    name: OPTION_DTYPE.fields[name][1]  # pyright: ignore[reportOptionalSubscript]
-    for name in OPTION_DTYPE.names or ()
-}
+_OFFSETS = {name: int(field[1]) for name, field in (OPTION_DTYPE.fields or {}).items()}
 
 NO_GRAVITY = int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 NO_PASSIVE_FORCES = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)

@@ -87,6 +87,6 @@ def bind(
         desk=desk.table,
         options=options_address(model),
         integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
-        longest_step=nanoseconds(scheme.longest_step),
+        longest_step=nanoseconds(scheme.step_limit),
     )
     return Binding(table, table.ctypes.data, bodies, contacts, kept, desk)

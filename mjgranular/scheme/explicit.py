@@ -69,6 +69,10 @@ class Explicit(Scheme):
             )
 
     @property
+    def step_limit(self) -> float:
+        return self.longest_step
+
+    @property
     def lead(self) -> float:
         return 0.5 if self.half_step else 0.0
 

@@ -52,7 +52,7 @@ class Scheme(ABC):
     integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST", "DISCRETE")
 
     @property
-    def longest_step(self) -> float:
+    def step_limit(self) -> float:
         """The longest time step that may be set later [s]."""
         return math.inf
 
@@ -61,7 +61,7 @@ class Scheme(ABC):
         *first, last = (_SPELLED.get(name, name.lower()) for name in self.integrators)
         return refusal(
             status,
-            longest_step=self.longest_step,
+            longest_step=self.step_limit,
             integrators=f"{', '.join(first)} or {last}",
         )
 
