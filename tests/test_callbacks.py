@@ -302,13 +302,15 @@ for way in ("spec", "model", "data", "sand"):
         for again in (False, True):
             made = None
             try:
-                if not again:
-                    signal.setitimer(signal.ITIMER_REAL, 1e-5 + SPAN * (moment / MOMENTS) ** 2)
-                made = attempt(way)
-                counts[again] += 1
+                try:
+                    if not again:
+                        signal.setitimer(signal.ITIMER_REAL, 1e-5 + SPAN * (moment / MOMENTS) ** 2)
+                    made = attempt(way)
+                    counts[again] += 1
+                finally:
+                    signal.setitimer(signal.ITIMER_REAL, 0)
             except KeyboardInterrupt:
                 pass
-            signal.setitimer(signal.ITIMER_REAL, 0)
             if made:
                 step(*made)
     assert counts[1] == MOMENTS
