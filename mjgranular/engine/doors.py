@@ -15,6 +15,7 @@ anybody has it, is one whose sand is not prepared.
 from __future__ import annotations
 
 import ctypes
+import signal
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -33,6 +34,9 @@ UNPREPARED = "mjgranular_unprepared"
 """Name of `unprepared(data)`: an error of MuJoCo's that says that there is no sand; returns only
 where `pausing` says that this is meant."""
 
+FORGET = "mjgranular_forget"
+"""Name of `forget(data)`, for an `mjData` that is freed: another may lie at its address then."""
+
 pausing = ctypes.c_int64(0)
 """Address of the `mjData` that goes without sand, 0 for none: while an interrupt is due, and while
 the layout of MuJoCo's memory is found."""
@@ -43,13 +47,12 @@ _PYTHON = (
     "PyObject_CallFunction",
     "Py_DecRef",
     "PyErr_Clear",
+    "PyErr_SetInterrupt",
     "PyThread_get_thread_ident",
-    "PyThreadState_SetAsyncExc",
 )
 
 FINE, ERROR, INTERRUPT = 1, 2, 3
-"""Answers of Python's: with an error comes the address of a text, with an interrupt that of a class
-of exceptions (`due`). 0 is none."""
+"""Answers of Python's: with an error comes the address of a text. 0 is none."""
 
 Answer = ctypes.c_int64 * 2
 """What Python writes at the address that it is given: one of these, and what comes with it."""
@@ -83,6 +86,23 @@ define void @mjgranular_compute(i64 %model, i64 %data, i32 %instance, i32 %capab
   ret void
 }
 
+define void @mjgranular_forget(i64 %data) {
+  %cell = inttoptr i64 PAUSING to ptr
+  %pausing = load volatile i64, ptr %cell
+  %gone = icmp eq i64 %pausing, %data
+  br i1 %gone, label %forget, label %leave
+forget:
+  store volatile i64 0, ptr %cell
+  br label %leave
+leave:
+  ret void
+}
+
+define void @mjgranular_destroy(i64 %data, i32 %instance) {
+  call void @mjgranular_forget(i64 %data)
+  ret void
+}
+
 define void @mjgranular_reset(i64 %model, i64 %state, i64 %handle, i32 %instance) {
   ret void
 }
@@ -111,6 +131,7 @@ no:
 
 _INIT = r"""
 @format = private constant [5 x i8] c"LLiL\00"
+@format_of_place = private constant [2 x i8] c"L\00"
 
 declare i32 @PyGILState_Ensure()
 declare void @PyGILState_Release(i32)
@@ -119,7 +140,6 @@ declare void @Py_DecRef(ptr)
 declare void @PyErr_Clear()
 declare void @PyErr_SetInterrupt()
 declare i64 @PyThread_get_thread_ident()
-declare i32 @PyThreadState_SetAsyncExc(i64, ptr)
 declare void @mjgranular_fail(i64)
 
 define i32 @NAME_init(i64 %model, i64 %data, i32 %instance) {
@@ -155,12 +175,28 @@ answered:
     i64 INTERRUPT, label %interrupted
   ]
 silent:
-  br i1 %main, label %interrupted, label %done
+  br i1 %main, label %again, label %done
+again:
+  %noticing = inttoptr i64 NOTICE to ptr
+  %noticed = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %noticing, ptr @format_of_place,
+    i64 %place)
+  %lost_again = icmp eq ptr %noticed, null
+  br i1 %lost_again, label %clear, label %release
+clear:
+  call void @PyErr_Clear()
+  br label %look
+release:
+  call void @Py_DecRef(ptr %noticed)
+  br label %look
+look:
+  %then = load volatile i64, ptr %answer
+  %notice = icmp eq i64 %then, INTERRUPT
+  br i1 %notice, label %interrupted, label %signal
 interrupted:
-  %class = phi i64 [%with, %answered], [DUE, %silent]
   store volatile i64 %data, ptr %cell
-  %pointer = inttoptr i64 %class to ptr
-  %count = call i32 @PyThreadState_SetAsyncExc(i64 %thread, ptr %pointer)
+  br label %signal
+signal:
+  call void @PyErr_SetInterrupt()
   br label %done
 done:
   call void @PyGILState_Release(i32 %held)
@@ -202,21 +238,26 @@ NONE = Size("", {}, 0)
 """No numbers, however it is configured."""
 
 
-def due(error: BaseException) -> type[BaseException]:
-    """A class of exceptions of which this one is the only instance, for Python to raise later."""
-    return _due(type(error), lambda: error)
+def raise_later(error: BaseException) -> None:
+    """Has Python raise this at the next SIGINT, in the main thread, once.
+
+    What MuJoCo calls brings that about when it returns (`PyErr_SetInterrupt`).
+    """
+    previous = signal.getsignal(signal.SIGINT)
+
+    def deliver(number: int, frame: object) -> None:
+        # None: of a handler that is not Python's.
+        signal.signal(signal.SIGINT, previous or signal.default_int_handler)
+        pausing.value = 0  # MuJoCo has returned
+        raise error
+
+    signal.signal(signal.SIGINT, deliver)
 
 
-def _due(kind: type[BaseException], make: Callable[[], BaseException]) -> type[BaseException]:
-    def instance(cls: type, *arguments: object) -> BaseException:
-        pausing.value = 0  # Python raises it: MuJoCo has returned
-        return make()
-
-    return type(kind.__name__, (kind,), {"__new__": instance})
-
-
-_INTERRUPT = _due(KeyboardInterrupt, KeyboardInterrupt)
-"""What is raised in the main thread where Python gave no answer: a signal had come in before."""
+def _notice(place: int) -> None:
+    """Sees to an interrupt for which Python gave no answer: a signal had come in before."""
+    ctypes.c_int64.from_address(place).value = INTERRUPT
+    raise_later(KeyboardInterrupt())
 
 
 def make_doors(
@@ -242,7 +283,7 @@ def make_doors(
         FUNCTION=id(init),
         PAUSING=ctypes.addressof(pausing),
         MAIN=threading.main_thread().ident,
-        DUE=id(_INTERRUPT),
+        NOTICE=id(_notice),
         INTERRUPT=INTERRUPT,
         ERROR=ERROR,
     )
@@ -271,9 +312,9 @@ def _common() -> dict[str, int]:
     code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))
     engine.add_module(llvm.parse_assembly(code))
     engine.finalize_object()
-    for name in (FAIL, UNPREPARED, "mjgranular_equal"):
+    for name in (FAIL, UNPREPARED, FORGET, "mjgranular_equal"):
         publish(name, engine.get_function_address(name))
-    fields = ("compute", "reset")
+    fields = ("compute", "reset", "destroy")
     return {field: engine.get_function_address(f"mjgranular_{field}") for field in fields}
 
 

@@ -20,7 +20,7 @@ from mjgranular.engine.block import (
     RELOCATION_DTYPE,
     SHAPE_DTYPE,
 )
-from mjgranular.engine.doors import FAIL, UNPREPARED
+from mjgranular.engine.doors import FAIL, FORGET, UNPREPARED
 from mjgranular.engine.layout import Layout
 from mjgranular.engine.links import add_atomically, call_program, publish, symbol
 from mjgranular.engine.rows import (
@@ -70,6 +70,7 @@ _shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _fail = External(FAIL, "void", "int64")
 _unprepared = External(UNPREPARED, "void", "int64")
+_forget = External(FORGET, "void", "int64")
 _free = External("mju_free", "void", "int64")
 
 _OTHER_SHAPE = "mjgranular_other_shape"
@@ -198,6 +199,7 @@ def life(layout: Layout) -> Callbacks:
 
     @compiled
     def destroy(data, instance):
+        _forget(data)
         number = find_row(data, instance)
         if number == 0:
             return

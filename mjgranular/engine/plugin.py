@@ -27,9 +27,9 @@ from mjgranular.engine.doors import (
     NONE,
     Answer,
     Size,
-    due,
     make_doors,
     pausing,
+    raise_later,
 )
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import LayoutError, find_layout, laid_out
@@ -132,9 +132,8 @@ class Engine:
             if not is_main():
                 self._refuse(error, model, data, instance, answer)
                 return
-            self._told.interrupt = due(error)  # must outlive this call
-            answer[1] = id(self._told.interrupt)
             answer[0] = INTERRUPT
+            raise_later(error)
 
     def _serve(self, plugin: Plugin, model: int, data: int, instance: int) -> None:
         if is_aside():
