@@ -136,6 +136,17 @@ def test_what_the_chosen_scheme_cannot_step_is_refused_at_once(door, scheme, int
         Run(boxes(f'integrator="{integrator}"'), door, scheme=scheme)
 
 
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("solver", [-3, 3, 99])
+def test_a_solver_that_is_none(door, solver):
+    """The engine raises an error for it, which would end the process where we ask for forces."""
+    run = Run(boxes('solver="PGS"'), door)
+    run.step()
+    run.model.opt.solver = solver
+    with pytest.raises((InputError, mujoco.FatalError), match=r"opt\.solver.*PGS, CG or Newton"):
+        run.step()
+
+
 @pytest.mark.parametrize("timestep", [0.0, -1e-3, np.nan, np.inf])
 @pytest.mark.parametrize("scheme", ["explicit", "implicit"])
 @pytest.mark.parametrize("door", DOORS)

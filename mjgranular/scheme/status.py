@@ -26,14 +26,17 @@ LONG_TIMESTEP = -4
 """The time step has grown beyond what the scheme was chosen for."""
 BAD_INTEGRATOR = -5
 """The integrator is not one that the scheme can step."""
+BAD_SOLVER = -6
+"""The constraint solver is none that the engine has: it would end the process."""
 
 # Numbered downwards, one after the other.
-REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR)
+REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR, BAD_SOLVER)
 """What `check_options` says no with."""
 
 EVERY_INTEGRATOR = 0xFF  # a bit for each
 _LONGEST = 10**18  # [ns]: any step
 _NANO = 1e-9
+_SOLVERS = len(mujoco.mjtSolver.__members__)
 
 
 @partial(compiled, inline=True)
@@ -55,6 +58,8 @@ def check_options(table):
     integrator = options.integrator
     if not 0 <= integrator < 8 or table[INTEGRATORS] >> integrator & 1 == 0:
         return BAD_INTEGRATOR
+    if not 0 <= options.solver < _SOLVERS:
+        return BAD_SOLVER
     return FINE
 
 
@@ -84,6 +89,11 @@ def refusal(status: int, *, longest_step: float, integrators: str) -> str:
             f"the explicit scheme was chosen for time steps up to {longest_step:g} s, and that of "
             "the model (opt.timestep) is longer now: prepare the sand anew, or with "
             "scheme='implicit'"
+        )
+    if status == BAD_SOLVER:
+        return (
+            "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it to PGS, "
+            "CG or Newton"
         )
     return (
         "the sand cannot be stepped with the integrator that the model has now (opt.integrator; "
