@@ -92,8 +92,8 @@ def refusal(status: int, *, longest_step: float, integrators: str) -> str:
         )
     if status == BAD_SOLVER:
         return (
-            "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it to PGS, "
-            "CG or Newton"
+            "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it to "
+            "PGS, CG or Newton"
         )
     return (
         "the sand cannot be stepped with the integrator that the model has now (opt.integrator; "
