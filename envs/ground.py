@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 
 from mjgranular import HeightField, InputError, Law, Medium, Plane, Scheme, Surface, add_sand
-from mjgranular.engine.plugin import SENSOR
+from mjgranular.engine.measures import SENSOR
 from mjgranular.models import model_path
 from mjgranular.shape import select_geoms
 

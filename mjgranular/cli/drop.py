@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
-from mjgranular.cli.impact import write_film
+from mjgranular.cli.filming import write_film
 from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop

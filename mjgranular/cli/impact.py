@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import tyro
 from rich.table import Table
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli.filming import write_film
 from mjgranular.cli.options import LinkOptions
 from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment import DropResult, Impact, ImpactResult, run_drop, run_impact
@@ -249,26 +249,3 @@ def film_impact(
 
     stop = release_to_stop(summary)
     return write_film(folder, name, film, lambda: frames_of_run(film, link, trajectory, stop=stop))
-
-
-def write_film(
-    folder: ResultFolder,
-    name: str,
-    film: Film,
-    pictures: Callable[[], tuple[int, Iterator[Any]]],
-) -> list[GranularError]:
-    """Writes a film with a progress bar; returns what kept it from doing so."""
-    from mjgranular.errors import RenderError
-    from mjgranular.picture.video import write_video
-
-    try:
-        with progress_bar("filming", 1.0) as progress:
-            folder.write(
-                name,
-                lambda path: write_video(
-                    path, film, *pictures(), progress=lambda done, count: progress(done / count)
-                ),
-            )
-    except (MissingExtraError, RenderError) as error:
-        return [error]
-    return []

@@ -11,7 +11,8 @@ import tyro
 
 from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.drop import FILM
-from mjgranular.cli.impact import VIDEO, film_impact, write_film
+from mjgranular.cli.filming import write_film
+from mjgranular.cli.impact import VIDEO, film_impact
 from mjgranular.errors import GranularError, InputError, OutputError
 from mjgranular.experiment.drop import load
 from mjgranular.experiment.folder import ResultFolder, read_drop, read_impact, saved_command

@@ -26,8 +26,8 @@ from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
+from mjgranular.engine.measures import SENSOR_KEYS
 from mjgranular.engine.native import drop, release, retain, start
-from mjgranular.engine.plugin import SENSOR_KEYS
 from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings

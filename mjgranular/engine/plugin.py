@@ -34,15 +34,12 @@ from mjgranular.engine.doors import (
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import LayoutError, find_layout, laid_out
 from mjgranular.engine.library import instance_name, library
-from mjgranular.engine.measures import MEASURES
+from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 from mjgranular.kernel.apart import is_main
 from mjgranular.kernel.compiler import CompilerError
 from mjgranular.kernel.fork import ENGINE
-
-SENSOR = "mjgranular.sensor"
-SENSOR_KEYS = ("measure", "sand")
 
 _logger = logging.getLogger(__name__)
 
