@@ -1,7 +1,6 @@
 """Files survive a killed process: whole or not at all, together, and by one writer at a time."""
 
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -164,26 +163,47 @@ def test_the_old_folder_comes_back_if_the_new_one_was_not_in_its_place_yet(tmp_p
 # One process at a time
 
 
-def hold(folder: Path, ready, go_on) -> None:
-    with files.locked(folder):
-        ready.set()
-        go_on.wait()
+HOLD = """
+import sys
+from mjgranular import files
+with files.locked(files.Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+CONTEND = """
+import sys, time
+from pathlib import Path
+from mjgranular import files
+from mjgranular.errors import OutputError
+folder, count = Path(sys.argv[1]), int(sys.argv[2])
+while count:
+    try:
+        with files.locked(folder):
+            count -= 1
+            number = int((folder / "number").read_text())
+            (folder / "number").write_text(str(number + 1))
+            (folder / "log").open("a").write("x")
+    except OutputError:
+        time.sleep(0.001)
+"""
+
+
+def python(code: str, *arguments: object) -> subprocess.Popen:
+    """A process of its own."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
 def test_one_process_at_a_time(tmp_path):
-    context = multiprocessing.get_context("spawn")
-    ready, go_on = context.Event(), context.Event()
-    process = context.Process(target=hold, args=(tmp_path / "new", ready, go_on))
-    process.start()
-    assert ready.wait(60)
-    with (
-        pytest.raises(OutputError, match="in use by another process"),
-        files.locked(tmp_path / "new"),
-    ):
-        pass
-    assert main(["impact", *QUICK, "--out", str(tmp_path / "new")]) == 2
-    process.kill()  # the system lets go of its lock
-    process.join()
+    with python(HOLD, tmp_path / "new") as process:
+        assert process.stdout.readline() == b"held\n"
+        with (
+            pytest.raises(OutputError, match="in use by another process"),
+            files.locked(tmp_path / "new"),
+        ):
+            pass
+        assert main(["impact", *QUICK, "--out", str(tmp_path / "new")]) == 2
+        process.kill()  # the system lets go of its lock
     with files.locked(tmp_path / "new"):
         assert (tmp_path / "new" / files.LOCK).exists()
         with pytest.raises(OutputError), files.locked(tmp_path / "new"):
@@ -191,27 +211,12 @@ def test_one_process_at_a_time(tmp_path):
     assert list((tmp_path / "new").iterdir()) == []
 
 
-def contend(folder: Path, count: int) -> None:
-    while count:
-        try:
-            with files.locked(folder):
-                count -= 1
-                number = int((folder / "number").read_text())
-                (folder / "number").write_text(str(number + 1))
-                (folder / "log").open("a").write("x")
-        except OutputError:
-            time.sleep(0.001)
-
-
 def test_a_lock_that_is_removed_by_its_holder_still_keeps_others_out(tmp_path):
     (tmp_path / "number").write_text("0")
-    context = multiprocessing.get_context("spawn")
-    several = [context.Process(target=contend, args=(tmp_path, 60)) for _ in range(3)]
+    several = [python(CONTEND, tmp_path, 60) for _ in range(3)]
     for process in several:
-        process.start()
-    for process in several:
-        process.join()
-        assert process.exitcode == 0
+        process.communicate()
+        assert process.returncode == 0
     assert int((tmp_path / "number").read_text()) == (tmp_path / "log").stat().st_size == 180
 
 
