@@ -526,7 +526,7 @@ def test_two_implicit_sands_on_one_body() -> None:
     spec.option.timestep = 1e-3
     bare = spec.compile()
     for arguments in sands:
-        add_sand(spec, **arguments)
+        add_sand(spec, tunable=True, **arguments)  # both are meant
     model = spec.compile()
     mine, theirs = released(model), released(bare)
     doors = [Sand(bare, shared=True, **arguments) for arguments in sands]

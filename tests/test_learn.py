@@ -435,7 +435,7 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["train", "Pendulm-v1"], "no environment 'Pendulm-v1'; there are:"),
+        (["train", "Pendulm-v1"], "no environment 'Pendulm-v1'; did you mean Pendulum-v1"),
         (["train"], "train needs an environment"),
         (["train", ":Some-v0"], "the module '' of the environment :Some-v0 cannot be imported"),
         (["train", "Swimmer-v5", "--set", "environment.xml_file=x.xml"], "cannot be made"),
