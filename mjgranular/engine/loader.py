@@ -184,7 +184,8 @@ class Loader:
                 raise InputError(
                     f"the sand {name!r} acts on body {mine.bodies[min(common)]!r} too, in the "
                     f"same place ({mine.place}): the body would be resisted twice; say with "
-                    "bodies=... or geoms=... which meet each of them"
+                    "bodies=... or geoms=... which meet each of them, or tunable=true if both are "
+                    "meant"
                 )
 
     def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> np.ndarray:
