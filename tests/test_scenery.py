@@ -32,3 +32,11 @@ def test_the_bed_is_drawn_where_the_sand_acts(surface, angle):
         corner = data.geom_xpos[0] + turn @ (half * [x, y, 1])
         depth = (np.array([0.0, 0.0, surface.height]) - corner) @ surface.normal
         assert abs(depth) < 1e-12
+
+
+@pytest.mark.parametrize("lights", [0, 1])
+def test_a_model_without_a_light_gets_one(lights):
+    own = '<body><light pos="0 0 3"/></body>' * lights
+    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{own}</worldbody></mujoco>")
+    add_bed(spec, Plane())
+    assert spec.compile().nlight == 1

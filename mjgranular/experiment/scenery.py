@@ -13,7 +13,20 @@ _BED = "mjgranular_bed"
 
 
 def add_bed(spec: mujoco.MjSpec, surface: Plane) -> None:
-    """Adds a sand-coloured slab below a plane surface, to be seen and not to be touched."""
+    """Adds a sand-coloured slab below a plane surface, to be seen and not to be touched.
+
+    A model without a light gets one, from above and aside, so that relief shows.
+    """
+    if not spec.lights:
+        spec.worldbody.add_light(
+            name=_BED,
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=[0.0, 0.0, 4.0],
+            dir=[0.4, 0.3, -1.0],
+            ambient=[0.3, 0.3, 0.3],
+            diffuse=[0.6, 0.6, 0.6],
+            castshadow=True,
+        )
     if all(t.type != mujoco.mjtTexture.mjTEXTURE_SKYBOX for t in spec.textures):
         spec.add_texture(
             name="mjgranular_sky",
