@@ -25,15 +25,30 @@ def velocity_change(table, last_dof, lead):
         lead: time [s].
 
     Returns:
+        As `motion_along`.
+    """
+    return motion_along(table, last_dof, table[WARMSTART], lead)
+
+
+@partial(compiled, inline=True)
+def motion_along(table, last_dof, rates, scale):
+    """The spatial velocity that rates of the degrees of freedom give a body.
+
+    Args:
+        table: the simulation's.
+        last_dof: the last degree of freedom in the body's chain, -1 if it has none.
+        rates: address of nv numbers.
+        scale: what they are multiplied by.
+
+    Returns:
         (wx, wy, wz, vx, vy, vz): angular velocity [rad/s], and linear velocity [m/s] of the point
         that coincides with the tree's centre of mass.
     """
-    acceleration = table[WARMSTART]
     parent = ints(table[DOF_PARENT], table[NV])
     wx, wy, wz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     dof = last_dof
     while dof >= 0:
-        gain = lead * row_of(acceleration, dof, 1)[0]
+        gain = scale * row_of(rates, dof, 1)[0]
         axis = row_of(table[CDOF], dof, 6)
         wx += gain * axis[0]
         wy += gain * axis[1]

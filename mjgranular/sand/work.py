@@ -10,18 +10,14 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
-    CDOF,
     CVEL,
-    DOF_PARENT,
-    NV,
     SUBTREE_COM,
     XIPOS,
     floats,
-    ints,
     row_of,
     table_at,
 )
-from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.motion import motion_along, velocity_at
 from mjgranular.kernel.records import body_records
 from mjgranular.sand.sand import Sand
 
@@ -46,21 +42,12 @@ def add_work(address, velocity, work, h):
     table = table_at(address)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     total = floats(work, len(bodies))
-    parent, qvel = ints(table[DOF_PARENT], table[NV]), floats(velocity, table[NV])
     for slot in range(len(bodies)):
         body = bodies[slot]
         begin = row_of(table[CVEL], body.body, 6)
-        wx, wy, wz, vx, vy, vz = begin[0], begin[1], begin[2], begin[3], begin[4], begin[5]
-        dof = body.last_dof
-        while dof >= 0:
-            axis, speed = row_of(table[CDOF], dof, 6), qvel[dof]
-            wx += speed * axis[0]
-            wy += speed * axis[1]
-            wz += speed * axis[2]
-            vx += speed * axis[3]
-            vy += speed * axis[4]
-            vz += speed * axis[5]
-            dof = parent[dof]
+        wx, wy, wz, vx, vy, vz = motion_along(table, body.last_dof, velocity, 1.0)
+        wx, wy, wz = wx + begin[0], wy + begin[1], wz + begin[2]
+        vx, vy, vz = vx + begin[3], vy + begin[4], vz + begin[5]
         com, tree = row_of(table[XIPOS], body.body, 3), row_of(table[SUBTREE_COM], body.root, 3)
         vx, vy, vz = velocity_at(
             (wx, wy, wz, vx, vy, vz), com[0] - tree[0], com[1] - tree[1], com[2] - tree[2]
