@@ -68,6 +68,14 @@ def test_what_carries_is_found(case):
     assert floors(world(ground, assets=FIELD), surface) == (["floor"] if carries else [])
 
 
+@pytest.mark.parametrize("z", [0.0, -0.05, -0.09])
+@pytest.mark.parametrize("ground", [geom("plane"), geom("box", pos="0 0 -0.1")])
+def test_a_body_that_begins_within_its_floor(ground, z):
+    xml = f"<mujoco><worldbody>{ground}{BALL.format(x=0)}</worldbody></mujoco>"
+    model = mujoco.MjModel.from_xml_string(xml.replace("0 0 0.5", f"0 0 {z}"))
+    assert floors(model, Plane()) == ["floor"]
+
+
 def test_pairs_collide_whatever_the_masks_say():
     xml = """
     <mujoco>

@@ -40,8 +40,8 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     if plane is None and not sand:
         return []
     fixed = [geom for geom in range(model.ngeom) if _is_fixed(model, geom) and geom not in sand]
-    fixed = [geom for geom in fixed if any(_collide(model, geom, other) for other in geoms)]
-    if not fixed:
+    meets = _collisions(model, geoms, fixed)
+    if not meets.any():
         return []
     rays = copy.copy(model)
     rays.geom_matid[:] = -1  # rays go through what cannot be seen
@@ -52,21 +52,20 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     mujoco.mj_kinematics(rays, data)
     down = np.array([0.0, 0.0, -1.0]) if plane is None else -plane.normal
     found = set()
-    for geom in geoms:
-        against = [other for other in fixed if _collide(model, geom, other)]
-        if not against:
+    for geom, against in zip(geoms, meets, strict=True):
+        if not against.any():
             continue
-        rays.geom_group[fixed] = 0
-        rays.geom_group[against] = _FLOOR
-        centre = data.geom_xpos[geom]
+        rays.geom_group[fixed] = np.where(against, _FLOOR, 0)
+        # From above what it touches where it stands: it may begin within its own floor.
+        start = data.geom_xpos[geom] - model.geom_rbound[geom] * down
         if plane is None:
-            to_sand, _ = _cast(rays, data, centre, down, _SAND)
+            to_sand, _ = _cast(rays, data, start, down, _SAND)
         else:
-            to_sand = float((centre - [0.0, 0.0, plane.height]) @ plane.normal)
+            to_sand = float(([0.0, 0.0, plane.height] - start) @ down)
         if not np.isfinite(to_sand):  # beside the sand ground is ground
             continue
         while True:  # below what is taken out there may be more
-            to_floor, floor = _cast(rays, data, centre, down, _FLOOR)
+            to_floor, floor = _cast(rays, data, start, down, _FLOOR)
             if to_floor > to_sand + SKIN or floor < 0:
                 break
             found.add(floor)
@@ -106,16 +105,14 @@ def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.body_weldid[body] == 0 and model.body_mocapid[body] < 0)
 
 
-def _collide(model: mujoco.MjModel, first: int, second: int) -> bool:
-    """Whether two geoms make contacts."""
-    if (
-        model.geom_contype[first] & model.geom_conaffinity[second]
-        or model.geom_contype[second] & model.geom_conaffinity[first]
-    ):
-        return True
-    ends = {first, second}
-    pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
-    return any({one, other} == ends for one, other in pairs)
+def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[int]) -> np.ndarray:
+    """Which geoms make contacts with which others: bool, shape (geoms, others)."""
+    types, affinities = model.geom_contype, model.geom_conaffinity
+    meets = (types[geoms, None] & affinities[others]) | (affinities[geoms, None] & types[others])
+    pairs = {frozenset(ends) for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)}
+    if pairs:
+        meets |= [[frozenset((geom, other)) in pairs for other in others] for geom in geoms]
+    return meets != 0
 
 
 def _cast(
