@@ -25,7 +25,27 @@ def check_regular(path: Path, what: str) -> None:
         mode = path.stat().st_mode
     except (OSError, ValueError):
         return
-    _check_mode(mode, path, what)
+    if not stat.S_ISREG(mode):
+        raise _not_regular(path, what)
+
+
+class NotRegularError(OSError):
+    """What was to be read is no regular file."""
+
+
+def beginning(path: Path, most: int) -> bytes:
+    """The first bytes of a regular file, opened so that nothing blocks.
+
+    Raises:
+        NotRegularError: it is something else.
+        OSError: it cannot be read.
+        ValueError: it is no path.
+    """
+    descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
+    with os.fdopen(descriptor, "rb") as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise NotRegularError
+        return file.read(most) or b""
 
 
 def read_file(path: Path, what: str, *, largest: int) -> bytes:
@@ -41,14 +61,10 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
     """
     check_regular(path, what)  # opening alone can move a tape or take a terminal
     try:
-        # Another may stand in its place by now: opened so that nothing blocks, and asked again.
-        descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
-        with os.fdopen(descriptor, "rb") as file:
-            _check_mode(os.fstat(descriptor).st_mode, path, what)
-            content = file.read(largest + 1) or b""
+        content = beginning(path, largest + 1)
+    except NotRegularError:
+        raise _not_regular(path, what) from None
     except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
         reason = getattr(error, "strerror", None) or "it is not a path"
         raise InputError(f"cannot read {what} {place(path)}: {reason}") from None
     if len(content) > largest:
@@ -64,6 +80,5 @@ def place(path: Path) -> str:
     return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
 
 
-def _check_mode(mode: int, path: Path, what: str) -> None:
-    if not stat.S_ISREG(mode):
-        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")
+def _not_regular(path: Path, what: str) -> InputError:
+    return InputError(f"cannot read {what} {place(path)}: it is not a regular file")

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import stat
 import types
 import typing
 import zipfile
@@ -21,6 +19,7 @@ from typing import Any, Literal, Union
 import numpy as np
 
 from mjgranular.errors import OutputError
+from mjgranular.reading import NotRegularError, beginning
 
 # Far beyond what the package writes; chosen, not measured.
 _MOST_TEXT = 16 * 2**20  # bytes
@@ -39,15 +38,9 @@ def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
         OutputError: there is none, it cannot be read, or it is larger.
     """
     try:
-        # A pipe would have to be waited for, were it not opened so.
-        descriptor = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-        with open(descriptor, "rb") as stream:  # noqa: PTH123  of a descriptor
-            there = os.fstat(stream.fileno())
-            if not stat.S_ISREG(there.st_mode):
-                raise OutputError(f"{file} is not a file")
-            content = stream.read(most + 1)
-    except OutputError:
-        raise
+        content = beginning(file, most + 1)
+    except NotRegularError:
+        raise OutputError(f"{file} is not a file") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         reason = error.strerror if isinstance(error, OSError) else None
         raise OutputError(f"{file} cannot be read: {reason or error}") from None

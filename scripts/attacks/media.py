@@ -9,7 +9,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from attacks.trial import CANARY, Trial, judge
+from attacks.trial import CANARY, try_all
 
 VALUES = (
     "", "~", "null", "true", "no", "1e400", "-1e400", ".nan", ".inf", "-.Inf", "nan",
@@ -40,10 +40,7 @@ def run(seed: int, count: int) -> list[str]:
         Failures: each a sentence with the case.
     """
     random = Random(seed)
-    cases = [make_case(random) for _ in range(count)]
-    with Trial("attacks.media") as trial:
-        found = [judge(case, trial.attempt(case)) for case in cases]
-    return [failure for failure in found if failure is not None]
+    return try_all("attacks.media", [make_case(random) for _ in range(count)])
 
 
 def make_case(random: Random) -> dict[str, Any]:

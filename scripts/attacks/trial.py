@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -146,6 +147,17 @@ class Trial:
             self._process.kill()
             self._process.communicate()
             self._process = None
+
+
+def try_all(module: str, cases: Iterable[dict[str, Any]]) -> list[str]:
+    """Tries all cases of an attacking module.
+
+    Returns:
+        Failures: each a sentence with the case.
+    """
+    with Trial(module) as trial:
+        found = [judge(case, trial.attempt(case)) for case in cases]
+    return [failure for failure in found if failure is not None]
 
 
 def judge(case: dict[str, Any], answer: Answer) -> str | None:
