@@ -24,7 +24,7 @@ LAW = DepthVelocityLaw(stiffness=100, linear=5)
 BALL = """
 <mujoco>
   <worldbody>
-    <geom name="tray" type="box" size="1 1 .5" pos="0 0 -.5"/>
+    <geom name="tray" type="box" size="1 1 .5" pos="0 0 -.5" contype="0" conaffinity="0"/>
     <body pos="0 0 -.02"><freejoint/><geom type="sphere" size=".05"/></body>
   </worldbody>
 </mujoco>
