@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from mjgranular.kernel.apart import apart
+from mjgranular.kernel.worker import run_in_worker
 
 T = TypeVar("T")
 
@@ -19,7 +19,7 @@ def is_aside() -> bool:
 
 
 def aside(work: Callable[[], T]) -> T:
-    """Does something in a thread of its own, and waits for it, whatever happens (`apart`).
+    """Does something in a thread of its own, and waits for it, whatever happens (`run_in_worker`).
 
     MuJoCo turns its errors into exceptions by a jump to a place that it keeps one of per thread.
     While it waits in a callback of ours, nothing on its thread may call it again through Python:
@@ -30,4 +30,4 @@ def aside(work: Callable[[], T]) -> T:
         _here.aside = True
         return work()
 
-    return apart(run)
+    return run_in_worker(run)

@@ -20,12 +20,9 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
-
-import llvmlite.binding as llvm
 
 from mjgranular.engine.library import library
-from mjgranular.engine.links import publish, publish_functions
+from mjgranular.kernel.machine import load_functions, publish, publish_functions
 
 FAIL = "mjgranular_fail"
 """Name of `fail(text)`: an error of MuJoCo's; does not return."""
@@ -288,19 +285,9 @@ def make_doors(
         ERROR=ERROR,
     )
     code += _size(name, "nstate", nstate, "") + _size(name, "nsensordata", nsensordata, ", i32")
-    engine = _engine()
-    engine.add_module(llvm.parse_assembly(code))
-    engine.finalize_object()
-    own = ("init", "nstate", "nsensordata")
-    return common | {field: engine.get_function_address(f"{name}_{field}") for field in own}
-
-
-@cache
-def _engine() -> Any:
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    machine = llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(jit=True)
-    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    own = {f"{name}_{field}": field for field in ("init", "nstate", "nsensordata")}
+    found = load_functions(code, own)
+    return common | {own[name]: address for name, address in found.items()}
 
 
 @cache
@@ -308,14 +295,13 @@ def _common() -> dict[str, int]:
     """What all plugins share; known to compiled code by its names from now on."""
     publish_functions(library(), ("mju_error", "mj_getPluginConfig"))
     publish_functions(ctypes.pythonapi, _PYTHON)
-    engine = _engine()
     code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))
-    engine.add_module(llvm.parse_assembly(code))
-    engine.finalize_object()
-    for name in (FAIL, UNPREPARED, FORGET, "mjgranular_equal"):
-        publish(name, engine.get_function_address(name))
-    fields = ("compute", "reset", "destroy")
-    return {field: engine.get_function_address(f"mjgranular_{field}") for field in fields}
+    fields = {f"mjgranular_{field}": field for field in ("compute", "reset", "destroy")}
+    for_kernels = (FAIL, UNPREPARED, FORGET, "mjgranular_equal")
+    found = load_functions(code, (*fields, *for_kernels))
+    for name in for_kernels:
+        publish(name, found[name])
+    return {field: found[name] for name, field in fields.items()}
 
 
 def _size(name: str, field: str, size: Size, more: str) -> str:

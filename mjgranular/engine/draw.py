@@ -12,7 +12,7 @@ from mjgranular.engine.block import HEADER_DTYPE
 from mjgranular.engine.config import DRAWINGS
 from mjgranular.engine.layout import LayoutError, described_fields
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.foreign import External
+from mjgranular.kernel.machine import c_function
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -52,8 +52,8 @@ _FORCES, _DEPTH = (1 << bit for bit in range(len(DRAWINGS)))
 _header = records(HEADER_DTYPE)
 _geoms = records(GEOM_DTYPE)
 _bytes = records(np.dtype(np.uint8))
-_init = External("mjv_initGeom", "void", "int64", "int32", "int64", "int64", "int64", "int64")
-_connect = External("mjv_connector", "void", "int64", "int32", "float64", "int64", "int64")
+_init = c_function("mjv_initGeom", "void", "int64", "int32", "int64", "int64", "int64", "int64")
+_connect = c_function("mjv_connector", "void", "int64", "int32", "float64", "int64", "int64")
 
 
 def check_scene(model: mujoco.MjModel) -> None:

@@ -14,7 +14,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,7 +31,7 @@ from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.kernel.compiled import program_of
+from mjgranular.kernel.compiled import entry, program_address
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.law import get_law, make_scene
@@ -40,6 +39,7 @@ from mjgranular.medium import get_medium, media
 from mjgranular.names import name_of
 from mjgranular.scheme import Auto, Explicit, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
+from mjgranular.scheme.scheme import STEP
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Plane, Surface
 from mjgranular.surface.floors import warn_of_floors
@@ -100,10 +100,10 @@ class Loader:
         self._rows = Rows(layout)
         self._prepared: OrderedDict[bytes, Prepared] = OrderedDict()
         self._fields: OrderedDict[bytes, dict[str, tuple[int, int]]] = OrderedDict()
-        self._retain = _function(retain, 1)
-        self._release = _function(release, 1)
-        self._start = _function(start, 3)
-        self._drop = _function(drop, 1)
+        self._retain = entry(retain, "void(int64)")
+        self._release = entry(release, "void(int64)")
+        self._start = entry(start, "void(int64, int64, int64)")
+        self._drop = entry(drop, "void(int64)")
         self._draw = draw
         self._draws = False
 
@@ -284,14 +284,6 @@ class Loader:
         return changed
 
 
-def _function(kernel: Any, count: int) -> Callable[..., None]:
-    """A compiled function of that many integers, for Python, which keeps its lock meanwhile."""
-    types = count * ("int64",)
-    return ctypes.PYFUNCTYPE(None, *(ctypes.c_int64 for _ in types))(
-        program_of(kernel, *types).address
-    )
-
-
 def _pointer(address: int) -> int:
     return ctypes.c_int64.from_address(address).value
 
@@ -386,7 +378,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     kernel = law.kernel(surface)
     program = scheme.program(kernel, scene.dtype)
     values = {
-        "program": program_of(program, "int64", "float64").address,
+        "program": program_address(program, STEP),
         "whole": scheme.whole_state,
         "lead": scheme.lead,
         "draw": _drawing(model, config.draw),

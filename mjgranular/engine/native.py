@@ -22,7 +22,6 @@ from mjgranular.engine.block import (
 )
 from mjgranular.engine.doors import FAIL, FORGET, UNPREPARED
 from mjgranular.engine.layout import Layout
-from mjgranular.engine.links import add_atomically, call_program, publish, symbol
 from mjgranular.engine.rows import (
     ROW_COUNT,
     block_finder,
@@ -33,7 +32,13 @@ from mjgranular.engine.rows import (
 from mjgranular.engine.sensor import sensor_compute
 from mjgranular.engine.tuning import INITIAL, STATE_SIZE
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.foreign import External
+from mjgranular.kernel.machine import (
+    add_atomically,
+    address_of,
+    c_function,
+    call_step,
+    publish,
+)
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -57,21 +62,20 @@ from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 FUNCTIONS = ("mju_free", "mjv_initGeom", "mjv_connector")
 """Functions of MuJoCo's that compiled code calls."""
 
-Callbacks = dict[str, tuple[Any, tuple[str, ...]]]
-"""Compiled functions by their fields in `mjpPlugin`, and the types of their arguments."""
+Callbacks = dict[str, tuple[Any, str]]
+"""Compiled functions by their fields in `mjpPlugin`, and their signatures."""
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
 
-_address, _number = "int64", "int32"
 _header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
 _shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
-_fail = External(FAIL, "void", "int64")
-_unprepared = External(UNPREPARED, "void", "int64")
-_forget = External(FORGET, "void", "int64")
-_free = External("mju_free", "void", "int64")
+_fail = c_function(FAIL, "void", "int64")
+_unprepared = c_function(UNPREPARED, "void", "int64")
+_forget = c_function(FORGET, "void", "int64")
+_free = c_function("mju_free", "void", "int64")
 
 _OTHER_SHAPE = "mjgranular_other_shape"
 _other_shape = ctypes.create_string_buffer(
@@ -79,7 +83,7 @@ _other_shape = ctypes.create_string_buffer(
     b"in that of the mjData: make an mjData of its own for each model"
 )
 publish(_OTHER_SHAPE, ctypes.addressof(_other_shape))
-other_shape = symbol(_OTHER_SHAPE)
+other_shape = address_of(_OTHER_SHAPE)
 
 
 @partial(compiled, inline=True)
@@ -232,9 +236,9 @@ def life(layout: Layout) -> Callbacks:
                 numbers[k] = INITIAL[k]
 
     return {
-        "destroy": (destroy, (_address, _number)),
-        "copy": (copy, (_address, _address, _address, _number)),
-        "reset": (reset, (_address, _address, _address, _number)),
+        "destroy": (destroy, "void(int64, int32)"),
+        "copy": (copy, "void(int64, int64, int64, int32)"),
+        "reset": (reset, "void(int64, int64, int64, int32)"),
     }
 
 
@@ -268,7 +272,7 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         lead = 0.0
         if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
             lead = header.lead * floats(model + timestep, 1)[0]
-        status = call_program(header.program, header.table, lead)
+        status = call_step(header.program, header.table, lead)
         if status <= BAD_TIMESTEP:
             _fail(header.refusals + REFUSAL_SIZE * (BAD_TIMESTEP - status))
             return
@@ -289,8 +293,8 @@ def sand_callbacks(layout: Layout) -> Callbacks:
 
     return {
         **life(layout),
-        "compute": (compute, (_address, _address, _number, _number)),
-        "advance": (advance, (_address, _address, _number)),
+        "compute": (compute, "void(int64, int64, int32, int32)"),
+        "advance": (advance, "void(int64, int64, int32)"),
     }
 
 
@@ -307,11 +311,11 @@ def drawing_callbacks(layout: Layout) -> Callbacks:
         if block != 0:
             draw(block, scene)
 
-    return {"visualize": (visualize, (_address, _address, _address, _address, _number))}
+    return {"visualize": (visualize, "void(int64, int64, int64, int64, int32)")}
 
 
 @cache
 def sensor_callbacks(layout: Layout) -> Callbacks:
     """The compiled functions of `mjgranular.sensor`."""
     compute = sensor_compute(layout)
-    return {**life(layout), "compute": (compute, (_address, _address, _number, _number))}
+    return {**life(layout), "compute": (compute, "void(int64, int64, int32, int32)")}

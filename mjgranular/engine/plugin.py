@@ -37,9 +37,11 @@ from mjgranular.engine.library import instance_name, library
 from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
-from mjgranular.kernel.apart import is_main
+from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.compiler import CompilerError
 from mjgranular.kernel.fork import ENGINE
+from mjgranular.kernel.machine import publish_functions
+from mjgranular.kernel.worker import is_main
 
 _logger = logging.getLogger(__name__)
 
@@ -189,10 +191,10 @@ class Engine:
 
     def _compile(self, plugin: Plugin) -> None:
         with laid_out("something"):
-            from mjgranular.engine import links, native
+            from mjgranular.engine import native
             from mjgranular.engine.loader import Loader
 
-            links.publish_functions(library(), native.FUNCTIONS)
+            publish_functions(library(), native.FUNCTIONS)
             try:
                 self._layout = self._layout or find_layout(NAME)
             finally:
@@ -208,14 +210,12 @@ class Engine:
 
         self._put(NAME, native.drawing_callbacks(self._layout))
 
-    def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
+    def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, str]]) -> None:
         """Compiles functions and has MuJoCo call them."""
-        from mjgranular.kernel.compiled import program_of
-
         registered = PluginStruct.from_address(library().mjp_getPlugin(plugin.encode(), None))
         addresses = {
-            name: program_of(function, *types).address
-            for name, (function, types) in callbacks.items()
+            name: program_address(function, signature)
+            for name, (function, signature) in callbacks.items()
         }
         for name, address in addresses.items():
             setattr(registered, name, address)

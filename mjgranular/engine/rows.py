@@ -17,9 +17,9 @@ import numpy as np
 
 from mjgranular.engine.layout import Layout
 from mjgranular.engine.library import library, memory_at
-from mjgranular.engine.links import publish, symbol
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.machine import address_of, publish
 from mjgranular.kernel.memory import longs, records
 
 ROW_DTYPE = np.dtype(
@@ -35,7 +35,7 @@ ROW_COUNT = 1 << 18
 _SYMBOL = "mjgranular_rows"
 
 row_records = records(ROW_DTYPE)
-rows_address = symbol(_SYMBOL)
+rows_address = address_of(_SYMBOL)
 
 
 @cache

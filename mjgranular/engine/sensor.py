@@ -22,7 +22,7 @@ from mjgranular.engine.measures import MEASURES
 from mjgranular.engine.rows import block_finder
 from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.foreign import External
+from mjgranular.kernel.machine import c_function
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -48,7 +48,7 @@ SENSE_DTYPE = np.dtype(
 
 _header = records(HEADER_DTYPE)
 _senses = records(SENSE_DTYPE)
-_unprepared = External(UNPREPARED, "void", "int64")
+_unprepared = c_function(UNPREPARED, "void", "int64")
 
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))

@@ -1,4 +1,4 @@
-"""Tells who waits that kernels are being compiled."""
+"""Announces that kernels are being compiled."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ ALWAYS = "in every process, as no folder to keep them in can be written (see NUM
 
 def log(function: Callable[..., Any]) -> None:
     """Notes in the log that a kernel is compiled."""
-    _logger.info("compiling %s.%s", function.__module__, function.__qualname__)
+    _logger.info("compiling %s", function.__qualname__)
 
 
 class _Announcement:
-    """Tells who waits that kernels are being compiled, once a process.
+    """Announces that kernels are being compiled, once a process.
 
     Who waits looks at a terminal. Where the log is read, and the command line reads it, that is
     enough.
@@ -29,16 +29,16 @@ class _Announcement:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._told = False
+        self._shown = False
 
-    def tell(self, how_often: str) -> None:
-        """Tells that kernels are compiled now.
+    def show(self, how_often: str) -> None:
+        """Announces that kernels are compiled now.
 
         Args:
             how_often: that will happen, in words.
         """
         with self._lock:
-            first, self._told = not self._told, True
+            first, self._shown = not self._shown, True
         if first and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
             # There is no stderr in a program without a console, and a closed one cannot be asked.
             with suppress(AttributeError, OSError, ValueError):

@@ -1,126 +1,133 @@
-"""Kernels as Python calls them, one by one, kept on disk by numba's own means."""
+"""Compiled programs on disk: numba's own cache, one folder for each program of each build.
+
+numba serves a cached function as long as the file that defines it is as it was, whatever becomes of
+the files of the functions that it calls; it takes any file that lies in its folder; and it cannot
+tell apart what one factory has made of different parts. So a program's folder is named by all that
+went into it (`identity`); it is filled aside and then renamed, so that it is there as a whole or
+not at all, also where two processes compile at once; and it is handed to numba only if each file is
+as it was written, by this user or the administrator (`folder`).
+"""
 
 from __future__ import annotations
 
-import io
-import pickle
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
-from numba.core.registry import CPUDispatcher
+from numba import config
 
-from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
-from mjgranular.kernel.folder import folders_to_write, read, write
-from mjgranular.kernel.identity import PACKAGE_STAMP, digest, machine, parts_of
-from mjgranular.kernel.parts import OPTIONS
+from mjgranular.kernel.folder import folders_to_read, folders_to_write, read, restrict, write
 
+T = TypeVar("T")
 
-class Whole(CPUDispatcher):
-    """A kernel as Python sees it: compiled when it is called, for the types of its arguments."""
-
-    def __init__(self, function: Callable[..., Any], *, inline: bool) -> None:
-        options = {**OPTIONS, "forceinline": inline, "_nrt": False}
-        super().__init__(function, targetoptions=options)
-        try:
-            self._cache: Any = _PackageCache(function)
-        except RuntimeError:  # numba: "no locator available"
-            self._cache = _NoCache(function)
+_SUMS = "sums.json"
+_OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; chosen
 
 
-class _NamedFiles(IndexDataCacheFile):
-    """Code files named by what they hold, and written before the index that points to them.
+def load(build: str, name: str, make: Callable[[], T]) -> T | None:
+    """Has numba load a program.
 
-    numba numbers them by what it found in the index: two processes that compile at once choose the
-    same number for different code. And numba unpickles, which can execute anything, whatever lies
-    there: here only what nobody else can have written (`folder`).
+    Args:
+        build: of the sources (`identity.build`).
+        name: of the program.
+        make: decorates it, with `cache=True`.
+
+    Returns:
+        What `make` gives, None where no whole program of that name is kept.
     """
-
-    def save(self, key: Any, data: Any) -> None:
-        name = f"{Path(self._index_name).stem}.{digest(key)}.nbc"
-        self._save_data(name, data)
-        self._save_index({**self._load_index(), key: name})
-
-    def _load_index(self) -> Any:
-        content = self._read(self._index_path)
-        if content is None:
-            return {}
-        opened = io.BytesIO(content)
-        if pickle.load(opened) != self._version:
-            return {}
-        stamp, overloads = pickle.load(opened)
-        return overloads if stamp == self._source_stamp else {}
-
-    def _load_data(self, name: str) -> Any:
-        content = self._read(self._data_path(name))
-        return None if content is None else pickle.loads(content)
-
-    def _read(self, path: str) -> bytes | None:
-        try:
-            return read(Path(path))
-        except FileNotFoundError:
-            return None
-
-    @contextmanager
-    def _open_for_write(self, filepath: str) -> Iterator[Any]:
-        content = io.BytesIO()
-        yield content
-        write(Path(filepath), content.getvalue())
+    for root in folders_to_read():
+        folder = root / build / name
+        with suppress(OSError, ValueError):
+            sums = json.loads(read(folder / _SUMS) or b"null")
+            if isinstance(sums, dict) and sums and sums == _sums(folder):
+                with _caching(folder):
+                    return make()
+    return None
 
 
-class _PackageCache(FunctionCache):
-    """numba's cache on disk, made safe for a package of kernels that are made of each other.
+def save(build: str, name: str, make: Callable[[], T]) -> T | None:
+    """Has numba compile a program, and keeps it.
 
-    Four things differ. numba drops a cached kernel when the file that defines it changes, but
-    not when a file of a kernel that it *calls* does: after an update the old physics would go
-    on running; here the stamp covers all folders with kernels. numba tells kernels from one
-    factory apart by pickling their closures, which differ in every process, so that they are
-    compiled anew each time; here by the names of the kernels in the closure. MuJoCo's structs and
-    enumerations are constants of the code, which is compiled anew for another version of it. And a
-    cache that cannot be read or written (full disk, read-only folder) costs a compilation, never an
-    exception.
+    Args:
+        build: of the sources.
+        name: of the program.
+        make: decorates it, with `cache=True`.
+
+    Returns:
+        What `make` gives, None where nothing can be kept.
     """
-
-    def __init__(self, py_func: Callable[..., Any]) -> None:
-        super().__init__(py_func)
-        self._function = py_func
-        self._made_of = parts_of(py_func)
-        folder = next(folders_to_write(Path(py_func.__code__.co_filename)), None)
-        if folder is None:
-            raise RuntimeError("no folder to keep machine code in")
-        self._cache_path = str(folder)
-        self._cache_file = _NamedFiles(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=PACKAGE_STAMP,
-        )
-
-    def _index_key(self, sig: Any, codegen: Any) -> Any:
-        return sig, machine(), self._made_of
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    for root in folders_to_write():
         try:
-            found = super().load_overload(sig, target_context)
-        except (OSError, EOFError, pickle.UnpicklingError):
-            found = None
-        if found is None:
-            log(self._function)
-            announcement.tell(ONCE)
-        return found
+            _remove_old(root, build)
+            (root / build).mkdir(exist_ok=True)
+            restrict(root / build)
+            aside = Path(tempfile.mkdtemp(prefix=f"{name}.", dir=root / build))
+        except OSError:
+            continue
+        try:
+            try:
+                with _caching(aside):
+                    made = make()
+            except OSError:  # a full disk: compiled, but not written
+                continue
+            with suppress(OSError):
+                _publish(aside, root / build / name)
+            return made
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        with suppress(OSError):
-            super().save_overload(sig, data)
+
+def can_save() -> bool:
+    """Tells whether there is a folder to write to."""
+    return any(True for _ in folders_to_write())
 
 
-class _NoCache(NullCache):
-    """Where there is no folder to write to."""
+@contextmanager
+def _caching(folder: Path) -> Iterator[None]:
+    """Has numba read and write its cache there; it looks when a function is decorated."""
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before
 
-    def __init__(self, py_func: Callable[..., Any]) -> None:
-        self._function = py_func
 
-    def load_overload(self, sig: Any, target_context: Any) -> None:
-        log(self._function)
-        announcement.tell(ALWAYS)
+def _publish(aside: Path, folder: Path) -> None:
+    for path in aside.rglob("*"):
+        restrict(path)
+    write(aside / _SUMS, json.dumps(_sums(aside)).encode())
+    restrict(aside)
+    try:
+        aside.rename(folder)
+    except OSError:  # there is one, of a process that was quicker, or damaged
+        shutil.rmtree(folder, ignore_errors=True)
+        aside.rename(folder)
+
+
+def _sums(folder: Path) -> dict[str, str]:
+    """Checksums of all files of a program, by their names; a file that is not trusted has none."""
+    sums = {}
+    for base, _, names in os.walk(folder):
+        for name in names:
+            path = Path(base, name)
+            if path != folder / _SUMS:
+                content = read(path)
+                sums[path.relative_to(folder).as_posix()] = (
+                    "" if content is None else hashlib.sha256(content).hexdigest()
+                )
+    return sums
+
+
+def _remove_old(root: Path, build: str) -> None:
+    for folder in root.iterdir():
+        if folder.name != build and time.time() - folder.lstat().st_mtime > _OLD:
+            shutil.rmtree(folder, ignore_errors=True)

@@ -1,65 +1,32 @@
-"""Compiles kernels, and keeps what was compiled on disk."""
+"""Compiles kernels with numba, and keeps the programs that they make up."""
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
-from functools import cached_property
+from types import FunctionType
 from typing import Any
 
-from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
-from mjgranular.kernel.apart import give_way, uncut
 from mjgranular.kernel.compiler import compiling
+
+with compiling():
+    from numba import cfunc, njit
+    from numba.core import event
+
+from mjgranular.kernel import cache
+from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
 from mjgranular.kernel.fork import PROGRAMS
-from mjgranular.kernel.identity import PACKAGE_STAMP, digest, identity, machine, parts_of
-from mjgranular.kernel.program import Program, can_be_kept, load, save
+from mjgranular.kernel.identity import build, closure_of, digest, identity
+from mjgranular.kernel.worker import cancellation_point, uninterrupted
+
+_OPTIONS: dict[str, Any] = {
+    # IEEE arithmetic (no fastmath): both interfaces and all platforms give the same numbers.
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
 
 
-class Kernel:
-    """A function that is compiled where it is used: see `compiled`.
-
-    Called from Python it is compiled as it is, for the types of its arguments. What calls it in a
-    kernel has it compiled as a part; what is compiled as a whole is a program (`program_of`).
-    """
-
-    def __init__(self, function: Callable[..., Any], *, inline: bool) -> None:
-        self.py_func = function
-        self._inline = inline
-        functools.update_wrapper(self, function)
-
-    @cached_property
-    def part(self) -> Any:
-        """As other kernels see it (`parts.Part`)."""
-        from mjgranular.kernel.parts import Part
-
-        return Part(self.py_func, inline=self._inline, tell=_begin)
-
-    @property
-    def _numba_type_(self) -> Any:
-        return self.part._numba_type_
-
-    @cached_property
-    def _whole(self) -> Any:
-        with compiling():
-            from mjgranular.kernel.cache import Whole
-
-        return Whole(self.py_func, inline=self._inline)
-
-    @property
-    def stats(self) -> Any:
-        """What was compiled, and what loaded, of what Python called."""
-        return self._whole.stats
-
-    def __call__(self, *arguments: Any) -> Any:
-        return self._whole(*arguments)
-
-
-def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
-    """Compiles `function` in nopython mode when it is needed; later processes load it from disk.
-
-    The machine code lies in `__pycache__` beside the source or, where that cannot be written, in
-    the user's folder for caches (`NUMBA_CACHE_DIR` overrides both). Where neither can be written
-    it is compiled once a process.
+def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
+    """Compiles `function` in nopython mode when it is used: a kernel.
 
     Args:
         function: scalar arithmetic and loops over arrays, without Python objects, exceptions or
@@ -68,70 +35,122 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
             those that hand on many numbers; more of it costs compile time.
 
     Returns:
-        A kernel, called like `function`.
+        numba's dispatcher, called like `function`. What is kept on disk are whole programs
+        (`entry`, `program_address`).
     """
-    parts = parts_of(function)
-    if parts:
-        # numba names machine code by this and by a counter that begins anew in every process: code
-        # of two kernels from one factory, loaded from the cache, would be taken for the same.
-        function.__qualname__ = f"{function.__qualname__}_{digest(parts)}"
-    return Kernel(function, inline=inline)
+    made_of = closure_of(function)
+    # numba names machine code by this and by a counter that begins anew in every process: code
+    # of two kernels from one factory, loaded from the cache, would be taken for the same.
+    name = f"{function.__module__}.{function.__qualname__}"
+    bare = FunctionType(
+        function.__code__,
+        function.__globals__,
+        function.__name__,
+        function.__defaults__,
+        function.__closure__,
+    )
+    bare.__qualname__ = f"{name}_{digest(made_of)}" if made_of else name
+    bare.__doc__ = function.__doc__
+    # numba imports the module of a kernel: for ever, where the main thread is importing it, and
+    # waits for the thread that compiles.
+    bare.__module__ = __name__
+    return njit(bare, forceinline=inline, **_OPTIONS)
 
 
-def _begin(function: Callable[..., Any]) -> None:
-    """Before a part is compiled: between parts a compiler can be left."""
-    give_way()
-    log(function)
-
-
-_programs: dict[tuple[Kernel, tuple[str, ...]], Program] = {}
-
-
-def program_of(kernel: Kernel, *types: str) -> Program:
-    """A kernel and all that it calls as a program, compiled now if it was not yet.
-
-    Args:
-        kernel: of numbers, which gives a number or nothing.
-        types: of its arguments, by numba's names: `int64`, `int32`, `float64`.
-
-    Raises:
-        CompilerError: numba is missing, or cannot be used.
-    """
-    found = _programs.get((kernel, types))
-    return uncut(lambda: _find(kernel, types)) if found is None else found
-
-
-def _find(kernel: Kernel, types: tuple[str, ...]) -> Program:
-    with PROGRAMS:
-        found = _programs.get((kernel, types))
-        if found is None:
-            found = _programs[kernel, types] = _kept_or_made(kernel, types)
-        return found
-
-
-def _kept_or_made(kernel: Kernel, types: tuple[str, ...]) -> Program:
-    function = kernel.py_func
-    with compiling():
-        made_for = (types, machine(), identity(kernel))
-    name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
-    name = f"{name.removeprefix('mjgranular.')}.{digest(made_for)}"
-    kept = load(function, name, PACKAGE_STAMP)
-    if kept is None:
-        keeps = can_be_kept(function)
-        announcement.tell(ONCE if keeps else ALWAYS)
-        give_way()
-        with compiling():
-            from mjgranular.kernel import parts
-
-            kept = parts.build(kernel.part, tuple(getattr(parts.types, t) for t in types), name)
-        if keeps:
-            save(function, name, PACKAGE_STAMP, kept)
-    return Program(name, kept)
-
-
-def entry(kernel: Kernel, *types: str) -> Callable[..., Any]:
-    """The compiled function for exactly these argument types, compiled now if it was not yet.
+def entry(kernel: Any, signature: str) -> Callable[..., Any]:
+    """Compiles a kernel for Python, for exactly these types, if that was not done yet.
 
     Calling it skips numba's choice among signatures, half of what a call from Python costs.
+
+    Args:
+        kernel: of numbers.
+        signature: numba's, such as `int64(int64, float64)`.
+
+    Raises:
+        CompilerError: numba cannot be used.
     """
-    return program_of(kernel, *types).function
+    return _find(kernel, signature, _python_function)
+
+
+def program_address(kernel: Any, signature: str) -> int:
+    """Compiles a kernel for calls from C, if that was not done yet, and gives its address.
+
+    Args:
+        kernel: of numbers.
+        signature: numba's, such as `int64(int64, float64)`.
+
+    Raises:
+        CompilerError: numba cannot be used.
+    """
+    return _find(kernel, signature, _c_function).address
+
+
+def _python_function(function: Any, signature: str, keep: bool) -> Any:
+    return njit(signature, cache=keep, **_OPTIONS)(function).get_overload(signature)
+
+
+def _c_function(function: Any, signature: str, keep: bool) -> Any:
+    return cfunc(signature, cache=keep, error_model="numpy")(function)
+
+
+_programs: dict[tuple[Any, str, Any], Any] = {}
+
+
+def _find(kernel: Any, signature: str, make: Callable[..., Any]) -> Any:
+    key = (kernel, signature, make)
+    found = _programs.get(key)
+    return uninterrupted(lambda: _find_or_make(key)) if found is None else found
+
+
+def _find_or_make(key: tuple[Any, str, Any]) -> Any:
+    with PROGRAMS:
+        if key not in _programs:
+            with compiling(), event.install_listener("numba:compile", _Progress()):
+                _programs[key] = _load_or_compile(*key)
+        return _programs[key]
+
+
+def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any]) -> Any:
+    name = digest((identity(kernel), signature, make.__name__))
+
+    def decorate(keep: bool = True) -> Any:
+        return make(_without_closure(kernel), signature, keep)
+
+    found = cache.load(build(), name, decorate)
+    if found is None:
+        announcement.show(ONCE if cache.can_save() else ALWAYS)
+        found = cache.save(build(), name, decorate)
+    return decorate(keep=False) if found is None else found
+
+
+# Of a closure numba's cache takes what every process names anew, but not of globals.
+_CALLS: Any = (
+    lambda a: kernel(a),  # noqa: F821
+    lambda a, b: kernel(a, b),  # noqa: F821
+    lambda a, b, c: kernel(a, b, c),  # noqa: F821
+    lambda a, b, c, d: kernel(a, b, c, d),  # noqa: F821
+    lambda a, b, c, d, e: kernel(a, b, c, d, e),  # noqa: F821
+)
+
+
+def _without_closure(kernel: Any) -> Any:
+    """Makes a function that calls a kernel, and is named as it is."""
+    function = kernel.py_func
+    if function.__closure__ is None:
+        return function
+    call = _CALLS[function.__code__.co_argcount - 1]
+    made = FunctionType(call.__code__, {"kernel": kernel}, function.__name__)
+    made.__qualname__ = f"{function.__qualname__}.call"
+    made.__module__ = __name__
+    return made
+
+
+class _Progress(event.Listener):
+    """Notes what is compiled; between two kernels the compiler can be left."""
+
+    def on_start(self, event: Any) -> None:
+        cancellation_point()
+        log(event.data["dispatcher"].py_func)
+
+    def on_end(self, event: Any) -> None:
+        pass

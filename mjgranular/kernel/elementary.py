@@ -10,8 +10,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from numba import types
+from numba.extending import intrinsic
+
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.foreign import Intrinsic
 
 # ln 2 in two parts, the first with zeros at its end: times a small integer it is exact.
 _LN2, _LN2_REST = 0.693147180369123816490, 1.90821492927058770002e-10
@@ -22,9 +24,9 @@ _MANTISSA = 0x000FFFFFFFFFFFFF
 _LEAST, _MOST = -700.0, 700.0
 
 
-def _bits_of(typingctx: Any, number: Any) -> Any:
+@intrinsic
+def bits_of(typingctx: Any, number: Any) -> Any:
     """The 64 bits of a number."""
-    from numba import types
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], context.get_value_type(types.int64))
@@ -32,20 +34,14 @@ def _bits_of(typingctx: Any, number: Any) -> Any:
     return types.int64(types.float64), codegen
 
 
-bits_of: Any = Intrinsic(_bits_of)
-
-
-def _number_of(typingctx: Any, bits: Any) -> Any:
+@intrinsic
+def number_of(typingctx: Any, bits: Any) -> Any:
     """The number with these 64 bits."""
-    from numba import types
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], context.get_value_type(types.float64))
 
     return types.float64(types.int64), codegen
-
-
-number_of: Any = Intrinsic(_number_of)
 
 
 @partial(compiled, inline=True)

@@ -13,12 +13,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import llvmlite.binding as llvm
 import mujoco
 import numpy as np
 from mujoco.introspect.structs import STRUCTS
 
-from mjgranular.kernel.foreign import External
+from mjgranular.kernel.machine import c_function, publish_functions
 from mjgranular.kernel.structs import record_of
 
 _PATTERN = {"win32": "mujoco.dll", "darwin": "libmujoco*.dylib"}.get(sys.platform, "libmujoco.so*")
@@ -38,11 +37,10 @@ def library() -> ctypes.CDLL:
     return ctypes.CDLL(str(found[0]))
 
 
-def _function(name: str, *arguments: str, result: str = "void") -> External:
+def _function(name: str, *arguments: str, result: str = "void") -> Any:
     """A function of the engine; pointers are passed as integers."""
-    address = ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
-    llvm.add_symbol(name, address)
-    return External(name, result, *arguments)
+    publish_functions(library(), [name])
+    return c_function(name, result, *arguments)
 
 
 _ADDRESS, _INT = "int64", "int32"

@@ -7,7 +7,6 @@ anybody else, or others may write to, is neither read nor written to.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import stat
 import sys
@@ -27,31 +26,23 @@ _READ = os.O_RDONLY | sum(
 )
 _WRITE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
-_told: set[Path] = set()
+_reported: set[Path] = set()
 
 
-def folders_to_read(source: Path) -> Iterator[Path]:
-    """Where what others or this user kept may be read, the best place first.
-
-    Args:
-        source: the file that kernels are written in.
-    """
-    for base in _bases(source):
+def folders_to_read() -> Iterator[Path]:
+    """Finds what this user or the administrator has kept, the best place first."""
+    for base in _bases():
         for user in dict.fromkeys((_user(), None if _user() is None else _ROOT)):
-            folder = base / _name(source, user)
+            folder = base / _name(user)
             with suppress(OSError):
                 if _is_trusted(folder, folder.lstat()):
                     yield folder
 
 
-def folders_to_write(source: Path) -> Iterator[Path]:
-    """Where this user can keep something, the best place first; a folder is made if need be.
-
-    Args:
-        source: the file that kernels are written in.
-    """
-    for base in _bases(source):
-        folder = base / _name(source, _user())
+def folders_to_write() -> Iterator[Path]:
+    """Finds or makes folders in which this user can keep something, the best place first."""
+    for base in _bases():
+        folder = base / _name(_user())
         with suppress(OSError):
             base.mkdir(parents=True, exist_ok=True)
             folder.mkdir(mode=0o755 if _user() == _ROOT else 0o700, exist_ok=True)
@@ -92,22 +83,30 @@ def write(path: Path, content: bytes) -> None:
         raise
 
 
-def _bases(source: Path) -> Iterator[Path]:
+def restrict(path: Path) -> None:
+    """Takes the right to write to a file or folder of ours from all others.
+
+    Raises:
+        OSError: it is not ours.
+    """
+    path.chmod(stat.S_IMODE(path.stat().st_mode) & ~_OTHERS_WRITE)
+
+
+def _bases() -> Iterator[Path]:
     """Folders in which every user may have one."""
     told = os.environ.get("NUMBA_CACHE_DIR")
     if told:
         yield Path(told)
         return
-    yield source.resolve().parent / "__pycache__"
+    yield Path(__file__).resolve().parents[1] / "__pycache__"
     with suppress(RuntimeError):  # who has no home
         home = Path.home()
         caches = {"win32": "AppData/Local", "darwin": "Library/Caches"}.get(sys.platform, ".cache")
         yield Path(os.environ.get("XDG_CACHE_HOME") or home / caches) / "mjgranular"
 
 
-def _name(source: Path, user: int | None) -> str:
-    place = hashlib.sha256(str(source.resolve().parent).encode()).hexdigest()[:16]
-    return f"mjgranular-{place}" if user is None else f"mjgranular-{user}-{place}"
+def _name(user: int | None) -> str:
+    return "mjgranular" if user is None else f"mjgranular-{user}"
 
 
 def _user() -> int | None:
@@ -128,8 +127,8 @@ def _is_trusted(path: Path, found: os.stat_result) -> bool:
         why = "may be written by others than its owner"
     else:
         return stat.S_ISDIR(found.st_mode) or stat.S_ISREG(found.st_mode)
-    if path not in _told:
-        _told.add(path)
+    if path not in _reported:
+        _reported.add(path)
         warn_user(
             f"{path} {why}: machine code is neither read from it nor kept in it; remove it, or "
             "set NUMBA_CACHE_DIR to a folder that is yours alone"

@@ -6,15 +6,15 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
-import llvmlite.binding as llvm
 import mujoco
+
+from mjgranular.kernel.machine import processor
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -26,31 +26,49 @@ _SETTINGS = (
     "SLP_VECTORIZE",
 )  # fmt: skip
 
-
-def _stamp(paths: Iterable[Path]) -> tuple[int, int]:
-    """Changes when any of the files does: newest time [ns], summed size [bytes]."""
-    stats = [path.stat() for path in paths]
-    return max(s.st_mtime_ns for s in stats), sum(s.st_size for s in stats)
-
-
 # Where kernels are written, and what they read while they are compiled.
 _OF_KERNELS = ("engine", "kernel", "law", "sand", "scheme", "shape", "surface")
-PACKAGE_STAMP = _stamp(
-    path for name in _OF_KERNELS for path in _PACKAGE.joinpath(name).glob("*.py")
-)
-"""Changes with any file that kernels are made of."""
+
+
+def digest(value: object) -> str:
+    """Gives a short name for a value, the same in every process."""
+    return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
+
+
+@cache
+def _of_file(path: str) -> str:
+    file = Path(path)
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+
+
+@cache
+def build() -> str:
+    """Names this version of the sources, with all else that compiled code depends on."""
+    paths = (path for name in _OF_KERNELS for path in sorted(_PACKAGE.joinpath(name).glob("*.py")))
+    return digest((
+        *(_of_file(str(path)) for path in paths),
+        processor(),
+        *(os.environ.get(f"NUMBA_{name}") for name in _SETTINGS),
+        version("numba"),
+        version("llvmlite"),
+        mujoco.__version__,
+        sys.implementation.cache_tag,
+    ))  # fmt: skip
 
 
 def identity(value: Any) -> tuple[object, ...]:
-    """Names a kernel, or a constant in one, in a way that is the same in every process."""
+    """Names a kernel, or a constant in one, in a way that is the same in every process.
+
+    Raises:
+        TypeError: it has no such name.
+    """
     kernel = getattr(value, "py_func", None)
-    function = kernel or getattr(value, "_defn", None) or value
+    function = kernel or getattr(value, "__wrapped__", value)
     if isinstance(function, FunctionType):  # a kernel, an intrinsic, or part of one
-        path = Path(function.__code__.co_filename)
         name = (function.__module__, function.__qualname__)
+        content = _of_file(function.__code__.co_filename) or _content(function)
         # What a kernel is made of is in its name (`compiled`).
-        parts = () if kernel else parts_of(function)
-        return (*name, _stamp([path]) if path.is_file() else _content(function), *parts)
+        return (*name, content, *(() if kernel else closure_of(function)))
     name = repr(value)
     if _ADDRESS.search(name):
         raise TypeError(f"a kernel's closure holds what every process names anew: {name}")
@@ -65,36 +83,11 @@ def _content(function: FunctionType) -> str:
     known = [
         identity(value)
         for value in named
-        if isinstance(value, (bool, int, float, str))
-        or getattr(value, "py_func", function) is not function
+        if isinstance(value, (bool, int, float, str)) or hasattr(value, "py_func")
     ]
     return digest((code.co_code, consts, code.co_names, known))
 
 
-def parts_of(function: Any) -> tuple[object, ...]:
-    """What a kernel made by a factory was made of: the identities of its closure."""
+def closure_of(function: Any) -> tuple[object, ...]:
+    """Names what a function made by a factory was made of: the identities of its closure."""
     return tuple(identity(cell.cell_contents) for cell in function.__closure__ or ())
-
-
-def digest(value: object) -> str:
-    """A short name for a value, the same in every process."""
-    return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
-
-
-@cache
-def machine() -> tuple[object, ...]:
-    """What machine code depends on beside its source."""
-    try:
-        features = llvm.get_host_cpu_features().flatten()
-    except RuntimeError:  # not known for this kind of processor
-        features = ""
-    return (
-        llvm.get_process_triple(),
-        llvm.get_host_cpu_name(),
-        features,
-        *(os.environ.get(f"NUMBA_{name}") for name in _SETTINGS),
-        version("numba"),
-        version("llvmlite"),
-        mujoco.__version__,
-        sys.implementation.cache_tag,
-    )

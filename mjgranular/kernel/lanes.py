@@ -9,26 +9,136 @@ numbers and lanes. Each lane is IEEE arithmetic, the same on every processor.
 
 from __future__ import annotations
 
+import itertools
+import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
-from mjgranular.kernel.foreign import Intrinsic
 from mjgranular.kernel.memory import numbers_of
 
 LINE = 64
 """Bytes in a line of the cache, and in the widest vector. Rows that lie across two lines take up to
 twice as long to read."""
 
+_DOUBLE, _INT = ir.DoubleType(), ir.IntType(64)
 
-def _choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
+
+class Lanes(types.Type):
+    """So many numbers as one."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(name=f"Lanes({count})")
+        self.count = count
+
+
+class Mask(types.Type):
+    """So many yes or no."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__(name=f"Mask({count})")
+        self.count = count
+
+
+@register_model(Mask)
+class _MaskModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Mask) -> None:
+        super().__init__(dmm, fe_type, ir.VectorType(ir.IntType(1), fe_type.count))
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Lanes) -> None:
+        super().__init__(dmm, fe_type, ir.VectorType(_DOUBLE, fe_type.count))
+
+
+def lanes_among(args: Any) -> Lanes | None:
+    """Finds the type of the result of arithmetic, None if that is no business of ours."""
+    found = next((arg for arg in args if isinstance(arg, Lanes)), None)
+    others = (arg for arg in args if arg != found)
+    if found is None or not all(isinstance(arg, (types.Float, types.Integer)) for arg in others):
+        return None
+    return found
+
+
+def spread(context: Any, builder: Any, kind: Any, value: Any, lanes: Lanes) -> Any:
+    """Turns a value into lanes: a number stands for as many alike."""
+    if isinstance(kind, Lanes):
+        return value
+    number = context.cast(builder, value, kind, types.float64)
+    vector = ir.VectorType(_DOUBLE, lanes.count)
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), number, _INT(0))
+    places = ir.Constant(ir.VectorType(ir.IntType(32), lanes.count), [0] * lanes.count)
+    return builder.shuffle_vector(first, first, places)
+
+
+def _define(function: Any, emit: Callable[..., Any], result: type, arguments: int) -> None:
+    """Makes an operator known for lanes."""
+
+    def result_of(args: Any) -> Any:
+        lanes = lanes_among(args)
+        return None if lanes is None else result(lanes.count)
+
+    def type_of_one(context: Any) -> Callable[..., Any]:
+        return lambda a: result_of((a,))
+
+    def type_of_two(context: Any) -> Callable[..., Any]:
+        return lambda a, b: result_of((a, b))
+
+    type_callable(function)(type_of_one if arguments == 1 else type_of_two)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        lanes: Any = lanes_among(sig.args)
+        values = (
+            spread(context, builder, kind, value, lanes)
+            for kind, value in zip(sig.args, args, strict=True)
+        )
+        return emit(builder, *values)
+
+    for kinds in itertools.product((Lanes, types.Number), repeat=arguments):
+        if Lanes in kinds:
+            lower_builtin(function, *kinds)(lower)
+
+
+def _size(builder: Any, value: Any) -> Any:
+    kind = ir.FunctionType(value.type, [value.type])
+    name = f"llvm.fabs.v{value.type.count}f64"
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [value])
+
+
+for _operator, _name in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
+    _define(_operator, lambda builder, a, b, name=_name: getattr(builder, name)(a, b), Lanes, 2)
+_define(operator.neg, lambda builder, a: builder.fneg(a), Lanes, 1)
+_define(abs, _size, Lanes, 1)
+for _operator, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+):
+    _define(
+        _operator,
+        lambda builder, a, b, sign=_sign: builder.fcmp_ordered(sign, a, b),
+        Mask,
+        2,
+    )
+
+
+@intrinsic
+def choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
     """`yes if condition else no`, in each lane; both are worked out. Of numbers, too."""
-    from numba import types
-
-    from mjgranular.kernel.lane_types import Lanes, Mask, lanes_among, spread
-
     result = lanes_among((yes, no))
     if isinstance(condition, Mask):
         result = Lanes(condition.count)
@@ -47,25 +157,17 @@ def _choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
     return result(condition, yes, no), codegen
 
 
-def _count(typingctx: Any, mask: Any) -> Any:
-    """In how many lanes it is so."""
-    from llvmlite import ir
-    from numba import types
-
-    from mjgranular.kernel.lane_types import Mask
-
+@intrinsic
+def count_of(typingctx: Any, mask: Any) -> Any:
+    """Counts the lanes in which it is so."""
     if not isinstance(mask, Mask):
         return None
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         bits = builder.bitcast(args[0], ir.IntType(mask.count))
-        return builder.zext(builder.ctpop(bits), ir.IntType(64))
+        return builder.zext(builder.ctpop(bits), _INT)
 
     return types.int64(mask), codegen
-
-
-choose: Any = Intrinsic(_choose)
-count_of: Any = Intrinsic(_count)
 
 
 @dataclass(frozen=True)
@@ -86,20 +188,15 @@ def rows(count: int, lanes: int) -> Rows:
     """Makes the kernels for so many rows of so many lanes."""
 
     def places(context: Any, builder: Any, array: Any, args: Any) -> list[Any]:
-        from llvmlite import ir
-
-        vector = ir.VectorType(ir.DoubleType(), lanes)
+        vector = ir.VectorType(_DOUBLE, lanes)
         data = numbers_of(context, builder, array, args, count * lanes - 1)
         indices = (builder.add(args[1], args[1].type(k * lanes)) for k in range(count))
         return [
             builder.bitcast(builder.gep(data, [index]), vector.as_pointer()) for index in indices
         ]
 
+    @intrinsic
     def read(typingctx: Any, array: Any, first: Any) -> Any:
-        from numba import types
-
-        from mjgranular.kernel.lane_types import Lanes
-
         def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             numbers = [
                 builder.load(place, align=8) for place in places(context, builder, array, args)
@@ -108,11 +205,8 @@ def rows(count: int, lanes: int) -> Rows:
 
         return types.UniTuple(Lanes(lanes), count)(array, types.int64), codegen
 
+    @intrinsic
     def write(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
-        from numba import types
-
-        from mjgranular.kernel.lane_types import Lanes, spread
-
         if len(numbers) != count:
             return None
 
@@ -125,11 +219,11 @@ def rows(count: int, lanes: int) -> Rows:
 
         return types.void(array, types.int64, numbers), codegen
 
-    return Rows(Intrinsic(read), Intrinsic(write))
+    return Rows(read, write)
 
 
 def aligned(numbers: np.ndarray) -> np.ndarray:
-    """A copy of an array of floats that begins with a line of the cache."""
+    """Copies an array of floats to where a line of the cache begins."""
     room = np.empty(numbers.size + LINE // 8)
     first = -(room.ctypes.data // 8) % (LINE // 8)
     copy = room[first : first + numbers.size].reshape(numbers.shape)

@@ -14,9 +14,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from llvmlite import ir
+from numba import from_dtype, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.foreign import Intrinsic
 
 # The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
@@ -89,10 +93,8 @@ def simulation_table(
 def records(dtype: np.dtype) -> Any:
     """Makes a kernel `read(address, size)` that gives the array of such records at an address."""
 
+    @intrinsic
     def read(typingctx: Any, address: Any, size: Any) -> Any:
-        from numba import from_dtype, types
-        from numba.np.arrayobj import populate_array
-
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             array = context.make_array(signature.return_type)(context, builder)
             width = context.get_constant(types.intp, dtype.itemsize)
@@ -108,7 +110,7 @@ def records(dtype: np.dtype) -> Any:
 
         return types.Array(from_dtype(dtype), 1, "C")(types.int64, types.int64), codegen
 
-    return Intrinsic(read)
+    return read
 
 
 def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> Any:
@@ -123,8 +125,6 @@ def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> 
         args: the array, and the first index that will be read or written.
         last: how far behind that the last one is.
     """
-    from numba.core import cgutils
-
     opened = context.make_array(array)(context, builder, args[0])
     if context.enable_boundscheck:
         size = builder.extract_value(opened.shape, 0)
@@ -157,18 +157,16 @@ def column(count: int, stride: int) -> Column:
         indices = (builder.add(args[1], args[1].type(k * stride)) for k in range(count))
         return [builder.gep(data, [index]) for index in indices]
 
+    @intrinsic
     def read(typingctx: Any, array: Any, first: Any) -> Any:
-        from numba import types
-
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             numbers = [builder.load(place) for place in places(context, builder, array, args)]
             return context.make_tuple(builder, signature.return_type, numbers)
 
         return types.UniTuple(types.float64, count)(array, types.int64), codegen
 
+    @intrinsic
     def put(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
-        from numba import types
-
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             for k, place in enumerate(places(context, builder, array, args)):
                 builder.store(builder.extract_value(args[2], k), place)
@@ -176,9 +174,8 @@ def column(count: int, stride: int) -> Column:
 
         return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
 
+    @intrinsic
     def add(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
-        from numba import types
-
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             for k, place in enumerate(places(context, builder, array, args)):
                 more = builder.extract_value(args[2], k)
@@ -187,7 +184,7 @@ def column(count: int, stride: int) -> Column:
 
         return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
 
-    return Column(Intrinsic(read), Intrinsic(put), Intrinsic(add))
+    return Column(read, put, add)
 
 
 @cache
@@ -198,10 +195,8 @@ def summed(count: int) -> Any:
     instructions where there are vectors.
     """
 
+    @intrinsic
     def add_up(typingctx: Any, array: Any, first: Any) -> Any:
-        from llvmlite import ir
-        from numba import types
-
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             data = numbers_of(context, builder, array, args, count - 1)
             vector = ir.VectorType(ir.DoubleType(), count)
@@ -222,7 +217,7 @@ def summed(count: int) -> Any:
 
         return types.float64(array, types.int64), codegen
 
-    return Intrinsic(add_up)
+    return add_up
 
 
 @cache
@@ -232,12 +227,8 @@ def scratch(count: int) -> Any:
     It lasts as long as the call. What is in it at first is anything.
     """
 
+    @intrinsic
     def make(typingctx: Any) -> Any:
-        from llvmlite import ir
-        from numba import types
-        from numba.core import cgutils
-        from numba.np.arrayobj import populate_array
-
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
             room.align = 64  # a line of the cache, and of the widest vectors
@@ -254,13 +245,16 @@ def scratch(count: int) -> Any:
 
         return types.Array(types.float64, 1, "C")(), codegen
 
-    return Intrinsic(make)
+    return make
 
 
-def _hold(typingctx: Any, record: Any) -> Any:
-    """Gives a copy of a record that nothing else can change."""
-    from llvmlite import ir
-    from numba.core import cgutils
+@intrinsic
+def held(typingctx: Any, record: Any) -> Any:
+    """Copies a record to where nothing else can change it.
+
+    A loop that writes elsewhere would read a record's fields again each time around, and could not
+    be vectorized: for all that the compiler knows it writes to them.
+    """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         room = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(8), record.size))
@@ -270,12 +264,6 @@ def _hold(typingctx: Any, record: Any) -> Any:
 
     return record(record), codegen
 
-
-held: Any = Intrinsic(_hold)
-"""Kernel `held(record)`: a copy of a record that nothing else can change.
-
-A loop that writes elsewhere would read a record's fields again each time around, and could not be
-vectorized: for all that the compiler knows it writes to them."""
 
 floats = records(np.dtype(np.float64))
 ints = records(np.dtype(np.int32))

@@ -91,7 +91,7 @@ class Company:
 
 
 def _withdraw(binding: Binding) -> None:
-    entry(withdraw, "int64")(binding.table.ctypes.data)
+    entry(withdraw, "int64(int64)")(binding.table.ctypes.data)
 
 
 _companies: weakref.WeakKeyDictionary[mujoco.MjData, Company] = weakref.WeakKeyDictionary()

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.keep import keep
+from mjgranular.kernel.machine import call_step
 from mjgranular.kernel.memory import table_at
 from mjgranular.scheme.status import BAD_STATE, FINE
 from mjgranular.scheme.wrenches import is_bad, take_back_wrenches, withdraw_wrenches
 
 
-@cache
-def guarded_program(program: Any) -> Any:
-    """A scheme's program, called alike, that keeps the state it is called with if it is good."""
+@compiled
+def guarded_step(program, address, lead):
+    """Calls a scheme's program, and keeps the state that it is called with if it is good.
 
-    @compiled
-    def guarded(address, lead):
-        table = table_at(address)
-        if is_bad(table):
-            return BAD_STATE
-        keep(table)
-        return program(address, lead)
+    Args:
+        program: address of the program.
+        address: of the simulation's table.
+        lead: as for the program [s].
 
-    return guarded
+    Returns:
+        What the program returns, or `BAD_STATE`.
+    """
+    table = table_at(address)
+    if is_bad(table):
+        return BAD_STATE
+    keep(table)
+    return call_step(program, address, lead)
 
 
 @compiled

@@ -13,14 +13,15 @@ import numpy as np
 
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.given import check_data, check_model, surface_of
-from mjgranular.kernel import entry
+from mjgranular.kernel.compiled import entry, program_address
 from mjgranular.law import Law, get_law, make_scene
 from mjgranular.medium import Medium, get_medium
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.company import company_of, refuse_sand_of_its_own
-from mjgranular.sand.guard import finish_step, guarded_program
+from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.scheme import Scheme, get_scheme
+from mjgranular.scheme.scheme import STEP
 from mjgranular.scheme.status import FINE, REFUSED
 from mjgranular.shape import select_geoms
 from mjgranular.shape.select import Choice, body_name
@@ -128,9 +129,10 @@ class Sand:
         self._scene = make_scene(self._law, self._medium, self._surface, model)
         self._kernel = self._law.kernel(self._surface)
         self._laid = self._kernel.lay(self._elements)
-        program = guarded_program(self._scheme.program(self._kernel, self._scene.dtype))
-        self._program = entry(program, "int64", "float64")
-        self._finish = entry(finish_step, "int64")
+        program = self._scheme.program(self._kernel, self._scene.dtype)
+        self._program = program_address(program, STEP)
+        self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
+        self._finish = entry(finish_step, "int64(int64)")
         self._lead = self._scheme.lead
         self._shared = shared
         self._options = model.opt  # its `timestep` may change between steps
@@ -200,7 +202,7 @@ class Sand:
             address = self._bind(data)
         model = self._model
         _step1(model, data)
-        failed = self._program(address, self._lead * self._options.timestep)
+        failed = self._guarded(self._program, address, self._lead * self._options.timestep)
         if failed != FINE:
             raise self._failure(data, failed)
         _step2(model, data)
@@ -223,7 +225,7 @@ class Sand:
         recent, address = self._recent
         if recent() is not data:
             address = self._bind(data)
-        failed = self._program(address, self._lead * self._options.timestep)
+        failed = self._guarded(self._program, address, self._lead * self._options.timestep)
         if failed != FINE:
             raise self._failure(data, failed, own=False)
 
@@ -258,7 +260,7 @@ class Sand:
         mujoco.mj_fwdPosition(model, probe)
         mujoco.mj_fwdVelocity(model, probe)
         binding.bodies["written"] = np.nan  # what is there now is the user's
-        failed = self._program(binding.address, lead)
+        failed = self._guarded(self._program, binding.address, lead)
         if failed != FINE:
             raise self._failure(data, failed, binding)
         probe.time = data.time

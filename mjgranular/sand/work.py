@@ -70,7 +70,7 @@ class WorkMeter:
     def __init__(self, sand: Sand, data: mujoco.MjData) -> None:
         self._model, self._data = sand.model, data
         self._table = sand.table_of(data)
-        self._add = entry(add_work, "int64", "int64", "int64", "float64")
+        self._add = entry(add_work, "int64(int64, int64, int64, float64)")
         self._work = np.zeros(len(np.unique(sand.elements["body"])))
 
     def add(self) -> None:

@@ -17,6 +17,9 @@ from mjgranular.scheme.status import refusal
 
 schemes: Registry[type[Scheme]] = Registry("scheme")
 
+STEP = "int64(int64, float64)"
+"""Signature of the program of a scheme."""
+
 _SPELLED = {"EULER": "Euler"}
 
 

@@ -48,7 +48,7 @@ class _Work(Generic[T]):
             self.unfinished.release()
 
 
-def apart(work: Callable[[], T]) -> T:
+def run_in_worker(work: Callable[[], T]) -> T:
     """Does something in a thread of its own, and waits for it, whatever happens.
 
     Args:
@@ -83,9 +83,9 @@ def apart(work: Callable[[], T]) -> T:
     return task.value
 
 
-def uncut(work: Callable[[], T]) -> T:
-    """Does something where no interrupt can cut it in two: `apart`, if this is the main thread."""
-    return apart(work) if is_main() else work()
+def uninterrupted(work: Callable[[], T]) -> T:
+    """Does something where no interrupt can cut it in two: not in the main thread."""
+    return run_in_worker(work) if is_main() else work()
 
 
 def is_main() -> bool:
@@ -93,7 +93,7 @@ def is_main() -> bool:
     return threading.get_ident() == threading.main_thread().ident
 
 
-def give_way() -> None:
+def cancellation_point() -> None:
     """Ends work whose result nobody waits for any more: called where ending it harms nothing.
 
     Raises:
