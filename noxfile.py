@@ -11,7 +11,9 @@ import nox
 PYTHONS = ("3.11", "3.12", "3.13")
 MUJOCOS = ("3.17", "4.0")
 CORE = (
-    "elements", "engine", "engine_sensor", "engine_tuning", "implicit", "sand", "step", "surfaces",
+    "api/test_sand.py", "api/test_step.py", "engine/test_plugin.py", "engine/test_sensor.py",
+    "engine/test_tuning.py", "physics/test_implicit.py", "physics/test_surfaces.py",
+    "tools/test_elements.py",
 )  # fmt: skip
 TORCH = "torch==2.13.0"  # where an index offers a build without CUDA: smaller by gigabytes
 
@@ -25,7 +27,7 @@ nox.options.error_on_missing_interpreters = False
 def core(session: nox.Session, mujoco: str) -> None:
     """What compiled code, structs and the two doors depend on."""
     session.install(".[test]", f"mujoco=={mujoco}.*")
-    files = [f"tests/test_{name}.py" for name in CORE]
+    files = [f"tests/{name}" for name in CORE]
     session.run("pytest", "-q", "-p", "no:cacheprovider", *files, *session.posargs)
 
 

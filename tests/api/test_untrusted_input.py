@@ -22,7 +22,7 @@ from mjgranular.medium import read_medium
 from mjgranular.medium.file import EXAMPLE, LARGEST
 from mjgranular.reading import read_file
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 STRANGE = "[/red]\x1b[31m :smile: \u202e"
 
 

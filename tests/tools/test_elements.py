@@ -4,6 +4,7 @@ import csv
 import importlib
 import json
 import math
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -222,10 +223,10 @@ def test_mistakes_in_a_figure(facets, options, error, words):
         draw_elements(facets, **options)
 
 
-def test_elements_of_another_kind_are_refused(facets, monkeypatch):
-    monkeypatch.setattr(facets, "_elements", np.zeros(1, [("geom", int), ("hair", float)]))
+def test_elements_of_another_kind_are_refused(facets):
+    hairy = SimpleNamespace(law=facets.law, elements=np.zeros(1, [("geom", int), ("hair", float)]))
     with pytest.raises(errors.InputError, match="of its own"):
-        kind_of(facets)
+        kind_of(hairy)
 
 
 def scene_of(sand, data, room=2000):

@@ -17,7 +17,7 @@ from mjgranular.law.rft2d import planar_response, rft2d_stress
 from mjgranular.law.rft3d import generic_response, rft3d_stress
 
 PUBLISHED = json.loads(
-    (Path(__file__).parent / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")
+    (Path(__file__).parents[1] / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")
 )
 PLANAR, SPATIAL, INERTIAL = (PUBLISHED[key] for key in ("planar", "spatial", "inertial"))
 SETS = {

@@ -18,7 +18,7 @@ from mjgranular.medium import read_medium
 from mjgranular.medium.file import EXAMPLE
 
 PUBLISHED = json.loads(
-    (Path(__file__).parent / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")
+    (Path(__file__).parents[1] / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")
 )
 NAMES = ["play_sand", "quikrete_medium", "glass_beads", "poppy_seed_loose", "poppy_seed_close"]
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from mjgranular import DepthVelocityLaw, InputError, Plane, Sand, media
 
 DROP = json.loads(
-    (Path(__file__).parent / "data" / "katsuragi_durian.json").read_text(encoding="utf-8")
+    (Path(__file__).parents[1] / "data" / "katsuragi_durian.json").read_text(encoding="utf-8")
 )
 MASS, RADIUS, GRAVITY = DROP["mass"], DROP["diameter"] / 2, DROP["gravity"]
 STIFFNESS, LENGTH = DROP["stiffness_over_mass"] * MASS, DROP["drag_length"]

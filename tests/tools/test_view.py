@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -107,7 +108,7 @@ def test_without_a_display_the_command_says_so(
 def test_a_display_that_does_not_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("DISPLAY", ":99999")
-    monkeypatch.setattr(viewer, "_opens_a_window", lambda: False)
+    monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: False))
     with pytest.raises(RenderError, match="no window can be opened on this display"):
         check_display()
 

@@ -16,7 +16,7 @@ from mjgranular import Explicit, LinkLaw, Sand
 from mjgranular.medium import get_medium
 from mjgranular.models import Link
 
-FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.fixture

@@ -110,7 +110,7 @@ def test_nor_within_the_engine(law, scheme, how, tmp_path, monkeypatch):
 # Large enough for an index that is off to fall out of the memory of the process.
 LARGE = """
 import warnings
-from test_bounds import *
+from test_memory_bounds import *
 warnings.simplefilter("ignore")
 for law in ("link_distributed", "rft3d"):
     model = model_of(2000)

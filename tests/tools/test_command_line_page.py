@@ -9,7 +9,7 @@ import pytest
 
 from mjgranular.cli import main
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "command-line.md").read_text()
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "command-line.md").read_text()
 QUOTED = re.findall(r"<!-- mjgranular (.+?) -->\n```text\n(.+?)```", PAGE, re.DOTALL)
 MODEL = re.search(r"With `block.xml` as\n\n```xml\n(.+?)```", PAGE, re.DOTALL)[1]
 BODIES = re.findall(r"^\| `(\w+)`.*? \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", PAGE, re.MULTILINE)

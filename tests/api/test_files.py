@@ -19,7 +19,7 @@ from mjgranular.experiment.folder import ResultFolder, read_impact
 from mjgranular.experiment.unfinished import UNFINISHED, Unfinished
 from mjgranular.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
 
-ATTACKS = Path(__file__).resolve().parent.parent / "scripts" / "attacks"
+ATTACKS = Path(__file__).resolve().parents[2] / "scripts" / "attacks"
 QUICK = ["--timestep", "1e-4", "--duration", "0.05", "--json"]
 
 

@@ -19,7 +19,7 @@ import pytest
 from mjgranular import Rft3dLaw, media
 from mjgranular.shape import facets_from_model
 
-FIGURE = Path(__file__).resolve().parents[1] / "docs" / "figures" / "swimming.py"
+FIGURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "swimming.py"
 RATIOS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4)
 
 
