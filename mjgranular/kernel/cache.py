@@ -11,7 +11,6 @@ as it was written, by this user or the administrator (`folder`).
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 import tempfile
@@ -23,11 +22,11 @@ from typing import TypeVar
 
 from numba import config
 
-from mjgranular.kernel.folder import folders_to_read, folders_to_write, read, restrict, write
+from mjgranular.kernel.folder import folders_to_read, folders_to_write, read, restrict
 
 T = TypeVar("T")
 
-_SUMS = "sums.json"
+_SUMS = "sums"
 _OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; chosen
 
 
@@ -44,9 +43,9 @@ def load(build: str, name: str, make: Callable[[], T]) -> T | None:
     """
     for root in folders_to_read():
         folder = root / build / name
-        with suppress(OSError, ValueError):
-            sums = json.loads(read(folder / _SUMS) or b"null")
-            if isinstance(sums, dict) and sums and sums == _sums(folder):
+        with suppress(OSError):
+            sums = read(folder / _SUMS)
+            if sums and sums == _sums(folder):
                 with _caching(folder):
                     return make()
     return None
@@ -104,7 +103,8 @@ def _caching(folder: Path) -> Iterator[None]:
 def _publish(aside: Path, folder: Path) -> None:
     for path in aside.rglob("*"):
         restrict(path)
-    write(aside / _SUMS, json.dumps(_sums(aside)).encode())
+    (aside / _SUMS).write_bytes(_sums(aside))
+    restrict(aside / _SUMS)
     restrict(aside)
     try:
         aside.rename(folder)
@@ -113,18 +113,17 @@ def _publish(aside: Path, folder: Path) -> None:
         aside.rename(folder)
 
 
-def _sums(folder: Path) -> dict[str, str]:
-    """Checksums of all files of a program, by their names; a file that is not trusted has none."""
-    sums = {}
+def _sums(folder: Path) -> bytes:
+    """Lists all files of a program with their checksums; one that is not trusted has none."""
+    lines = []
     for base, _, names in os.walk(folder):
         for name in names:
             path = Path(base, name)
             if path != folder / _SUMS:
                 content = read(path)
-                sums[path.relative_to(folder).as_posix()] = (
-                    "" if content is None else hashlib.sha256(content).hexdigest()
-                )
-    return sums
+                checksum = "-" if content is None else hashlib.sha256(content).hexdigest()
+                lines.append(f"{checksum}  {path.relative_to(folder).as_posix()}\n")
+    return "".join(sorted(lines)).encode()
 
 
 def _remove_old(root: Path, build: str) -> None:

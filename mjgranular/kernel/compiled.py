@@ -104,17 +104,18 @@ def _find(kernel: Any, signature: str, make: Callable[..., Any]) -> Any:
 
 def _find_or_make(key: tuple[Any, str, Any]) -> Any:
     with PROGRAMS:
-        if key not in _programs:
+        found = _programs.get(key)
+        if found is None:
             with compiling(), event.install_listener("numba:compile", _Progress()):
-                _programs[key] = _load_or_compile(*key)
-        return _programs[key]
+                found = _programs[key] = _load_or_compile(*key)
+        return found
 
 
 def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any]) -> Any:
     name = digest((identity(kernel), signature, make.__name__))
 
     def decorate(keep: bool = True) -> Any:
-        return make(_without_closure(kernel), signature, keep)
+        return make(_call_of(kernel), signature, keep)
 
     found = cache.load(build(), name, decorate)
     if found is None:
@@ -123,7 +124,8 @@ def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any]) -> A
     return decorate(keep=False) if found is None else found
 
 
-# Of a closure numba's cache takes what every process names anew, but not of globals.
+# numba's cache names a function by its closure, which it names anew in every process, and by its
+# file, which a function of a notebook does not have.
 _CALLS: Any = (
     lambda a: kernel(a),  # noqa: F821
     lambda a, b: kernel(a, b),  # noqa: F821
@@ -133,11 +135,9 @@ _CALLS: Any = (
 )
 
 
-def _without_closure(kernel: Any) -> Any:
+def _call_of(kernel: Any) -> Any:
     """Makes a function that calls a kernel, and is named as it is."""
     function = kernel.py_func
-    if function.__closure__ is None:
-        return function
     call = _CALLS[function.__code__.co_argcount - 1]
     made = FunctionType(call.__code__, {"kernel": kernel}, function.__name__)
     made.__qualname__ = f"{function.__qualname__}.call"

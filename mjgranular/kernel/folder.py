@@ -14,17 +14,15 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from uuid import uuid4
 
 from mjgranular.errors import warn_user
 
 _ROOT = 0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-_MOST = 1 << 28  # bytes of a file: a program has some hundred thousand
+_MOST = 1 << 28  # bytes of a file: that of a program has some hundred thousand
 _READ = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")
 )
-_WRITE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
 _reported: set[Path] = set()
 
@@ -45,7 +43,9 @@ def folders_to_write() -> Iterator[Path]:
         folder = base / _name(_user())
         with suppress(OSError):
             base.mkdir(parents=True, exist_ok=True)
-            folder.mkdir(mode=0o755 if _user() == _ROOT else 0o700, exist_ok=True)
+            if not folder.exists():
+                folder.mkdir(mode=0o700, exist_ok=True)
+                restrict(folder)
             if _is_trusted(folder, folder.lstat()):
                 with tempfile.TemporaryFile(dir=folder):
                     pass
@@ -66,30 +66,17 @@ def read(path: Path) -> bytes | None:
     return None
 
 
-def write(path: Path, content: bytes) -> None:
-    """Writes a file that others may not write to: as a whole or not at all.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    written = path.with_name(f"{path.name}.{uuid4().hex[:16]}")
-    file = os.open(written, _WRITE, 0o644 if _user() == _ROOT else 0o600)
-    try:
-        with os.fdopen(file, "wb") as opened:
-            opened.write(content)
-        written.replace(path)
-    except BaseException:
-        written.unlink(missing_ok=True)
-        raise
-
-
 def restrict(path: Path) -> None:
-    """Takes the right to write to a file or folder of ours from all others.
+    """Lets nobody else write to a file or folder of this user; what is root's is for all to read.
 
     Raises:
         OSError: it is not ours.
     """
-    path.chmod(stat.S_IMODE(path.stat().st_mode) & ~_OTHERS_WRITE)
+    for_all = _user() == _ROOT
+    if path.is_dir():
+        path.chmod(0o755 if for_all else 0o700)
+    else:
+        path.chmod(0o644 if for_all else 0o600)
 
 
 def _bases() -> Iterator[Path]:

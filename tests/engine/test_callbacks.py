@@ -17,7 +17,7 @@ import pytest
 
 from mjgranular import Bed, DepthVelocityLaw, GranularError, add_sand
 from mjgranular.engine import doors, plugin
-from mjgranular.kernel.apart import apart, give_way
+from mjgranular.kernel.worker import cancellation_point, run_in_worker
 
 LAW = DepthVelocityLaw(stiffness=100, linear=5)
 
@@ -249,7 +249,7 @@ INTERRUPTED = """
 import pickle, signal, sys, threading, time
 import mujoco, mjgranular
 from mjgranular.engine import plugin
-from mjgranular.kernel.apart import give_way
+from mjgranular.kernel.worker import cancellation_point
 
 compiled = sys.modules["mjgranular.kernel.compiled"]
 LAW = mjgranular.DepthVelocityLaw(stiffness=100, linear=5)
@@ -259,7 +259,7 @@ class Slow(dict):
         if threading.current_thread() is threading.main_thread():
             return None
         for _ in range(5):
-            give_way()
+            cancellation_point()
             time.sleep(0.002)
         return super().get(key)
 
@@ -373,7 +373,7 @@ def test_a_compiler_that_is_interrupted_compiles_later(tmp_path: Path) -> None:
     assert out == f"{len(WAITS)}\n"
 
 
-def test_work_apart_is_waited_for_and_asked_to_give_way() -> None:
+def test_work_apart_is_waited_for_and_asked_to_cancellation_point() -> None:
     main = threading.main_thread().ident
     seen = []
 
@@ -382,20 +382,20 @@ def test_work_apart_is_waited_for_and_asked_to_give_way() -> None:
         try:
             for _ in range(2000):
                 time.sleep(0.001)
-                give_way()
+                cancellation_point()
         except KeyboardInterrupt:
             time.sleep(0.02)
             seen.append(threading.get_ident())
             raise
 
     with pytest.raises(KeyboardInterrupt):
-        apart(work)
+        run_in_worker(work)
     assert len(seen) == 1
     assert seen[0] != main
-    give_way()
-    assert apart(lambda: 7) == 7
+    cancellation_point()
+    assert run_in_worker(lambda: 7) == 7
     with pytest.raises(ZeroDivisionError):
-        apart(lambda: 1 // 0)
+        run_in_worker(lambda: 1 // 0)
 
 
 FORKED = """

@@ -12,64 +12,125 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from numba import config
 
 from mjgranular.errors import GranularWarning
-from mjgranular.kernel import compiler, folder, program
+from mjgranular.kernel import cache, compiler, folder
 from mjgranular.kernel.compiler import CompilerError, compiling
-from mjgranular.kernel.program import Code
 
-CODE = Code(bytes(range(256)) * 3, needs=("exp", "mju_error"), python=True)
-STAMP = (1, 2)
+CODE = bytes(range(256)) * 3
+BUILD, NAME = "build", "program"
 
 
-def own() -> None:
-    """A function whose code is kept."""
+def decorate() -> str:
+    """Reads and writes as numba does: two files, in a folder of the folder that it is told."""
+    place = Path(config.CACHE_DIR, "package")
+    index, code = place / "program.nbi", place / "program.1.nbc"
+    if code.exists():
+        assert (index.read_bytes(), code.read_bytes()) == (b"index", CODE)
+        return "loaded"
+    place.mkdir()
+    index.write_bytes(b"index")
+    code.write_bytes(CODE)
+    return "compiled"
+
+
+def load(name: str = NAME, build: str = BUILD) -> str | None:
+    return cache.load(build, name, decorate)
+
+
+def save() -> str | None:
+    return cache.save(BUILD, NAME, decorate)
 
 
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where it is kept."""
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder in which programs are kept."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(folder, "_told", set())
-    return tmp_path / "cache"
+    monkeypatch.setattr(folder, "_reported", set())
+    assert save() == "compiled"
+    (made,) = (tmp_path / "cache").iterdir()
+    return made
 
 
 @pytest.fixture
-def kept(cache: Path) -> Path:
+def kept(root: Path) -> Path:
     """The file with `CODE` in it."""
-    program.save(own, "own", STAMP, CODE)
-    (path,) = cache.rglob("*.program")
-    return path
+    return root / BUILD / NAME / "package" / "program.1.nbc"
 
 
-def load(name: str = "own", stamp: object = STAMP) -> Code | None:
-    return program.load(own, name, stamp)
+def test_what_was_kept_is_loaded(root: Path) -> None:
+    assert load() == "loaded"
+    assert load(build="another") is None
+    assert load(name="another") is None
+    assert [path.name for path in (root / BUILD).iterdir()] == [NAME]  # nothing half written
 
 
-def test_what_was_kept_is_loaded(kept: Path) -> None:
-    assert load() == CODE
-    assert load(stamp=(1, 3)) is None
-    kept.rename(kept.with_name("other.program"))
-    assert load("other") is None
-
-
-def test_a_damaged_file_is_none(kept: Path) -> None:
-    whole = kept.read_bytes()
-    head = whole.index(b"\n", whole.index(b"\n") + 1) + 1
+def test_a_kept_program_that_is_damaged_is_made_again(kept: Path) -> None:
+    sums = kept.parents[1] / "sums"
     chance = random.Random(1)
-    places = [*range(head), *(chance.randrange(head, len(whole)) for _ in range(100))]
-    damaged = [whole[:size] for size in (*range(0, head, 3), head, len(whole) - 1)]
-    for place in places:
-        for bit in (1 << chance.randrange(8), 0xFF):
-            copy = bytearray(whole)
-            copy[place] ^= bit
-            damaged.append(bytes(copy))
-    damaged += [whole + b"\0", b"\n", b"[]\n", b"null\n\n", b"[" * 100000, b"\xff\xfe\n"]
-    for content in damaged:
-        kept.write_bytes(content)
-        assert load() is None
-    kept.write_bytes(whole)
-    assert load() == CODE
+    for path in (kept, kept.with_name("program.nbi"), sums):
+        whole = path.read_bytes()
+        damaged = [whole[:size] for size in range(0, len(whole), 7)]
+        for place in (*range(min(40, len(whole))), *(chance.randrange(len(whole)) for _ in "ab")):
+            for bit in (1 << chance.randrange(8), 0xFF):
+                copy = bytearray(whole)
+                copy[place] ^= bit
+                damaged.append(bytes(copy))
+        damaged += [whole + b"x", b"\n", b"[]\n", b"null", b"{}", b"[" * 100000, b"\xff\xfe\n"]
+        for content in damaged:
+            path.write_bytes(content)
+            assert load() is None
+        path.write_bytes(whole)
+        assert load() == "loaded"
+    sums.unlink()
+    assert load() is None
+    assert save() == "compiled"
+    assert load() == "loaded"
+
+
+def test_a_file_too_many_is_not_read(kept: Path) -> None:
+    kept.with_name("program.2.nbc").write_bytes(b"")
+    assert load() is None
+
+
+def test_numba_is_left_as_it_was(root: Path) -> None:
+    before = config.CACHE_DIR
+    load()
+    with pytest.raises(ZeroDivisionError):
+        cache.save(BUILD, "another", lambda: 1 // 0)
+    assert before == config.CACHE_DIR
+    assert [path.name for path in (root / BUILD).iterdir()] == [NAME]
+
+
+def test_two_that_compile_at_once(root: Path) -> None:
+    """Whoever ends first: what is kept is whole, and of one of them."""
+    places = [Path(root.parent, name) for name in "ab"]
+    code = f"""
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from mjgranular.kernel import cache
+import test_code_on_disk as t
+me, other = sys.argv[1:]
+def slow():
+    made = t.decorate()
+    Path(me).touch()
+    end = time.monotonic() + 10
+    while not Path(other).exists() and time.monotonic() < end:
+        time.sleep(0.001)
+    return made
+print(cache.save({BUILD!r}, "race", slow), cache.load({BUILD!r}, "race", t.decorate))
+"""
+    a, b = map(str, places)
+    runs = [
+        subprocess.Popen([sys.executable, "-c", code, *names], stdout=subprocess.PIPE, text=True)
+        for names in ((a, b), (b, a))
+    ]
+    for run in runs:
+        out, _ = run.communicate(timeout=60)
+        assert out.split()[0] == "compiled"
+    assert load("race") == "loaded"
 
 
 def a_folder(path: Path) -> None:
@@ -78,8 +139,8 @@ def a_folder(path: Path) -> None:
 
 
 def a_link(path: Path) -> None:
-    target = path.with_name("target")
-    target.write_bytes(b"")
+    target = path.parents[4] / "target"
+    target.write_bytes(CODE)
     path.symlink_to(target)
 
 
@@ -97,53 +158,44 @@ posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files do not say 
 
 @posix
 @pytest.mark.parametrize("what", [a_folder, a_link, a_pipe, a_huge_file])
-def test_what_is_no_file_of_ours_is_none(kept: Path, what: Callable[[Path], None]) -> None:
+def test_what_is_no_file_of_ours_is_made_again(kept: Path, what: Callable[[Path], None]) -> None:
     kept.unlink()
     what(kept)
-    if what is a_link:
-        with pytest.raises(OSError, match="symbolic links"):
-            folder.read(kept)
     assert load() is None
-    program.save(own, "own", STAMP, CODE)
-    assert load() == (None if what is a_folder else CODE)
-    assert not list(kept.parent.glob("*.program.*"))  # nothing half written
+    assert save() == "compiled"
+    assert load() == "loaded"
 
 
 @posix
-def test_the_folder_is_ours_alone(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for user, modes in ((0, (0o755, 0o644)), (os.geteuid() or 4321, (0o700, 0o600))):
-        kept.unlink()
-        kept.parent.rmdir()
+def test_the_folder_is_ours_alone(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for user, modes in ((0, {0o755, 0o644}), (os.geteuid() or 4321, {0o700, 0o600})):
         before = os.umask(0)
         monkeypatch.setattr(folder, "_user", lambda user=user: user)
         monkeypatch.setattr(folder, "_is_trusted", lambda path, found: True)
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(root.parents[1] / str(user)))
         try:
-            program.save(own, "own", STAMP, CODE)
+            save()
         finally:
             os.umask(before)
-        (kept,) = kept.parents[1].rglob("*.program")
-        assert f"mjgranular-{user}-" in kept.parent.name
-        assert (
-            stat.S_IMODE(kept.parent.stat().st_mode),
-            stat.S_IMODE(kept.stat().st_mode),
-        ) == modes
+        made = root.parents[1] / str(user) / f"mjgranular-{user}"
+        assert {stat.S_IMODE(path.stat().st_mode) for path in (made, *made.rglob("*"))} == modes
 
 
 @posix
 @pytest.mark.parametrize("mode", [0o020, 0o002])
 @pytest.mark.parametrize("whole_folder", [False, True])
-def test_what_others_may_write_is_not_read(kept: Path, mode: int, whole_folder: bool) -> None:
-    path = kept.parent if whole_folder else kept
+def test_what_others_may_write_is_not_read(
+    root: Path, kept: Path, mode: int, whole_folder: bool
+) -> None:
+    path = root if whole_folder else kept
     path.chmod(path.stat().st_mode | mode)
-    with pytest.warns(GranularWarning, match="may be written by others") as told:
+    with pytest.warns(GranularWarning, match="may be written by others") as warned:
         assert load() is None
-    assert load() is None  # and is told once
-    assert str(path) in str(told[0].message)
-    content = kept.read_bytes()
-    program.save(own, "own", STAMP, CODE)
+    assert load() is None  # and is said once
+    assert str(path) in str(warned[0].message)
+    assert cache.can_save() != whole_folder
+    assert save() == (None if whole_folder else "compiled")
     assert (load() is None) == whole_folder
-    assert kept.read_bytes() == content
-    assert program.can_be_kept(own) != whole_folder
 
 
 class Foreign:
@@ -159,51 +211,49 @@ class Foreign:
 @posix
 @pytest.mark.parametrize("whole_folder", [False, True])
 def test_what_others_own_is_not_read(
-    kept: Path, monkeypatch: pytest.MonkeyPatch, whole_folder: bool
+    root: Path, monkeypatch: pytest.MonkeyPatch, whole_folder: bool
 ) -> None:
     name, ask = ("lstat", Path.lstat) if whole_folder else ("fstat", os.fstat)
     holder = Path if whole_folder else os
     monkeypatch.setattr(holder, name, lambda path: Foreign(ask(path), 12345))
     with pytest.warns(GranularWarning, match="belongs to another user"):
         assert load() is None
-    assert program.can_be_kept(own) != whole_folder
+    assert cache.can_save() != whole_folder
     monkeypatch.setattr(holder, name, lambda path: Foreign(ask(path), 0))
-    assert load() == CODE  # what the administrator owns
+    assert load() == "loaded"  # what the administrator owns
 
 
 @posix
 def test_what_the_administrator_kept_for_all_is_read(
-    kept: Path, monkeypatch: pytest.MonkeyPatch
+    root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept.parent.rename(kept.parents[1] / folder._name(Path(__file__), 0))
+    root.rename(root.with_name("mjgranular-0"))
     monkeypatch.setattr(folder, "_user", lambda: 4321)
-    fstat = os.fstat
+    fstat, lstat = os.fstat, Path.lstat
     monkeypatch.setattr(os, "fstat", lambda file: Foreign(fstat(file), 0))
-    lstat = Path.lstat
     monkeypatch.setattr(Path, "lstat", lambda path: Foreign(lstat(path), 0))
-    assert load() == CODE
+    assert load() == "loaded"
 
 
 @posix
-def test_a_folder_that_is_a_link_is_not_used(kept: Path) -> None:
-    elsewhere = kept.parents[1] / "elsewhere"
-    kept.parent.rename(elsewhere)
-    kept.parent.symlink_to(elsewhere)
+def test_a_folder_that_is_a_link_is_not_used(root: Path) -> None:
+    elsewhere = root.with_name("elsewhere")
+    root.rename(elsewhere)
+    root.symlink_to(elsewhere)
     with pytest.warns(GranularWarning, match="is a link"):
         assert load() is None
 
 
-PLANTED = """
-import os, pickle, sys
-from pathlib import Path
-from mjgranular.kernel import compiled
+def test_programs_of_builds_long_gone_are_removed(root: Path) -> None:
+    old, new = root / "old", root / "new"
+    for path, age in ((old, 40), (new, 10)):
+        path.mkdir()
+        then = path.stat().st_mtime - age * 86400
+        os.utime(path, (then, then))
+    save()
+    assert new.exists()
+    assert not old.exists()
 
-@compiled
-def twice(x):
-    return 2.0 * x
-
-print(twice(1.0))
-"""
 
 IMPORTED = """
 import mujoco, mjgranular
@@ -218,7 +268,7 @@ def twice(x):
 def add(n, x):
     return n + int(twice(x))
 
-print(entry(add, "int64", "float64")(1, 2.0), twice(1.0))
+print(entry(add, "int64(int64, float64)")(1, 2.0), twice(1.0))
 spec = Link().spec()
 mjgranular.add_sand(spec)
 spec.compile()
@@ -232,37 +282,6 @@ def test_kernels_are_compiled_while_their_module_is_imported(tmp_path: Path) -> 
     command = [sys.executable, "-c", "import kernels"]
     done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=100)
     assert done.stdout == "5 2.0\n", done.stderr
-
-
-PLANT = """
-import pickle, sys
-from pathlib import Path
-
-class Mine:
-    def __reduce__(self):
-        return print, ("executed",)
-
-for path in Path(sys.argv[1]).rglob("*.nb[ic]"):
-    path.write_bytes(pickle.dumps(Mine()))
-    path.chmod(0o666)
-"""
-
-
-@posix
-def test_what_numba_would_unpickle_is_not_read_either(tmp_path: Path) -> None:
-    (tmp_path / "kernels.py").write_text(PLANTED)
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
-
-    def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", code, *arguments]
-        return subprocess.run(command, env=env, capture_output=True, text=True, check=True)
-
-    assert run("import kernels").stdout == "2.0\n"
-    assert list((tmp_path / "cache").rglob("*.nbi"))
-    run(PLANT, str(tmp_path / "cache"))
-    done = run("import kernels")
-    assert done.stdout == "2.0\n"
-    assert "may be written by others" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -290,30 +309,16 @@ def test_an_error_in_a_law_stays_what_it_is_with_a_numba_that_was_tested() -> No
         raise TypeError("mine")
 
 
-def test_without_numba_both_doors_say_so(tmp_path: Path) -> None:
+def test_without_numba_the_import_says_so() -> None:
     code = """
 import sys
-sys.modules.update({"numba": None, "numba.core.errors": None})
-import mujoco
-from mjgranular import Sand, add_sand
-from mjgranular.models import Link
-spec = Link().spec()
+sys.modules.update({"numba": None})
 try:
-    Sand(spec.compile())
+    import mjgranular
 except RuntimeError as error:
     print(error)
-add_sand(spec)
-for _ in range(2):
-    try:
-        spec.compile()
-    except ValueError as error:
-        print(error)
 """
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    assert len(lines) == 3
-    for line in lines:
-        assert "compile the kernels of mjgranular (ModuleNotFoundError: " in line
-        assert "MuJoCo" not in line
+    assert "compile the kernels of mjgranular (ModuleNotFoundError: " in done.stdout
+    assert "MuJoCo" not in done.stdout
