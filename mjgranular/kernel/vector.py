@@ -1,4 +1,4 @@
-"""Vectors in kernels: `+`, `-`, `*`, `/` with numbers, `dot`, `cross`; a matrix is a vector of rows.
+"""Vectors in kernels: `+`, `-`, `*`, `/`, `dot`, `cross`; a matrix is a vector of its rows.
 
 The components are numbers, lanes (`kernel.lanes`) or vectors themselves. A vector costs nothing: it
 is three values that the compiler keeps where it would keep them anyway.
@@ -120,25 +120,25 @@ def _matmul(a, b):
 
 @partial(compiled, inline=True)
 def dot(a, b):
-    """a . b."""
+    """Dot product."""
     return a.x * b.x + a.y * b.y + a.z * b.z
 
 
 @partial(compiled, inline=True)
 def cross(a, b):
-    """a x b."""
+    """Cross product."""
     return vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
 @partial(compiled, inline=True)
 def norm(a):
-    """|a|, of numbers."""
+    """Length of a vector of numbers."""
     return math.sqrt(dot(a, a))
 
 
 @partial(compiled, inline=True)
 def outer(a, b):
-    """a b^T, a matrix."""
+    """Outer product: the matrix a b^T."""
     return vector(a.x * b, a.y * b, a.z * b)
 
 
