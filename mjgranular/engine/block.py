@@ -1,21 +1,21 @@
-"""The memory of one sand in one `mjData`: an image made once a model, and what loads it.
+"""The memory of one sand in one `mjData`: an image made once a model, and a copy for each `mjData`.
 
 Compiled code gets nothing but `mjModel*`, `mjData*` and the number of the plugin instance. All else
 that it needs lies in one *block* for each `mjData`: a header, the table of addresses that programs
 read (`kernel.memory`), and the arrays that belong to one simulation. What all simulations of a
-model have in common, the elements above all, lies in one *share*, which counts its users.
+model have in common, the elements above all, stays where it is.
 
 Which address goes where is not written down a second time here. The sand is bound to a model and
 an `MjData` as `Sand` does it, and its tables are read as a linker reads an object file: the address
-of one of the sand's own arrays becomes a place in the block, one in MuJoCo's structs or buffers is
-fetched from there in every other simulation, and all else is a number.
+of one of the arrays of the block becomes a place in the block, one in MuJoCo's structs or buffers
+is fetched from there in every other simulation, and all else is a number.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,10 +23,9 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.layout import Struct
-from mjgranular.engine.library import library, memory_at
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
-from mjgranular.kernel.lanes import LINE
+from mjgranular.kernel.lanes import aligned
 from mjgranular.law.kernel import LawKernel
 from mjgranular.sand.binding import bind
 from mjgranular.scheme import Scheme
@@ -36,7 +35,7 @@ from mjgranular.scheme.status import REFUSED
 HEADER_DTYPE = np.dtype(
     [
         ("refused", np.int64),  # not 0: the sand does nothing, and behind the header stands why
-        ("refusals", np.int64),  # address, in the share: texts (`refusals`)
+        ("refusals", np.int64),  # address: texts (`refusals`)
         ("tuning_count", np.int64),  # 0 where it has none
         ("of_model", np.int64),  # address: relocations that read the model
         ("of_model_count", np.int64),
@@ -49,17 +48,15 @@ HEADER_DTYPE = np.dtype(
         ("qfrc", np.int64),  # address of qfrc_passive
         ("awake", np.int64),  # address of body_awake
         ("size", np.int64),  # of the block [bytes]
-        ("share", np.int64),  # address
-        ("relocations", np.int64),  # address, in the share: all others
-        ("relocation_count", np.int64),
+        ("image", np.int64),  # number of the image that it is a copy of
         ("results", np.int64),  # address of what a step leaves behind: bodies, contacts
         ("results_size", np.int64),  # [bytes]
-        ("slots", np.int64),  # address, in the share: for each element its row in `bodies`
+        ("slots", np.int64),  # address: for each element its row in `bodies`
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
         ("ends", np.int64),  # address of room for the ends of an arrow
-        ("tunings", np.int64),  # address, in the share: what the sand's state changes
+        ("tunings", np.int64),  # address: what the sand's state changes
         ("tuned", np.int64),  # whether `applied` is what the block was last made to
         ("applied", np.float64, (STATE_SIZE,)),
     ]
@@ -72,9 +69,8 @@ RELOCATION_DTYPE = np.dtype(
         ("delta", np.int64),  # added to a pointer [bytes]
     ]
 )
+NO_RELOCATIONS = np.zeros(0, RELOCATION_DTYPE)
 SHAPE_DTYPE = np.dtype([("address", np.int64), ("value", np.int64)])  # of an int32 in mjModel
-# What comes after it lies as rows of sheets should (`kernel.lanes`): MuJoCo's memory begins a line.
-SHARE_DTYPE = np.dtype({"names": ["users"], "formats": [np.int64], "itemsize": LINE})
 IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
 """Kinds of relocation. Those that read the model are the last two."""
 
@@ -87,20 +83,39 @@ REFUSAL_SIZE = 480
 """Bytes of a text, its end included: MuJoCo cuts at 500."""
 
 _WORD = 8  # bytes
-_MOST_RELOCATIONS = 256
+_numbers = itertools.count(1)
 
 
 @dataclass(frozen=True)
 class Image:
-    """A block that is not loaded yet.
+    """A block that belongs to no `mjData` yet.
 
     Attributes:
-        content: its bytes.
-        share: address of its share, which the image uses too.
+        content: its words.
+        relocations: rows of `RELOCATION_DTYPE` for what does not read the model.
+        shared: arrays that the content has addresses of.
     """
 
     content: np.ndarray
-    share: int
+    relocations: np.ndarray
+    shared: tuple[np.ndarray, ...] = ()
+
+    def copy_for(self, data: int) -> np.ndarray:
+        """Makes the block of the `mjData` at an address; what reads the model is linked later.
+
+        Returns:
+            Words, which must stay where they are as long as the `mjData` lives.
+        """
+        block = aligned(self.content)
+        words = block.view(np.int64)
+        for word, kind, offset, delta in self.relocations.tolist():
+            if kind == IN_BLOCK:
+                words[word] = block.ctypes.data + offset
+            elif kind == IN_DATA:
+                words[word] = data + offset
+            else:
+                words[word] = ctypes.c_int64.from_address(data + offset).value + delta
+        return block
 
 
 def make_image(
@@ -131,77 +146,67 @@ def make_image(
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.
     """
-    slots = elements["slot"].astype(np.int64)
-    room = np.zeros(_MOST_RELOCATIONS, RELOCATION_DTYPE)
+    packed, slots = kernel.lay(elements), elements["slot"].astype(np.int64)
     texts = refusals(scheme)
-    share, (_, laid, slots, tunings, room, texts) = _allocate(
-        [np.ones(1, SHARE_DTYPE), kernel.lay(elements), slots, tunings, room, texts]
+    binding = bind(model, data, elements, packed, scene, scheme, kernel, within=True)
+    head = np.zeros(1, HEADER_DTYPE)
+    table, desk = binding.table, binding.desk
+    # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
+    # nobody asks for the last good one.
+    table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
+    of_data, of_model = Struct.of_data(data), Struct.of_model(model)
+    shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
+    linked = (head, table, scene, desk.table, shapes)
+    # Those that read the model are needed at each step, and so lie in the block.
+    count = sum(of_model.holds(int(word)) for array in linked for word in _words(array))
+    live = np.zeros(count, RELOCATION_DTYPE)
+    own = [head, live, shapes, table, binding.bodies, binding.contacts, scene]
+    own += [desk.table, *desk.holds, ends := np.zeros(6)]
+    places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
+    for name, value in {
+        **values,
+        "size": sum(map(_padded, own)),
+        "image": next(_numbers),
+        "refusals": texts.ctypes.data,
+        "of_model": live.ctypes.data,
+        "of_model_count": count,
+        "shape": shapes.ctypes.data if len(shapes) else 0,
+        "shape_count": len(shapes),
+        "table": table.ctypes.data,
+        "qfrc": data.qfrc_passive.ctypes.data,
+        "awake": data.body_awake.ctypes.data,
+        "results": binding.bodies.ctypes.data,
+        "results_size": places[scene.ctypes.data] - places[binding.bodies.ctypes.data],
+        "slots": slots.ctypes.data,
+        "ends": ends.ctypes.data,
+        "tunings": tunings.ctypes.data if len(tunings) else 0,
+        "tuning_count": len(tunings),
+    }.items():
+        head[name] = value
+
+    content = np.concatenate([_bytes(array) for array in own])
+    words = content.view(np.int64)
+    relocations = np.array(
+        [
+            (word, *place)
+            for array in linked
+            for word in range(
+                places[array.ctypes.data] // _WORD,
+                (places[array.ctypes.data] + array.nbytes) // _WORD,
+            )
+            if (place := _resolve(int(words[word]), places, of_data, of_model))
+        ],
+        RELOCATION_DTYPE,
     )
-    with _freed_if_it_fails(share):
-        binding = bind(model, data, elements, laid, scene, scheme, kernel, within=True)
-        head = np.zeros(1, HEADER_DTYPE)
-        table, desk = binding.table, binding.desk
-        # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
-        # nobody asks for the last good one.
-        table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
-        structs = Struct.of_data(data), Struct.of_model(model)
-        shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
-        linked = (head, table, scene, desk.table, shapes)
-        # Those that read the model are needed at each step, and so lie in the block.
-        count = sum(structs[1].holds(int(word)) for array in linked for word in _words(array))
-        of_model = np.zeros(count, RELOCATION_DTYPE)
-        own = [head, of_model, shapes, table, binding.bodies, binding.contacts, scene]
-        own += [desk.table, *desk.holds, ends := np.zeros(6)]
-        places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
-        for name, value in {
-            **values,
-            "size": sum(map(_padded, own)),
-            "share": share,
-            "refusals": texts.ctypes.data,
-            "of_model": of_model.ctypes.data,
-            "of_model_count": count,
-            "shape": shapes.ctypes.data if len(shapes) else 0,
-            "shape_count": len(shapes),
-            "relocations": room.ctypes.data,
-            "table": table.ctypes.data,
-            "qfrc": data.qfrc_passive.ctypes.data,
-            "awake": data.body_awake.ctypes.data,
-            "results": binding.bodies.ctypes.data,
-            "results_size": places[scene.ctypes.data] - places[binding.bodies.ctypes.data],
-            "slots": slots.ctypes.data,
-            "ends": ends.ctypes.data,
-            "tunings": tunings.ctypes.data if len(tunings) else 0,
-            "tuning_count": len(tunings),
-        }.items():
-            head[name] = value
-
-        content = np.concatenate([_bytes(array) for array in own])
-        words = content.view(np.int64)
-        relocations = []
-        for array in linked:
-            first = places[array.ctypes.data] // _WORD
-            for word in range(first, first + array.nbytes // _WORD):
-                place = _resolve(int(words[word]), places, *structs)
-                if place is not None:
-                    relocations.append((word, *place))
-        once = [relocation for relocation in relocations if relocation[1] < IN_MODEL]
-        room[: len(once)] = once
-        of_model[:] = [relocation for relocation in relocations if relocation[1] >= IN_MODEL]
-        head["relocation_count"] = len(once)
-        for array in (head, of_model):
-            first = places[array.ctypes.data]
-            content[first : first + array.nbytes] = _bytes(array)
-        return Image(content, share)
-
-
-@contextmanager
-def _freed_if_it_fails(address: int) -> Iterator[None]:
-    """Frees memory that is not Python's if what is to be written there cannot be."""
-    try:
-        yield
-    except BaseException:
-        library().mju_free(address)
-        raise
+    reads_model = relocations["kind"] >= IN_MODEL
+    live[:] = relocations[reads_model]
+    first = places[live.ctypes.data]
+    content[first : first + live.nbytes] = _bytes(live)
+    return Image(
+        content.view(np.float64),
+        relocations[~reads_model],
+        (packed, slots, tunings, texts),
+    )
 
 
 def refusals(scheme: Scheme) -> np.ndarray:
@@ -212,13 +217,6 @@ def refusals(scheme: Scheme) -> np.ndarray:
     """
     texts = [*(scheme.refusal(status) for status in REFUSED), NOT_ASKED]
     return np.array([f"mjgranular: {text}".encode() for text in texts], f"S{REFUSAL_SIZE}")
-
-
-def load(content: np.ndarray) -> int:
-    """Puts a block into memory of its own; gives its address. It is not linked yet."""
-    address = library().mju_malloc(content.nbytes)
-    ctypes.memmove(address, content.ctypes.data, content.nbytes)
-    return address
 
 
 def _words(array: np.ndarray) -> np.ndarray:
@@ -241,19 +239,6 @@ def _resolve(
             # POINTER_IN_DATA, POINTER_IN_MODEL
             return inside + 1, *struct.pointer(word, "an array that a program reads")
     return None
-
-
-def _allocate(arrays: Sequence[np.ndarray]) -> tuple[int, list[np.ndarray]]:
-    """Copies arrays into memory that is not Python's; gives its address, and them there."""
-    size = sum(_padded(array) for array in arrays)
-    address = library().mju_malloc(size)
-    raw = memory_at(address, size)
-    raw[:] = np.concatenate([_bytes(array) for array in arrays])
-    there = [
-        raw[place : place + array.nbytes].view(array.dtype)
-        for place, array in zip(_places(arrays), arrays, strict=True)
-    ]
-    return address, there
 
 
 def _padded(array: np.ndarray) -> int:

@@ -20,18 +20,17 @@ import numpy as np
 
 from mjgranular.engine import sensor
 from mjgranular.engine.aside import aside
-from mjgranular.engine.block import HEADER_DTYPE, NOT_ASKED, Image, load, make_image
+from mjgranular.engine.block import HEADER_DTYPE, NO_RELOCATIONS, NOT_ASKED, Image, make_image
 from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
 from mjgranular.engine.measures import SENSOR_KEYS
-from mjgranular.engine.native import drop, release, retain, start
 from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.kernel.compiled import entry, program_address
+from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.law import get_law, make_scene
@@ -100,10 +99,6 @@ class Loader:
         self._rows = Rows(layout)
         self._prepared: OrderedDict[bytes, Prepared] = OrderedDict()
         self._fields: OrderedDict[bytes, dict[str, tuple[int, int]]] = OrderedDict()
-        self._retain = entry(retain, "void(int64)")
-        self._release = entry(release, "void(int64)")
-        self._start = entry(start, "void(int64, int64, int64)")
-        self._drop = entry(drop, "void(int64)")
         self._draw = draw
         self._draws = False
 
@@ -114,58 +109,36 @@ class Loader:
             InputError: what was written cannot be read, or does not fit the model.
         """
         with LOADER:
-            self._clear(data, instance)
+            self._rows.clear(data, instance)
             sands = self._sands(model)
             if instance in sands.values():
                 self._refuse_twice(model, instance, sands)
-                content = self._sand(model, instance)
+                content = self._prepare(model, instance).image
             else:
                 content = self._sensor(model, instance, sands)
-            self._seat(model, data, instance, content)
+            self._rows.put(data, instance, content.copy_for(data), content)
 
     def refuse(self, model: int, data: int, instance: int, text: bytes) -> None:
         """Gives an instance a block that is an error of MuJoCo's as soon as it is used."""
         head = np.zeros(1, HEADER_DTYPE)
         head["refused"] = 1
         with LOADER:
-            self._clear(data, instance)
-            message = np.frombuffer(text + b"\0", np.uint8)
-            content = np.concatenate([head.view(np.uint8), message])
-            self._seat(model, data, instance, content)
+            self._rows.clear(data, instance)
+            message = np.frombuffer(text.ljust(len(text) // 8 * 8 + 8, b"\0"), np.float64)
+            self._rows.put(data, instance, np.concatenate([head.view(np.float64), message]))
 
     def leave_empty(self, data: int, instance: int) -> None:
         """Gives an instance that sand is prepared with a block that does nothing.
 
         Whoever prepares it has another thread hold the lock, and wait.
         """
-        self._clear(data, instance)
-        self._seat(0, data, instance, np.zeros(1, HEADER_DTYPE).view(np.uint8))
+        self._rows.clear(data, instance)
+        self._rows.put(data, instance, np.zeros(1, HEADER_DTYPE))
 
     def abandon(self, data: int) -> None:
         """Drops all blocks of an `mjData` that MuJoCo is about to give up."""
         with LOADER:
-            for block in self._rows.vacate(data):
-                self._drop(block)
-
-    def _clear(self, data: int, instance: int) -> None:
-        left = self._rows.clear(data, instance)
-        if left:
-            self._drop(left)
-
-    def _seat(self, model: int, data: int, instance: int, content: np.ndarray) -> None:
-        """Loads a block: what it holds of its share is the block's from now on."""
-        block = load(content)
-        try:
-            self._start(model, data, block)
-            self._rows.seat(data, instance, block)
-        except Exception:
-            self._drop(block)
-            raise
-
-    def _sand(self, model: int, instance: int) -> np.ndarray:
-        image = self._prepare(model, instance).image
-        self._retain(image.share)
-        return image.content
+            self._rows.vacate(data)
 
     def _refuse_twice(self, model: int, instance: int, sands: dict[str, int]) -> None:
         """Refuses two sands in one place that act on the same body.
@@ -188,7 +161,7 @@ class Loader:
                     "meant"
                 )
 
-    def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> np.ndarray:
+    def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> Image:
         texts = config_texts(model, instance, SENSOR_KEYS)
         sand = sensor.find_sand(texts["sand"], sands)
         bodies = self._prepare(model, sand).bodies
@@ -198,7 +171,8 @@ class Loader:
         senses = sensor.make_senses(instance, sand, texts["measure"], Sensors(**sensors), bodies)
         head = np.zeros(1, HEADER_DTYPE)
         head["size"] = head.nbytes + senses.nbytes
-        return np.concatenate([head.view(np.uint8), senses.view(np.uint8)])
+        content = np.concatenate([head.view(np.float64), senses.view(np.float64)])
+        return Image(content, NO_RELOCATIONS)
 
     def _sands(self, model: int) -> dict[str, int]:
         """Instances of sand in a model by their names."""
@@ -240,25 +214,17 @@ class Loader:
 
     def _make(self, key: bytes, model: int, texts: dict[str, str]) -> Prepared:
         prepared = _prepare(_copy(model), texts)
-        try:
-            if prepared.draws and not self._draws:
-                self._draw()
-                self._draws = True
-            self._keep(key, prepared)
-        finally:
-            self._release(prepared.image.share)  # the maker's own use
+        if prepared.draws and not self._draws:
+            self._draw()
+            self._draws = True
+        self._keep(key, prepared)
         return prepared
 
     def _keep(self, key: bytes, prepared: Prepared) -> None:
-        """Keeps what was prepared under a key, which is one use of its share."""
-        self._retain(prepared.image.share)
-        before = self._prepared.pop(key, None)
         self._prepared[key] = prepared
-        if before is not None:
-            self._release(before.image.share)
+        self._prepared.move_to_end(key)
         while len(self._prepared) > _KEPT:
-            _, oldest = self._prepared.popitem(last=False)
-            self._release(oldest.image.share)
+            self._prepared.popitem(last=False)
 
     def _key(self, model: int, instance: int, texts: dict[str, str]) -> bytes:
         """What the sand is made of, in short."""

@@ -12,9 +12,6 @@ import numpy as np
 from mjgranular.engine.adjust import adjuster
 from mjgranular.engine.block import (
     HEADER_DTYPE,
-    IN_DATA,
-    IN_MODEL,
-    POINTER_IN_DATA,
     POINTER_IN_MODEL,
     REFUSAL_SIZE,
     RELOCATION_DTYPE,
@@ -33,7 +30,6 @@ from mjgranular.engine.sensor import sensor_compute
 from mjgranular.engine.tuning import INITIAL, STATE_SIZE
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.machine import (
-    add_atomically,
     address_of,
     c_function,
     call_step,
@@ -59,7 +55,7 @@ from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE
 from mjgranular.kernel.records import body_records
 from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
-FUNCTIONS = ("mju_free", "mjv_initGeom", "mjv_connector")
+FUNCTIONS = ("mjv_initGeom", "mjv_connector")
 """Functions of MuJoCo's that compiled code calls."""
 
 Callbacks = dict[str, tuple[Any, str]]
@@ -75,7 +71,6 @@ _bytes = records(np.dtype(np.uint8))
 _fail = c_function(FAIL, "void", "int64")
 _unprepared = c_function(UNPREPARED, "void", "int64")
 _forget = c_function(FORGET, "void", "int64")
-_free = c_function("mju_free", "void", "int64")
 
 _OTHER_SHAPE = "mjgranular_other_shape"
 _other_shape = ctypes.create_string_buffer(
@@ -87,27 +82,19 @@ other_shape = address_of(_OTHER_SHAPE)
 
 
 @partial(compiled, inline=True)
-def link(block, model, data, address, count):
-    """Fills in addresses of a block.
+def link_model(block, model, header):
+    """Fills in the addresses of a block that lie in the model.
 
     Args:
         block: address.
         model: mjModel*.
-        data: mjData*.
-        address: of the relocations that say where.
-        count: of relocations.
+        header: of the block.
     """
-    relocations = _relocations(address, count)
-    for i in range(count):
+    relocations = _relocations(header.of_model, header.of_model_count)
+    for i in range(len(relocations)):
         relocation = relocations[i]
-        kind, offset = relocation.kind, relocation.offset
-        if kind >= IN_MODEL:
-            place = model + offset
-        elif kind >= IN_DATA:
-            place = data + offset
-        else:
-            place = block + offset
-        if kind in (POINTER_IN_DATA, POINTER_IN_MODEL):
+        place = model + relocation.offset
+        if relocation.kind == POINTER_IN_MODEL:
             place = longs(place, 1)[0] + relocation.delta
         longs(block + 8 * relocation.word, 1)[0] = place
 
@@ -120,36 +107,6 @@ def is_of_that_shape(header):
     for i in range(len(shapes)):
         alike = alike and ints(shapes[i].address, 1)[0] == shapes[i].value
     return alike
-
-
-@compiled
-def retain(share):
-    """Counts one more user of a share."""
-    add_atomically(share, 1)
-
-
-@compiled
-def release(share):
-    """Counts one user less; the last one frees it."""
-    if share != 0 and add_atomically(share, -1) == 1:
-        _free(share)
-
-
-@compiled
-def start(model, data, block):
-    """Links a block that has just been loaded."""
-    header = _header(block, 1)[0]
-    # The first of them tell where the others are.
-    link(block, model, data, header.relocations, header.relocation_count)
-    link(block, model, data, header.of_model, header.of_model_count)
-
-
-@compiled
-def drop(block):
-    """Frees a block, and with it one use of its share."""
-    share = _header(block, 1)[0].share
-    _free(block)
-    release(share)
 
 
 @partial(compiled, inline=True)
@@ -208,10 +165,8 @@ def life(layout: Layout) -> Callbacks:
         if number == 0:
             return
         row = row_records(rows_address(), ROW_COUNT)[number]
-        block = row.block
         row.block = 0
         row.data = 0
-        drop(block)
 
     @compiled
     def copy(to, model, origin, instance):
@@ -219,7 +174,7 @@ def life(layout: Layout) -> Callbacks:
         if ours == 0 or theirs == 0:
             return
         mine, other = _header(ours, 1)[0], _header(theirs, 1)[0]
-        if mine.share != other.share or mine.results_size != other.results_size:
+        if mine.image != other.image:
             return
         into = _bytes(mine.results, mine.results_size)
         from_ = _bytes(other.results, other.results_size)
@@ -265,7 +220,7 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
         # A batch may run this mjData on another model, or move arrays of the same.
-        link(block, model, data, header.of_model, header.of_model_count)
+        link_model(block, model, header)
         if not is_of_that_shape(header):
             _fail(other_shape())
             return

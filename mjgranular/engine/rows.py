@@ -51,31 +51,57 @@ def _table() -> np.ndarray:
 
 
 class Rows:
-    """The table, as Python writes it. It is never freed: simulations may outlive Python."""
+    """The table, as Python writes it, and the blocks that its rows are of.
+
+    An `mjData` is freed on any thread, with or without Python's lock, so its rows are only marked
+    then: what they held goes when the next one is made. Nothing is freed when Python ends, since
+    simulations may outlive it.
+    """
 
     def __init__(self, layout: Layout) -> None:
         self._plugin_data = layout.plugin_data
         self._rows = _table()
+        self._held: dict[int, tuple[Any, ...]] = {}
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._held))
 
-    def clear(self, data: int, instance: int) -> int:
-        """An instance without a block; gives the address of one that was left behind, or 0.
+    def clear(self, data: int, instance: int) -> None:
+        """Takes the block of an instance away, if there is one.
 
-        MuJoCo has freed the `mjData` that it was of without a word, and made a new one there.
+        It was left behind where MuJoCo has freed an `mjData` without a word, and made a new one
+        there.
         """
         self._set_handle(data, instance, 0)
-        return sum(self._vacate(number) for number in self._of(data, instance))
+        self._mark(self._of(data, instance))
 
-    def vacate(self, data: int) -> list[int]:
-        """Addresses of all blocks of an `mjData`, which has none from now on."""
-        return [self._vacate(number) for number in self._of(data)]
+    def vacate(self, data: int) -> None:
+        """Takes all blocks of an `mjData` away."""
+        self._mark(self._of(data))
 
-    def seat(self, data: int, instance: int, block: int) -> None:
-        """Gives an instance in an `mjData`, which has none, its block."""
+    def put(self, data: int, instance: int, block: np.ndarray, *shared: Any) -> None:
+        """Gives an instance in an `mjData`, which has none, its block.
+
+        Args:
+            data: address of the `mjData`.
+            instance: of the plugin.
+            block: its words.
+            shared: what is to live as long as the block.
+        """
         number = self._free()
+        self._held[number] = (block, *shared)
         row = self._rows[number : number + 1]
-        row["block"], row["instance"] = block, instance
+        row["block"], row["instance"] = block.ctypes.data, instance
         row["data"] = data
         self._set_handle(data, instance, number)
+
+    def __len__(self) -> int:
+        """The number of blocks."""
+        self._purge()
+        return len(self._held)
+
+    def _purge(self) -> None:
+        numbers = np.fromiter(self._held, np.int64, len(self._held))
+        for number in numbers[self._rows["data"][numbers] == 0].tolist():
+            del self._held[number]
 
     def _set_handle(self, data: int, instance: int, number: int) -> None:
         handles = ctypes.c_int64.from_address(data + self._plugin_data).value
@@ -89,14 +115,13 @@ class Rows:
             found &= rows["instance"] == instance
         return np.flatnonzero(found).tolist()
 
-    def _vacate(self, number: int) -> int:
-        row = self._rows[number : number + 1]
-        block = int(row["block"][0])
-        row["block"] = row["data"] = 0
-        return block
+    def _mark(self, numbers: list[int]) -> None:
+        self._rows["block"][numbers] = 0
+        self._rows["data"][numbers] = 0
 
     def _free(self) -> int:
-        """A row that is free."""
+        """Finds a row that is free."""
+        self._purge()
         used = int(self._rows["used"][0])
         free = np.flatnonzero(self._rows["data"][1:used] == 0)
         if len(free):

@@ -70,17 +70,6 @@ def call_step(typingctx: Any, function: Any, table: Any, lead: Any) -> Any:
     return types.int64(types.int64, types.int64, types.float64), codegen
 
 
-@intrinsic
-def add_atomically(typingctx: Any, address: Any, change: Any) -> Any:
-    """Adds to the int64 at an address, one thread at a time; gives what was there before."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        pointer = builder.inttoptr(args[0], ir.IntType(64).as_pointer())
-        return builder.atomic_rmw("add", pointer, args[1], "seq_cst")
-
-    return types.int64(types.int64, types.int64), codegen
-
-
 def load_functions(code: str, names: Iterable[str]) -> dict[str, int]:
     """Compiles functions written in LLVM's language, which live as long as the process.
 
