@@ -15,6 +15,7 @@ CORE = (
     "engine/test_tuning.py", "physics/test_implicit.py", "physics/test_surfaces.py",
     "tools/test_elements.py",
 )  # fmt: skip
+ALL = ("-m", "slow or not slow")  # without it pytest runs the fast tests
 TORCH = "torch==2.13.0"  # where an index offers a build without CUDA: smaller by gigabytes
 
 nox.options.default_venv_backend = "uv|virtualenv"
@@ -28,7 +29,7 @@ def core(session: nox.Session, mujoco: str) -> None:
     """What compiled code, structs and the two doors depend on."""
     session.install(".[test]", f"mujoco=={mujoco}.*")
     files = [f"tests/{name}" for name in CORE]
-    session.run("pytest", "-q", "-p", "no:cacheprovider", *files, *session.posargs)
+    session.run("pytest", "-q", "-p", "no:cacheprovider", *ALL, *files, *session.posargs)
 
 
 @nox.session(python=PYTHONS[-1])
@@ -36,7 +37,7 @@ def bounds(session: nox.Session) -> None:
     """The fast tests with kernels that check each index; one out of bounds ends the run."""
     session.install(".[test]")
     session.run(
-        "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", *session.posargs,
+        "pytest", "-q", "-p", "no:cacheprovider", *session.posargs,
         env={"NUMBA_BOUNDSCHECK": "1"},
     )  # fmt: skip
 
@@ -59,5 +60,4 @@ def highest(session: nox.Session) -> None:
 
 def _run_fast_tests(session: nox.Session, *options: str) -> None:
     session.run("uv", "pip", "list", external=True)
-    fast = ("-q", "-m", "not slow", "-p", "no:cacheprovider")
-    session.run("pytest", *fast, *options, *session.posargs)
+    session.run("pytest", "-q", "-p", "no:cacheprovider", *options, *session.posargs)

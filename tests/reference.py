@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from math import cos, hypot, inf, pi, sin, sqrt
 
 import numpy as np
@@ -148,6 +149,7 @@ class Stop:
     slides_y: float  # part of the time spent on v_Ey = 0
 
 
+@cache  # several tests compare with the same drop
 def solve(
     drop: Drop,
     *,

@@ -34,6 +34,7 @@ def test_the_sweep_script(tmp_path):
     assert len(run(ROOT / "scripts" / "sweep.py", cwd=tmp_path).splitlines()) == 6
 
 
+@pytest.mark.slow
 def test_the_video_script(tmp_path):
     run(ROOT / "scripts" / "video.py", "film.mp4", "0.5", cwd=tmp_path)
     assert (tmp_path / "film.mp4").stat().st_size > 1000

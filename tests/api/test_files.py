@@ -417,6 +417,7 @@ def test_fields_have_known_names_and_types(content):
     assert checked_fields(Impact, {"speed": 1, "law": None}, "") == {"speed": 1, "law": None}
 
 
+@pytest.mark.slow
 def test_files_of_strangers_are_read_as_data_or_refused():
     attack("files", "--count", "100", "--seed", "1", seconds=200)
 

@@ -114,6 +114,7 @@ def test_the_renderer_is_chosen_only_where_nobody_has():
     assert shown.strip() == "None"
 
 
+@pytest.mark.slow
 def test_a_cache_that_cannot_be_written_costs_a_compilation_only(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
@@ -125,6 +126,7 @@ def test_a_cache_that_cannot_be_written_costs_a_compilation_only(tmp_path):
     assert python(code.format(folder=str(blocked / "cache"))).strip() == "1e-05"
 
 
+@pytest.mark.slow
 def test_kernels_come_from_the_cache_in_a_second_process(tmp_path):
     code = (
         f"import os; os.environ['NUMBA_CACHE_DIR'] = {str(tmp_path)!r}\n"

@@ -36,10 +36,12 @@ def attacks(monkeypatch: pytest.MonkeyPatch) -> Any:
 # The short form of `scripts/attacks`
 
 
+@pytest.mark.slow
 def test_mutated_media_are_refused_in_one_sentence(attacks: Any) -> None:
     assert attacks("media").run(seed=1, count=80) == []
 
 
+@pytest.mark.slow
 def test_mutated_models_are_refused_in_one_sentence(attacks: Any) -> None:
     assert attacks("mjcf").run(seed=1, count=120) == []
 

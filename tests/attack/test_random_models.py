@@ -19,6 +19,7 @@ PROGRAMS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "options", "hostile", "rest"])
 def test_random_models(kind, tmp_path):
     crew, report = (

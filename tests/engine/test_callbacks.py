@@ -290,6 +290,7 @@ for way in ("spec", "model", "data", "sand"):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a timer that sends signals")
 def test_an_interrupt_at_any_moment_is_raised_and_leaves_nothing_half_made() -> None:
     code = INTERRUPTED.replace("BALL", repr(BALL)).replace("MOMENTS", "20").replace("SPAN", "0.08")

@@ -131,6 +131,7 @@ def run(tmp_path):
     return run
 
 
+@pytest.mark.slow
 def test_a_program_is_loaded_not_compiled_again(run, tmp_path):
     assert run("sum_of(2, 1.5)") == ["5", "True"]
     assert run("sum_of(2, 1.5)") == ["5", "False"]
@@ -262,6 +263,7 @@ def seen_on_a_terminal(folder, code):
     return text.decode().splitlines()
 
 
+@pytest.mark.slow
 def test_who_waits_at_a_terminal_is_told_once(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
     code = (

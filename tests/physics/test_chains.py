@@ -221,6 +221,7 @@ def test_double_pendulum_follows_lagranges_equations(name):
     assert found.turn(0) == pytest.approx(solved.turn(0), rel=5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DROPS)
 def test_dropped_chain_follows_lagranges_equations(name):
     solved, found = compare(DROPS[name])

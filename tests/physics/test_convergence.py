@@ -52,7 +52,6 @@ def errors(solved, **options):
     return np.abs(found - [solved.time, solved.depth])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "angle"), CASES)
 def test_second_order_with_velocities_led(reference, speed, angle):
     solved = reference.solve(reference.Drop(speed=speed, angle=math.radians(angle)))
@@ -63,7 +62,6 @@ def test_second_order_with_velocities_led(reference, speed, angle):
     assert (deviation[-1] < [5e-9, 5e-8]).all()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "angle"), CASES)
 def test_first_order_without(reference, speed, angle):
     solved = reference.solve(reference.Drop(speed=speed, angle=math.radians(angle)))

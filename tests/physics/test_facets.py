@@ -731,6 +731,7 @@ def test_three_times_the_default_is_nearer(name, law, submerged):
     assert pressed.max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CURVED)
 @each_law
 def test_total_force_converges(name, law):

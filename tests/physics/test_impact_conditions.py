@@ -65,7 +65,6 @@ def test_slow_steep_drops_that_slide(reference):
     assert slid >= 9
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("eta_h", [0.0, 2.0, 20.0])
 def test_other_sands(reference, register, eta_h):
     constants = {"eta_d": 3.0, "eta_h": eta_h, "eta_v": 10.0, "exponent": 1.4}
@@ -105,6 +104,7 @@ def test_falling_from_a_height(height):
     assert fallen.stop.depth == pytest.approx(released.stop.depth, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_bound_on_the_time_step_is_safe(reference):
     # At the bound itself: no warning, and a result. Measured over 60 draws: median deviation
     # 0.05 %, at worst 5 %, and no run is lost before 16 times the bound.

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from mjgranular.experiment import Impact, Sweep, run_sweep
 
@@ -17,6 +18,7 @@ def sweep(over, first, last, **impact):
     return (np.array([row[name] for row in result.rows]) for name in ("stopping_time", "depth"))
 
 
+@pytest.mark.slow
 def test_faster_stops_sooner_and_deeper():
     for angle in (30, 45, 60):
         time, depth = sweep("speed", 1.0, 10.0, angle=math.radians(angle))
@@ -24,6 +26,7 @@ def test_faster_stops_sooner_and_deeper():
         assert (np.diff(depth) > 0).all()
 
 
+@pytest.mark.slow
 def test_flatter_stops_sooner_and_shallower():
     for speed in (1.0, 2.0, 5.0):
         time, depth = sweep("angle", math.radians(30), math.radians(60), speed=speed)

@@ -38,6 +38,7 @@ def run(folder: Path, *arguments: object) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_family_is_measured_saved_compared_and_reported(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text((FOLDER.parent / "docs" / "benchmarks.md").read_text())

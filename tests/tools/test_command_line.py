@@ -14,6 +14,7 @@ import pytest
 
 from mjgranular.cli import main
 from mjgranular.experiment import CASES
+from mjgranular.experiment.unfinished import UNFINISHED
 
 REQUIRED = {
     "law": str,
@@ -249,6 +250,7 @@ def test_mistakes_in_a_sweep(tmp_path, capfd, arguments, words):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
 def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
     folder = tmp_path / "sweep"
@@ -263,7 +265,11 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
         # A shell starts what it puts in the background deaf to Ctrl-C, these tests too.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
-        time.sleep(12)
+        deadline = time.monotonic() + 60
+        rows = folder / UNFINISHED  # its first line says what is asked for
+        while not (rows.exists() and rows.read_text().count("\n") > 4):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
         os.killpg(process.pid, signal.SIGINT)  # what Ctrl-C in a terminal does
         try:
             _, errors = process.communicate(timeout=60)

@@ -53,6 +53,7 @@ def last_row(command, printed):
     return json.loads(printed(f"{command} --json")[0])[-1]
 
 
+@pytest.mark.slow
 def test_the_numbers_of_intrude(printed):
     commands = re.findall(r"^mjgranular (intrude.*?)(?: *#.*)?$", PAGE, re.MULTILINE)
     told = [float(n) for n in re.findall(r"([\d.]+) N (?:at|of)", PAGE)]

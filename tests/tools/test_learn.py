@@ -250,6 +250,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_a_checkpoint_on_sigterm_and_goes_on_after_sigkill(tmp_path):
     folder = tmp_path / "run"
     # Far more steps than are waited for.
@@ -601,6 +602,7 @@ def test_the_search_finds_the_gait_that_goes_farthest(capfd):
     assert "NAME=LOW:HIGH" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
     small = ["num_envs=2", "n_steps=32", "batch_size=64", "n_epochs=1", "checkpoint_every=1000"]
     command = ["compare", "Hopper", "--policies", "1", "--seeds", "2", "--total-steps", "64"]
