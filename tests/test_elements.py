@@ -223,7 +223,8 @@ def test_mistakes_in_a_figure(facets, options, error, words):
 
 
 def test_elements_of_another_kind_are_refused(facets, monkeypatch):
-    monkeypatch.setattr(facets, "_elements", np.zeros(1, [("geom", int), ("hair", float)]))
+    hair = np.zeros(1, [("geom", int), ("hair", float)])
+    monkeypatch.setattr(Sand, "elements", property(lambda _: hair))
     with pytest.raises(errors.InputError, match="of its own"):
         kind_of(facets)
 

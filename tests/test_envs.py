@@ -190,7 +190,7 @@ def test_on_sand_takes_what_sand_takes():
         depths.append(info["sand/depth"])
     assert depths[0] > 2 * depths[1] > 0
     again = pickle.loads(pickle.dumps(soft.unwrapped))
-    assert again._grounds == soft.unwrapped._grounds
+    assert again.sands == soft.unwrapped.sands
     swimmer = on_sand("Swimmer-v5", surface=Plane(height=0.3), medium="poppy_seed_loose")
     _, info = swimmer.reset(seed=0)
     assert info["sand/depth"] == pytest.approx(0.4, abs=0.03)  # though its geoms make no contacts

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, show_error
+from mjgranular.cli.options import LawOptions
 from mjgranular.errors import MissingExtraError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
@@ -23,7 +24,7 @@ _ROWS_SHOWN = 11
 
 
 @dataclass(frozen=True)
-class IntrudeCommand:
+class IntrudeCommand(LawOptions):
     """A plate, a sphere or your own geom is moved through sand on a straight path: force on depth.
 
     The intruder is moved, not pushed. Prints resistance against the motion, lift across it, and
@@ -52,12 +53,6 @@ class IntrudeCommand:
     """Length of the path [m]. Default: as far as --depth asks for."""
     points: Annotated[int, tyro.conf.arg(metavar="N")] = 101
     """Number of samples."""
-    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
-    """The sand, or a YAML file; `mjgranular media` lists what there is."""
-    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The force law. Default: the medium's own."""
-    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How finely the intruder is cut into elements. Default: the law's."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the results; nothing is written without it."""
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, fields
+from typing import Annotated, Any
 
 import tyro
 
 from mjgranular.experiment import Impact
+from mjgranular.experiment.ground import PlainSand
+from mjgranular.sand import SandSpec
 
 
 @dataclass(frozen=True)
@@ -59,3 +61,60 @@ class LinkOptions:
             duration=self.duration,
             body=body,  # pyright: ignore[reportArgumentType]
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawOptions:
+    """The sand, and what a law makes of a body."""
+
+    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
+    """The sand, or a YAML file; `mjgranular media` lists what there is."""
+    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How finely bodies are cut into elements. Default: the law's."""
+
+    def plain(self) -> dict[str, Any]:
+        """The options as fields of `PlainSand`."""
+        names = [field.name for field in fields(PlainSand)]
+        given = {name: getattr(self, name) for name in names if hasattr(self, name)}
+        angles = given.keys() & {"slope", "uphill"}
+        return {**given, **{name: math.radians(given[name]) for name in angles}}
+
+    def sand(self) -> SandSpec:
+        """The sand that was asked for."""
+        return PlainSand(**self.plain()).sand
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChoiceOptions(LawOptions):
+    """The sand, and what of a model meets it."""
+
+    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Bodies that meet the sand. Default: all that can move."""
+    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Geoms that meet the sand."""
+    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
+    """Geom groups whose collision geoms meet the sand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SandOptions(ChoiceOptions):
+    """The sand under a model."""
+
+    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto"
+    """How forces become a step."""
+    surface_height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
+    """Height of the surface above the world's origin [m]."""
+    slope: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Slope of the surface [degrees]."""
+    uphill: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Direction of steepest ascent from the x axis [degrees]."""
+    bed: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
+    """Box geom of the model that is the sand."""
+    height_field: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
+    """Hfield geom of the model that is the sand."""
+    instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
+    """Geoms that the sand replaces, such as a floor that would carry the model above the sand."""
+    keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Let the model stand on ground of its own at or above the surface of the sand."""
