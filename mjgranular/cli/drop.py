@@ -12,7 +12,7 @@ from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
 from mjgranular.cli.filming import write_film
-from mjgranular.cli.options import SandOptions
+from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
@@ -55,15 +55,7 @@ class DropCommand(SandOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        drop = Drop(
-            self.model,
-            keyframe=self.keyframe,
-            height=self.height,
-            velocity=self.velocity,
-            duration=self.duration,
-            timestep=self.timestep,
-            **self.plain(),
-        )
+        drop = record_of(Drop, self)
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
         if self.out is None:

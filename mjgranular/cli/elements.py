@@ -15,11 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import out, print_json, show_error
-from mjgranular.cli.options import ChoiceOptions
-from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
+from mjgranular.cli.options import ChoiceOptions, record_of
+from mjgranular.errors import InputError, MissingExtraError
+from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
-from mjgranular.reading import check_regular
 from mjgranular.sand import Sand
 from mjgranular.sand.report import Names
 
@@ -92,22 +92,14 @@ class ElementsCommand(ChoiceOptions):
 
     def _cut(self) -> tuple[Sand, np.ndarray]:
         """The model on its sand, and where its bodies are drawn."""
-        check_regular(self.model, "the model")
-        try:
-            model = mujoco.MjSpec.from_file(str(self.model)).compile()
-        except (ValueError, OSError, mujoco.FatalError) as error:
-            reason = " ".join(str(error).split())
-            raise InputError(f"MuJoCo cannot load {self.model}: {reason}") from None
-        qpos = model.qpos0
-        if self.keyframe is not None:
-            key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, self.keyframe)
-            if key < 0:
-                known = [model.key(k).name for k in range(model.nkey)]
-                raise UnknownNameError("keyframe of the model", self.keyframe, known)
-            qpos = model.key_qpos[key]
+        drop = record_of(Drop, self)
+        with loading(drop.title):
+            model = read(drop).compile()
+        data = mujoco.MjData(model)
+        start_from(model, data, self.keyframe)
         # No step is made, so sand of the model's own is no matter.
-        sand = Sand(model, self.sand(), scheme="explicit", shared=True)
-        return sand, qpos
+        sand = Sand(model, drop.sand, scheme="explicit", shared=True)
+        return sand, data.qpos
 
     def _config(self) -> dict[str, Any]:
         """What was asked for, in plain values."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, show_error
-from mjgranular.cli.options import LawOptions
+from mjgranular.cli.options import LawOptions, record_of
 from mjgranular.errors import MissingExtraError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
@@ -62,22 +61,7 @@ class IntrudeCommand(LawOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        intrusion = Intrusion(
-            intruder=self.intruder,
-            size=self.size,
-            model=self.model,
-            geom=self.geom,
-            tilt=math.radians(self.tilt),
-            direction=math.radians(self.direction),
-            speed=self.speed,
-            start=self.start,
-            depth=self.depth,
-            distance=self.distance,
-            points=self.points,
-            medium=self.medium,
-            law=self.law,
-            resolution=self.resolution,
-        )
+        intrusion = record_of(Intrusion, self)
         if self.out is None:
             self._show(run_intrusion(intrusion))
             return 0

@@ -4,13 +4,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from mjgranular.experiment import Impact
-from mjgranular.experiment.ground import PlainSand
-from mjgranular.sand import SandSpec
+
+T = TypeVar("T")
+_DEGREES = {"slope", "uphill", "tilt", "direction"}  # options that records have in radians
+
+
+def record_of(kind: type[T], command: object, **others: Any) -> T:
+    """What an experiment takes, of those options of a command that are called as its fields are.
+
+    Args:
+        kind: a dataclass.
+        command: the command.
+        **others: fields that are no options, or other than these.
+    """
+    names = [field.name for field in fields(kind)]  # pyright: ignore[reportArgumentType]
+    given = {name: getattr(command, name) for name in names if hasattr(command, name)}
+    angles = {name: math.radians(given[name]) for name in _DEGREES & given.keys()}
+    return kind(**{**given, **angles, **others})
 
 
 @dataclass(frozen=True)
@@ -44,28 +59,13 @@ class LinkOptions:
         self, *, speed: float, angle_deg: float, until: str = "stop", body: str = "link"
     ) -> Impact:
         """The drop with these options."""
-        return Impact(
-            speed=speed,
-            angle=math.radians(angle_deg),
-            tangential_speed=self.tangential_speed,
-            angular_velocity=self.angular_velocity,
-            height=self.height,
-            length=self.length,
-            diameter=self.diameter,
-            density=self.density,
-            medium=self.medium,
-            law=self.law,
-            scheme=self.scheme,
-            timestep=self.timestep,
-            until=until,  # pyright: ignore[reportArgumentType]
-            duration=self.duration,
-            body=body,  # pyright: ignore[reportArgumentType]
-        )
+        angle = math.radians(angle_deg)
+        return record_of(Impact, self, speed=speed, angle=angle, until=until, body=body)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawOptions:
-    """The sand, and what a law makes of a body."""
+    """The sand, and how finely a law cuts what meets it."""
 
     medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
     """The sand, or a YAML file; `mjgranular media` lists what there is."""
@@ -73,17 +73,6 @@ class LawOptions:
     """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
     resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """How finely bodies are cut into elements. Default: the law's."""
-
-    def plain(self) -> dict[str, Any]:
-        """The options as fields of `PlainSand`."""
-        names = [field.name for field in fields(PlainSand)]
-        given = {name: getattr(self, name) for name in names if hasattr(self, name)}
-        angles = given.keys() & {"slope", "uphill"}
-        return {**given, **{name: math.radians(given[name]) for name in angles}}
-
-    def sand(self) -> SandSpec:
-        """The sand that was asked for."""
-        return PlainSand(**self.plain()).sand
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ import mujoco
 import tyro
 
 from mjgranular.cli.console import err
-from mjgranular.cli.options import SandOptions
+from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read, show_bed, start_from
@@ -66,8 +66,8 @@ class ViewCommand(SandOptions):
             InputError: MuJoCo cannot load it, the sand does not fit it, or ground of its own
                 carries it.
         """
-        drop = Drop(self.model, timestep=self.timestep, **self.plain())
-        with loading(drop), warnings.catch_warnings():
+        drop = record_of(Drop, self, duration=1.0)  # which nobody asks for
+        with loading(drop.title), warnings.catch_warnings():
             spec = read(drop)
             if any(plugin.plugin_name == NAME for plugin in spec.plugins):
                 err.print("The model has sand of its own, and is shown with that.", style="dim")

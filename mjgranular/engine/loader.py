@@ -352,7 +352,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     tunings = NO_TUNINGS
     if config.tunable:
         with named("tunable"):
-            tunings = make_tunings(sand.law, sand.surface, sand.scene, model)
+            tunings = make_tunings(sand, model)
     values = {
         "program": program_of(sand.program, "int64", "float64").address,
         "whole": sand.scheme.whole_state,
@@ -361,7 +361,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
     }
-    bodies = _in_order(sand.elements)
+    bodies = dict.fromkeys(sand.elements["body"].tolist())  # which come body by body
     image = make_image(
         model,
         mujoco.MjData(model),
@@ -375,7 +375,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     )
     return Prepared(
         image,
-        bodies={int(body): name_of(model, "body", body) or str(body) for body in bodies},
+        bodies={body: name_of(model, "body", body) or str(body) for body in bodies},
         disabled=sand.disabled,
         place=None if config.tunable else _place_of(sand.surface),
         draws=bool(config.draw),
@@ -396,9 +396,3 @@ def _drawing(model: mujoco.MjModel, drawings: Sequence[str]) -> int:
 
     check_scene(model)
     return sum(1 << DRAWINGS.index(drawing) for drawing in set(drawings))
-
-
-def _in_order(elements: np.ndarray) -> np.ndarray:
-    """Ids of the bodies that elements belong to, by their slots."""
-    _, first = np.unique(elements["slot"], return_index=True)
-    return elements["body"][first]

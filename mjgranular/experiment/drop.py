@@ -247,7 +247,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         InputError: MuJoCo cannot load it.
         UnknownNameError: it lacks a geom that the sand is to replace.
     """
-    with loading(drop):
+    with loading(drop.title):
         spec = read(drop)
         show_bed(spec, drop)
         model = spec.compile()
@@ -256,7 +256,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
 
 
 @contextmanager
-def loading(drop: Drop) -> Iterator[None]:
+def loading(title: object) -> Iterator[None]:
     """Has what MuJoCo raises say which model it is about, as an `InputError`."""
     try:
         yield
@@ -265,8 +265,7 @@ def loading(drop: Drop) -> Iterator[None]:
     except (ValueError, OSError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         ours = re.search("engine error: mjgranular '[^']*': (.*)", reason)
-        fault = ours[1] if ours else f"MuJoCo cannot load {drop.title}: {reason}"
-        raise InputError(fault) from None
+        raise InputError(ours[1] if ours else f"MuJoCo cannot load {title}: {reason}") from None
 
 
 def read(drop: Drop) -> mujoco.MjSpec:

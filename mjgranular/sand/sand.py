@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import weakref
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Unpack
 
 import mujoco
@@ -221,14 +223,12 @@ class Sand:
         probe.time = data.time
         report = describe(
             probe,
-            elements=self._sand.elements,
+            sand=self._sand,
             members=self._members,
             names=self._names,
             binding=binding,
             gravity=float(np.linalg.norm(model.opt.gravity)),
-            limits=self.law.validity,
             slope=self._slope,
-            grain=None if self.medium.grain is None else self.medium.grain.value,
             solver=self._solver(data),
         )
         self._probes.append((probe, binding))
@@ -357,17 +357,10 @@ class Sand:
             return what, int(model.jnt_bodyid[joint])
         return what, int(model.dof_bodyid[index])
 
-    def __copy__(self) -> Sand:
-        """Sand of its own on the same model: addresses are not copied."""
-        return Sand(self._model, self._spec, shared=self._shared)
-
     def __deepcopy__(self, memo: dict[int, Any]) -> Sand:
         """As `copy`: the model is shared, as it is by the deep copy of a `MjData`."""
-        return self.__copy__()
+        return copy.copy(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _remake, (self._model, self._spec, self._shared)
-
-
-def _remake(model: mujoco.MjModel, spec: SandSpec, shared: bool) -> Sand:
-    return Sand(model, spec, shared=shared)
+        # Sand of its own, made anew: addresses are not copied.
+        return partial(Sand, shared=self._shared), (self._model, self._spec)

@@ -71,12 +71,7 @@ def select_geoms(
 
 
 def find_all(model: mujoco.MjModel, kind: str, names: Choice) -> list[int]:
-    """The ids of bodies or geoms.
-
-    Args:
-        model: the model.
-        kind: `body`, `geom`.
-        names: a name or number, or several.
+    """The ids of bodies or geoms, as `kind` says.
 
     Raises:
         UnknownNameError: a name that the model does not have; lists those there are.
@@ -110,11 +105,7 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
 
 
 def names_in(names: Choice) -> list[str | int]:
-    """Names and numbers, one by one.
-
-    Raises:
-        InputError: something else.
-    """
+    """Names and numbers one by one; anything else is refused."""
     if names is None:
         return []
     several = names if isinstance(names, Iterable) and not isinstance(names, str) else (names,)
