@@ -15,13 +15,13 @@ from mjgranular.envs.ground import (
     FORCE,
     POWER,
     SPEED,
-    Ground,
     instances_of,
 )
 from mjgranular.law import get_law
 from mjgranular.law.validity import Measure
 from mjgranular.medium import get_medium
-from mjgranular.shape import select_geoms
+from mjgranular.sand import SandSpec
+from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface import Plane
 
 
@@ -30,10 +30,10 @@ class Figures:
 
     Args:
         model: the model.
-        grounds: the sands in it, in the order in which they were added.
+        sands: in it, in the order in which they were added.
     """
 
-    def __init__(self, model: mujoco.MjModel, grounds: Sequence[Ground]) -> None:
+    def __init__(self, model: mujoco.MjModel, sands: Sequence[SandSpec]) -> None:
         self.sands = names = instances_of(model)
         # The sensors of a sand stand side by side: force, depth, power, speed.
         self._blocks = [_address(model, f"{FORCE}/{name}") for name in names]
@@ -41,7 +41,7 @@ class Figures:
             for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):
                 assert _address(model, f"{measure}/{name}") == begin + offset
         gravity = float(np.linalg.norm(model.opt.gravity))
-        limits = [_Limits(model, ground) for ground in grounds]
+        limits = [_Limits(model, sand) for sand in sands]
         width = np.array([limit.width for limit in limits])
         self._per_speed = 1 / np.sqrt(gravity * width)  # Froude number of 1 m/s
         self._froude = np.array([limit.most("froude") for limit in limits])
@@ -150,15 +150,14 @@ class Wrenches:
 
 
 class _Limits:
-    """Up to where the law of a ground holds in a model."""
+    """Up to where the law of a sand holds in a model."""
 
-    def __init__(self, model: mujoco.MjModel, ground: Ground) -> None:
-        law = get_law(ground.law, get_medium(ground.medium))
-        surface = ground.surface or Plane()
-        geoms = select_geoms(model, geoms=ground.geoms, leave_out=surface.geoms(model))
+    def __init__(self, model: mujoco.MjModel, sand: SandSpec) -> None:
+        law = get_law(sand.law, get_medium(sand.medium))
+        elements = law.elements(model, geoms_in_sand(model, sand), sand.resolution)
         self._limits = law.validity
-        self.width = float(law.elements(model, geoms, ground.resolution)["width"].min())
-        self.tilt = surface.tilt(model)
+        self.width = float(elements["width"].min())
+        self.tilt = (sand.surface or Plane()).tilt(model)
 
     def most(self, measure: Measure) -> float:
         return min((v.most for v in self._limits if v.measure == measure), default=math.inf)

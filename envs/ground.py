@@ -6,15 +6,15 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 
 import mujoco
 
-from mjgranular import HeightField, InputError, Law, Medium, Plane, Scheme, Surface, add_sand
+from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
 from mjgranular.models import model_path
-from mjgranular.shape import select_geoms
+from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.spec import combined
+from mjgranular.shape.select import names_in
 
 FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
 """Sensors of all bodies together; behind a "/" the name of an instance of sand."""
@@ -23,30 +23,9 @@ BODY_FORCE, BODY_MOMENT = "sand/force of ", "sand/moment of "
 """Sensors of one body, with its name and the instance behind."""
 
 
-@dataclass(frozen=True)
-class Ground:
-    """The sand under a robot: arguments of `mjgranular.add_sand`.
-
-    Attributes:
-        medium: what the sand is, by name or YAML file.
-        law: how it resists; None for the medium's own law.
-        surface: where it is; None for the level plane where the floor was.
-        scheme: how forces become a step.
-        resolution: how finely geoms are cut; None for the law's own.
-        geoms: names of the geoms that meet it; None for all that can collide and move.
-    """
-
-    medium: str | Path | Medium = "quikrete_medium"
-    law: str | Law | None = None
-    surface: Surface | None = None
-    scheme: str | Scheme = "auto"
-    resolution: int | None = None
-    geoms: Sequence[str] | None = None
-
-
 def put_on_sand(
     spec: mujoco.MjSpec,
-    grounds: Sequence[Ground],
+    sands: Sequence[SandSpec],
     *,
     wrenches: bool = False,
     tunable: bool = False,
@@ -62,7 +41,8 @@ def put_on_sand(
 
     Args:
         spec: the model to be; it is changed.
-        grounds: one sand or several, of which each has an instance `sand`, `sand_2`, ...
+        sands: one or several, of which each has an instance `sand`, `sand_2`, ...; without a
+            surface it is the level plane where the floor was.
         wrenches: whether the force and the moment on each body are to be measured as well.
         tunable: whether instances are to be tuned while they run.
         cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
@@ -72,7 +52,7 @@ def put_on_sand(
         The model.
 
     Raises:
-        InputError: the model has no floor and the ground no surface.
+        InputError: the model has no floor and a sand no surface.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
     _keep_extent(spec)
@@ -80,27 +60,19 @@ def put_on_sand(
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
     _let_meet(spec)
-    surfaces = [ground.surface or _surface_of(floors) for ground in grounds]
-    for floor in floors:
-        floor.contype = floor.conaffinity = 0
+    surfaces = [sand.surface or _surface_of(floors) for sand in sands]
+    for number, floor in enumerate(floors):
+        floor.name = floor.name or f"mjgranular_floor_{number}"
     _paint(spec, floors, surfaces, cut, tile)
     for number, body in enumerate(spec.bodies):
         if not body.name:  # sensors find bodies by name
             body.name = f"body_{number}"
     names = []
-    for ground, surface in zip(grounds, surfaces, strict=True):
-        instance = add_sand(
-            spec,
-            medium=ground.medium,
-            law=ground.law,
-            surface=surface,
-            scheme=ground.scheme,
-            resolution=ground.resolution,
-            geoms=ground.geoms,
-            tunable=tunable,
-        )
-        names.append(instance.name)
-    _add_sensors(spec, names, grounds[0].geoms, wrenches=wrenches)
+    for sand, surface in zip(sands, surfaces, strict=True):
+        replaced = [*(floor.name for floor in floors), *names_in(sand.instead_of)]
+        placed = combined(sand, {"surface": surface, "instead_of": replaced})
+        names.append(add_sand(spec, placed, tunable=tunable).name)
+    _add_sensors(spec, names, sands[0], wrenches=wrenches)
     with quiet():
         return spec.compile()
 
@@ -196,26 +168,26 @@ def _sand_material(spec: mujoco.MjSpec, tile: float) -> str:
 
 
 def _add_sensors(
-    spec: mujoco.MjSpec, sands: Sequence[str], geoms: Sequence[str] | None, *, wrenches: bool
+    spec: mujoco.MjSpec, names: Sequence[str], sand: SandSpec, *, wrenches: bool
 ) -> None:
     spec.activate_plugin(SENSOR)
     bodies: list[str] = []
     if wrenches:
         with quiet():
             model = spec.copy().compile()
-        met = select_geoms(model, geoms=geoms)
+        met = geoms_in_sand(model, sand)
         bodies = [model.body(b).name for b in sorted({int(model.geom_bodyid[g]) for g in met})]
-    for sand in sands:
+    for instance in names:
         for measure, name in (
             ("force", FORCE),
             ("depth", DEPTH),
             ("power", POWER),
             ("speed", SPEED),
         ):
-            _add_sensor(spec, f"{name}/{sand}", measure, sand)
+            _add_sensor(spec, f"{name}/{instance}", measure, instance)
         for body in bodies:
-            _add_sensor(spec, f"{BODY_FORCE}{body}/{sand}", "force", sand, body)
-            _add_sensor(spec, f"{BODY_MOMENT}{body}/{sand}", "moment", sand, body)
+            _add_sensor(spec, f"{BODY_FORCE}{body}/{instance}", "force", instance, body)
+            _add_sensor(spec, f"{BODY_MOMENT}{body}/{instance}", "moment", instance, body)
 
 
 def _add_sensor(

@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine import tune
-from mjgranular.envs.ground import Ground
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
+from mjgranular.sand.spec import SandSpec, combined
 
 SURFACES = ("plane", "dunes")
 """Surfaces that can be drawn: level but for the slope, or fixed dunes at a place drawn anew."""
@@ -250,9 +250,9 @@ def told(
     return info
 
 
-def grounds_of(
-    ranges: SandRanges | None, base: Ground, dunes: Any
-) -> tuple[list[Ground], list[Choice]]:
+def sands_of(
+    ranges: SandRanges | None, base: SandSpec, dunes: Any
+) -> tuple[list[SandSpec], list[Choice]]:
     """The sands that a model needs for these ranges, and what each of them is.
 
     Args:
@@ -260,17 +260,15 @@ def grounds_of(
         base: what is not drawn.
         dunes: the surface that "dunes" stands for.
     """
-    grounds, choices = [], []
+    sands, choices = [], []
     for medium in (ranges and ranges.media) or (base.medium,):
         for law in (ranges and ranges.laws) or (base.law,):
             for name in (ranges and ranges.surfaces) or ("plane",):
                 surface = dunes if name == "dunes" else base.surface
-                grounds.append(
-                    Ground(medium, law, surface, base.scheme, base.resolution, base.geoms)
-                )
+                sands.append(combined(base, {"medium": medium, "law": law, "surface": surface}))
                 own = get_medium(medium).default_law if law is None else law
                 choices.append(Choice(_name(medium), _name(own), name))
-    return grounds, choices
+    return sands, choices
 
 
 def _name(thing: Any) -> str:

@@ -13,33 +13,30 @@ from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from mjgranular.envs.figures import Figures, Wrenches
-from mjgranular.envs.ground import Ground, put_on_sand, quiet
+from mjgranular.envs.ground import put_on_sand, quiet
 from mjgranular.envs.ranges import (
     Sample,
     SandRanges,
     check_drawing,
     draw,
-    grounds_of,
     lay,
     next_ranges,
+    sands_of,
     told,
 )
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
-COARSE = 4
-"""Resolution at which robots meet the sand; chosen: docs/environments.md has cost and accuracy."""
+ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
+"""The sand unless one is given. Its resolution is chosen: docs/environments.md has cost and
+accuracy."""
 
 
 def on_sand(
     environment: str,
+    sand: SandSpec = ROBOT_SAND,
     *,
-    medium: Any = "quikrete_medium",
-    law: Any = None,
-    surface: Any = None,
-    scheme: Any = "auto",
-    resolution: int | None = COARSE,
-    geoms: Any = None,
     randomise: SandRanges | None = None,
     curriculum: Callable[[int], SandRanges] | None = None,
     **options: Any,
@@ -60,16 +57,14 @@ def on_sand(
 
     Args:
         environment: id of an environment whose class derives from `MujocoEnv`.
-        medium: as for `mjgranular.Sand`.
-        law: as for `mjgranular.Sand`.
-        surface: as for `mjgranular.Sand`; None for the level plane where the floor was.
-        scheme: as for `mjgranular.Sand`.
-        resolution: as for `mjgranular.Sand`; the default is coarse and quick.
-        geoms: as for `mjgranular.Sand`.
+        sand: the sand; without a surface it is the level plane where the floor was. It replaces
+            the floor without a word, and `instead_of` names other geoms. The default is medium sand
+            of Quikrete's, its resolution coarse and quick.
         randomise: from where the sand of each episode is drawn; None for always the same. Dunes are
             for our own environments: Gymnasium's robots start at their own height.
         curriculum: gives the ranges for the next episode, called with the number of episodes begun.
-        **options: of the environment or of `gymnasium.make`.
+        **options: fields of `mjgranular.SandSpec`, which replace those of `sand`; others are of the
+            environment or of `gymnasium.make`.
 
     Returns:
         The environment with the wrappers that `gymnasium.make` gives it.
@@ -80,13 +75,9 @@ def on_sand(
             surface is given; what `add_sand` refuses.
     """
     spec = _find(environment)
-    sand = {
-        "medium": medium,
-        "law": law,
-        "surface": surface,
-        "scheme": scheme,
-        "resolution": resolution,
-        "geoms": geoms,
+    fields: Any = {name: options.pop(name) for name in SAND_FIELDS if name in options}
+    described = {
+        **vars(combined(sand, fields)),
         "randomise": randomise,
         "curriculum": curriculum,
     }
@@ -95,7 +86,7 @@ def on_sand(
         entry_point="mjgranular.envs.robots:make_robot",
         reward_threshold=None,  # that of rigid ground says nothing
         max_episode_steps=spec.max_episode_steps,
-        kwargs={**spec.kwargs, "environment": spec.id, "sand": sand},
+        kwargs={**spec.kwargs, "environment": spec.id, "sand": described},
     )
     return gym.make(ours, **options)
 
@@ -123,6 +114,9 @@ class OnSand(MujocoEnv):
     Args:
         sand: the arguments of `on_sand` that say what the sand is.
         **options: of the environment.
+
+    Attributes:
+        sands: in the model, by the order of their instances.
     """
 
     environment: str
@@ -138,7 +132,7 @@ class OnSand(MujocoEnv):
                 "on_sand draws no dunes, because Gymnasium's robots start at their own height: "
                 "take an environment of mjgranular's, or a surface of the model's own"
             )
-        self._grounds, self._choices = grounds_of(self._ranges, Ground(**base), None)
+        self.sands, self._choices = sands_of(self._ranges, SandSpec(**base), None)
         self._drawn, self._episodes = Sample(), 0
         super().__init__(**options)
 
@@ -150,11 +144,11 @@ class OnSand(MujocoEnv):
         with quiet():
             spec = mujoco.MjSpec.from_file(self.fullpath)
             tunable = self._ranges is not None
-            model = put_on_sand(spec, self._grounds, wrenches=True, tunable=tunable)
+            model = put_on_sand(spec, self.sands, wrenches=True, tunable=tunable)
         screen = model.vis.global_
         screen.offwidth = max(screen.offwidth, self.width)
         screen.offheight = max(screen.offheight, self.height)
-        self._figures = Figures(model, self._grounds)
+        self._figures = Figures(model, self.sands)
         self._strength = float(np.linalg.norm(model.opt.gravity))
         self._wrenches = Wrenches(model)
         return model, mujoco.MjData(model)

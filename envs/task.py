@@ -23,19 +23,19 @@ import mujoco
 import numpy as np
 from gymnasium.spaces import Box
 
-from mjgranular import HeightField, InputError, Law, Medium, Plane, Scheme, Surface
+from mjgranular import HeightField, InputError, Medium, Plane, SandSpec, Surface
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import Ground, put_on_sand
+from mjgranular.envs.ground import put_on_sand
 from mjgranular.envs.ranges import (
     Choice,
     Sample,
     SandRanges,
     check_drawing,
     draw,
-    grounds_of,
     lay,
     next_ranges,
+    sands_of,
     told,
 )
 
@@ -63,18 +63,16 @@ class Start:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task(ABC):
+class Task(SandSpec, ABC):
     """A robot, the sand it is on, and what it is to do there.
 
     A final task is a frozen dataclass; its fields are the options of the environment. Its docstring
     is the environment's specification, in Gymnasium's sections.
 
+    The sand is described as in `mjgranular.SandSpec`; what is said here comes beside that. It
+    replaces the floor without a word, and `instead_of` names other geoms.
+
     Attributes:
-        medium: what the sand is, as for `mjgranular.Sand`.
-        law: how it resists; None for the medium's own law.
-        surface: where it is; None for the level plane.
-        scheme: how forces become a step.
-        resolution: how finely geoms are cut; None for the law's own.
         randomise: from where the sand of each episode is drawn; None for always the same.
         curriculum: gives the ranges for the next episode, called with the number of episodes that
             this simulation has begun; within what `randomise` names.
@@ -104,9 +102,6 @@ class Task(ABC):
     """Of the free camera: trackbodyid, distance, azimuth, elevation, lookat."""
 
     medium: str | Path | Medium = "quikrete_medium"
-    law: str | Law | None = None
-    surface: Surface | None = None
-    scheme: str | Scheme = "auto"
     resolution: int | None = 4
     randomise: SandRanges | None = None
     curriculum: Callable[[int], SandRanges] | None = field(default=None)
@@ -184,9 +179,8 @@ class Task(ABC):
     # What is made of it, once.
 
     @cached_property
-    def _sands(self) -> tuple[list[Ground], list[Choice]]:
-        base = Ground(self.medium, self.law, self.surface, self.scheme, self.resolution)
-        return grounds_of(self.randomise, base, HeightField(DUNES))
+    def _sands(self) -> tuple[list[SandSpec], list[Choice]]:
+        return sands_of(self.randomise, self, HeightField(DUNES))
 
     @property
     def choices(self) -> Sequence[Choice]:
@@ -197,18 +191,18 @@ class Task(ABC):
     def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
         """The model and what is read from it before anybody tilts its gravity."""
         spec = self.robot()
-        grounds, choices = self._sands
+        sands, choices = self._sands
         if any(choice.surface == "dunes" for choice in choices):
             add_dunes(spec, self.dunes)
         model = put_on_sand(
             spec,
-            grounds,
+            sands,
             wrenches=self.wrenches,
             tunable=self.randomise is not None,
             cut=self.cut,
             tile=self.tile,
         )
-        return model, Figures(model, grounds), np.array(model.opt.gravity)
+        return model, Figures(model, sands), np.array(model.opt.gravity)
 
     @property
     def model(self) -> mujoco.MjModel:

@@ -41,6 +41,7 @@ from mjgranular.sand import BodyReport as BodyReport
 from mjgranular.sand import ElementReport as ElementReport
 from mjgranular.sand import Report as Report
 from mjgranular.sand import Sand as Sand
+from mjgranular.sand import SandSpec as SandSpec
 from mjgranular.scheme import Auto as Auto
 from mjgranular.scheme import Explicit as Explicit
 from mjgranular.scheme import Implicit as Implicit

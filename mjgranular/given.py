@@ -8,7 +8,6 @@ from typing import Any
 import mujoco
 
 from mjgranular.errors import InputError, shown
-from mjgranular.surface import Plane, Surface
 
 
 def check_model(model: Any, who: str) -> None:
@@ -27,7 +26,7 @@ def check_model(model: Any, who: str) -> None:
         meant = "data.model"
     else:
         meant = "mujoco.MjModel.from_xml_path(...)"
-    raise InputError(f"{who} takes a compiled mujoco.MjModel, not {_kind(model)}; use {meant}")
+    raise InputError(f"{who} takes a compiled mujoco.MjModel, not {kind_of(model)}; use {meant}")
 
 
 def check_spec(spec: Any, who: str) -> None:
@@ -43,7 +42,7 @@ def check_spec(spec: Any, who: str) -> None:
         meant = f"mujoco.MjSpec.from_file({str(spec)!r})"
     elif isinstance(spec, mujoco.MjModel):
         meant = "mjgranular.Sand for a model that is compiled"
-    raise InputError(f"{who} takes a mujoco.MjSpec, not {_kind(spec)}; use {meant}")
+    raise InputError(f"{who} takes a mujoco.MjSpec, not {kind_of(spec)}; use {meant}")
 
 
 def check_data(data: Any, who: str) -> None:
@@ -54,29 +53,11 @@ def check_data(data: Any, who: str) -> None:
     """
     if not isinstance(data, mujoco.MjData):
         raise InputError(
-            f"{who} takes a mujoco.MjData, not {_kind(data)}; use mujoco.MjData(model)"
+            f"{who} takes a mujoco.MjData, not {kind_of(data)}; use mujoco.MjData(model)"
         )
 
 
-def surface_of(surface: Any) -> Surface:
-    """A surface, the plane z = 0 for None.
-
-    Raises:
-        InputError: it is something else; says what a number or a name may have meant.
-    """
-    if surface is None:
-        return Plane()
-    if isinstance(surface, Surface):
-        return surface
-    meant = "Plane(height=...), Bed('geom') or HeightField('geom')"
-    if isinstance(surface, (int, float)):
-        meant = f"Plane(height={surface:g}) for a level surface at that height"
-    elif isinstance(surface, str):
-        meant = f"Bed({shown(surface)}) or HeightField({shown(surface)}) for a geom of that name"
-    raise InputError(f"a surface is needed, not {_kind(surface)}; use {meant}")
-
-
-def _kind(value: Any) -> str:
+def kind_of(value: Any) -> str:
     """What something is, in a word or two."""
     if isinstance(value, type):
         return f"the class {value.__name__}"

@@ -71,7 +71,7 @@ class CompareCommand:
         else:
             out.print(table_of(cells, self.robot, self.policies))
         try:
-            from mjgranular.picture.learning import draw_comparison
+            from mjgranular.learn.figures import draw_comparison
 
             title = f"{self.robot}: mean return"
             folder.write(_FIGURE, lambda file: draw_comparison(file, cells, title=title))

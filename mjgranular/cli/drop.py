@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +12,7 @@ from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
 from mjgranular.cli.filming import write_film
+from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
@@ -22,7 +22,7 @@ FILM = "drop.mp4"
 
 
 @dataclass(frozen=True)
-class DropCommand:
+class DropCommand(SandOptions):
     """Your own MJCF model falls onto sand, is thrown at it or stands on it.
 
     Prints for each body the greatest depth and force, the energy it gave to the sand, and whether
@@ -32,32 +32,6 @@ class DropCommand:
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
     """The MJCF file."""
-    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
-    """The sand, or a YAML file; `mjgranular media` lists what there is."""
-    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
-    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto"
-    """How forces become a step."""
-    surface_height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
-    """Height of the surface above the world's origin [m]."""
-    slope: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
-    """Slope of the surface [degrees]."""
-    uphill: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
-    """Direction of steepest ascent from the x axis [degrees]."""
-    bed: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
-    """Box geom of the model that is the sand."""
-    height_field: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
-    """Hfield geom of the model that is the sand."""
-    instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
-    """Geoms that are taken out of the model, such as a floor that would carry it above the sand."""
-    keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Let the model stand on ground of its own at or above the surface of the sand."""
-    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Bodies that meet the sand. Default: all that can move."""
-    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Geoms that meet the sand."""
-    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
-    """Geom groups whose collision geoms meet the sand."""
     keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Keyframe of the model to start from."""
     height: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
@@ -68,8 +42,6 @@ class DropCommand:
     """Simulated time [s]."""
     timestep: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme."""
-    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How finely geoms are cut into elements. Default: the law's."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the results; nothing is written without it."""
     video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -83,28 +55,7 @@ class DropCommand:
 
     def run(self) -> int:
         """Runs the command."""
-        drop = Drop(
-            model=self.model,
-            medium=self.medium,
-            law=self.law,
-            scheme=self.scheme,
-            surface_height=self.surface_height,
-            slope=math.radians(self.slope),
-            uphill=math.radians(self.uphill),
-            bed=self.bed,
-            height_field=self.height_field,
-            instead_of=self.instead_of,
-            keep_floor=self.keep_floor,
-            bodies=self.bodies,
-            geoms=self.geoms,
-            groups=self.groups,
-            keyframe=self.keyframe,
-            height=self.height,
-            velocity=self.velocity,
-            duration=self.duration,
-            timestep=self.timestep,
-            resolution=self.resolution,
-        )
+        drop = record_of(Drop, self)
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
         if self.out is None:

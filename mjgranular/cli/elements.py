@@ -15,10 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import out, print_json, show_error
-from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
+from mjgranular.cli.options import ChoiceOptions, record_of
+from mjgranular.errors import InputError, MissingExtraError
+from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
-from mjgranular.reading import check_regular
 from mjgranular.sand import Sand
 from mjgranular.sand.report import Names
 
@@ -27,7 +28,7 @@ _FIGURE = "elements.png"
 
 
 @dataclass(frozen=True)
-class ElementsCommand:
+class ElementsCommand(ChoiceOptions):
     """What a law cuts your MJCF model into: rods, facets or blobs, counted and drawn.
 
     Prints for each geom how many elements there are, with their area or length. With --figure
@@ -36,18 +37,6 @@ class ElementsCommand:
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
     """The MJCF file."""
-    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
-    """The sand, or a YAML file; `mjgranular media` lists what there is."""
-    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
-    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How finely geoms are cut into elements. Default: the law's."""
-    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Bodies that meet the sand. Default: all that can move."""
-    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Geoms that meet the sand."""
-    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
-    """Geom groups whose collision geoms meet the sand."""
     keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Keyframe of the model to draw. Default: the model as it is."""
     color: Literal["body", "geom", "depth"] = "body"
@@ -103,31 +92,14 @@ class ElementsCommand:
 
     def _cut(self) -> tuple[Sand, np.ndarray]:
         """The model on its sand, and where its bodies are drawn."""
-        check_regular(self.model, "the model")
-        try:
-            model = mujoco.MjSpec.from_file(str(self.model)).compile()
-        except (ValueError, OSError, mujoco.FatalError) as error:
-            reason = " ".join(str(error).split())
-            raise InputError(f"MuJoCo cannot load {self.model}: {reason}") from None
-        qpos = model.qpos0
-        if self.keyframe is not None:
-            key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, self.keyframe)
-            if key < 0:
-                known = [model.key(k).name for k in range(model.nkey)]
-                raise UnknownNameError("keyframe of the model", self.keyframe, known)
-            qpos = model.key_qpos[key]
-        sand = Sand(
-            model,
-            medium=self.medium,
-            law=self.law,
-            bodies=self.bodies or None,
-            geoms=self.geoms or None,
-            groups=self.groups or None,
-            resolution=self.resolution,
-            scheme="explicit",  # no step is made, so
-            shared=True,  # sand of the model's own is no matter
-        )
-        return sand, qpos
+        drop = record_of(Drop, self)
+        with loading(drop.title):
+            model = read(drop).compile()
+        data = mujoco.MjData(model)
+        start_from(model, data, self.keyframe)
+        # No step is made, so sand of the model's own is no matter.
+        sand = Sand(model, drop.sand, scheme="explicit", shared=True)
+        return sand, data.qpos
 
     def _config(self) -> dict[str, Any]:
         """What was asked for, in plain values."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, show_error
+from mjgranular.cli.options import LawOptions, record_of
 from mjgranular.errors import MissingExtraError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
@@ -23,7 +23,7 @@ _ROWS_SHOWN = 11
 
 
 @dataclass(frozen=True)
-class IntrudeCommand:
+class IntrudeCommand(LawOptions):
     """A plate, a sphere or your own geom is moved through sand on a straight path: force on depth.
 
     The intruder is moved, not pushed. Prints resistance against the motion, lift across it, and
@@ -52,12 +52,6 @@ class IntrudeCommand:
     """Length of the path [m]. Default: as far as --depth asks for."""
     points: Annotated[int, tyro.conf.arg(metavar="N")] = 101
     """Number of samples."""
-    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
-    """The sand, or a YAML file; `mjgranular media` lists what there is."""
-    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The force law. Default: the medium's own."""
-    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How finely the intruder is cut into elements. Default: the law's."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the results; nothing is written without it."""
     overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -67,22 +61,7 @@ class IntrudeCommand:
 
     def run(self) -> int:
         """Runs the command."""
-        intrusion = Intrusion(
-            intruder=self.intruder,
-            size=self.size,
-            model=self.model,
-            geom=self.geom,
-            tilt=math.radians(self.tilt),
-            direction=math.radians(self.direction),
-            speed=self.speed,
-            start=self.start,
-            depth=self.depth,
-            distance=self.distance,
-            points=self.points,
-            medium=self.medium,
-            law=self.law,
-            resolution=self.resolution,
-        )
+        intrusion = record_of(Intrusion, self)
         if self.out is None:
             self._show(run_intrusion(intrusion))
             return 0

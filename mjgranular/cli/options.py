@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from mjgranular.experiment import Impact
+
+T = TypeVar("T")
+_DEGREES = {"slope", "uphill", "tilt", "direction"}  # options that records have in radians
+
+
+def record_of(kind: type[T], command: object, **others: Any) -> T:
+    """What an experiment takes, of those options of a command that are called as its fields are.
+
+    Args:
+        kind: a dataclass.
+        command: the command.
+        **others: fields that are no options, or other than these.
+    """
+    names = [field.name for field in fields(kind)]  # pyright: ignore[reportArgumentType]
+    given = {name: getattr(command, name) for name in names if hasattr(command, name)}
+    angles = {name: math.radians(given[name]) for name in _DEGREES & given.keys()}
+    return kind(**{**given, **angles, **others})
 
 
 @dataclass(frozen=True)
@@ -42,20 +59,51 @@ class LinkOptions:
         self, *, speed: float, angle_deg: float, until: str = "stop", body: str = "link"
     ) -> Impact:
         """The drop with these options."""
-        return Impact(
-            speed=speed,
-            angle=math.radians(angle_deg),
-            tangential_speed=self.tangential_speed,
-            angular_velocity=self.angular_velocity,
-            height=self.height,
-            length=self.length,
-            diameter=self.diameter,
-            density=self.density,
-            medium=self.medium,
-            law=self.law,
-            scheme=self.scheme,
-            timestep=self.timestep,
-            until=until,  # pyright: ignore[reportArgumentType]
-            duration=self.duration,
-            body=body,  # pyright: ignore[reportArgumentType]
-        )
+        angle = math.radians(angle_deg)
+        return record_of(Impact, self, speed=speed, angle=angle, until=until, body=body)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawOptions:
+    """The sand, and how finely a law cuts what meets it."""
+
+    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
+    """The sand, or a YAML file; `mjgranular media` lists what there is."""
+    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
+    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """How finely bodies are cut into elements. Default: the law's."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChoiceOptions(LawOptions):
+    """The sand, and what of a model meets it."""
+
+    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Bodies that meet the sand. Default: all that can move."""
+    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """Geoms that meet the sand."""
+    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
+    """Geom groups whose collision geoms meet the sand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SandOptions(ChoiceOptions):
+    """The sand under a model."""
+
+    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto"
+    """How forces become a step."""
+    surface_height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
+    """Height of the surface above the world's origin [m]."""
+    slope: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Slope of the surface [degrees]."""
+    uphill: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Direction of steepest ascent from the x axis [degrees]."""
+    bed: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
+    """Box geom of the model that is the sand."""
+    height_field: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
+    """Hfield geom of the model that is the sand."""
+    instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
+    """Geoms that the sand replaces, such as a floor that would carry the model above the sand."""
+    keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Let the model stand on ground of its own at or above the surface of the sand."""

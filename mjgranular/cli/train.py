@@ -169,7 +169,7 @@ class TrainCommand:
 
 def _draw(run: Run, training: Training) -> None:
     """Draws the learning curve, where matplotlib is installed: the numbers are there anyway."""
-    from mjgranular.picture.learning import draw_curves
+    from mjgranular.learn.figures import draw_curves
 
     with suppress(MissingExtraError):
         folder = ResultFolder(run.path, (_FIGURE,))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,18 +12,16 @@ import mujoco
 import tyro
 
 from mjgranular.cli.console import err
+from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.engine import NAME, add_sand
-from mjgranular.errors import GranularError, InputError
-from mjgranular.experiment.drop import LARGEST_STEP, Drop, start_from
-from mjgranular.experiment.ground import refuse_floors, take_out
-from mjgranular.experiment.scenery import add_bed
+from mjgranular.errors import FloorWarning, InputError
+from mjgranular.experiment.drop import Drop, loading, read, show_bed, start_from
+from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
-from mjgranular.reading import check_regular
-from mjgranular.surface import Plane, Surface
 
 
 @dataclass(frozen=True)
-class ViewCommand:
+class ViewCommand(SandOptions):
     """Your own MJCF model on sand in MuJoCo's viewer, at the speed of life.
 
     Space holds it and lets it go on, Backspace begins anew, a double click and Ctrl with the mouse
@@ -33,38 +31,10 @@ class ViewCommand:
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
     """The MJCF file."""
-    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
-    """The sand, or a YAML file; `mjgranular media` lists what there is."""
-    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
-    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto"
-    """How forces become a step."""
-    surface_height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
-    """Height of the surface above the world's origin [m]."""
-    slope: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
-    """Slope of the surface [degrees]."""
-    uphill: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
-    """Direction of steepest ascent from the x axis [degrees]."""
-    bed: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
-    """Box geom of the model that is the sand."""
-    height_field: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
-    """Hfield geom of the model that is the sand."""
-    instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
-    """Geoms that are taken out of the model, such as a floor that would carry it above the sand."""
-    keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Let the model stand on ground of its own at or above the surface of the sand."""
-    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Bodies that meet the sand. Default: all that can move."""
-    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Geoms that meet the sand."""
-    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
-    """Geom groups whose collision geoms meet the sand."""
     keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Keyframe of the model to start from."""
     timestep: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme."""
-    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How finely geoms are cut into elements. Default: the law's."""
     draw: Annotated[
         tuple[Literal["forces", "depth"], ...], tyro.conf.arg(metavar="{forces,depth} ...")
     ] = ("forces",)
@@ -93,55 +63,21 @@ class ViewCommand:
         """The model with sand in it, and a visible bed if it has none.
 
         Raises:
-            InputError: MuJoCo cannot load it, or the sand does not fit it.
-            UnknownNameError: it lacks a geom that is to be taken out.
+            InputError: MuJoCo cannot load it, the sand does not fit it, or ground of its own
+                carries it.
         """
-        drop = Drop(
-            model=self.model,
-            surface_height=self.surface_height,
-            slope=math.radians(self.slope),
-            uphill=math.radians(self.uphill),
-            bed=self.bed,
-            height_field=self.height_field,
-            timestep=self.timestep,
-        )
-        name = self.model.name
-        check_regular(self.model, "the model")
-        try:
-            spec = mujoco.MjSpec.from_file(str(self.model))
-            take_out(spec, self.instead_of)
-            if self.timestep is not None:
-                spec.option.timestep = self.timestep
-            elif self.scheme == "explicit":
-                spec.option.timestep = min(spec.option.timestep, LARGEST_STEP)
+        drop = record_of(Drop, self, duration=1.0)  # which nobody asks for
+        with loading(drop.title), warnings.catch_warnings():
+            spec = read(drop)
             if any(plugin.plugin_name == NAME for plugin in spec.plugins):
                 err.print("The model has sand of its own, and is shown with that.", style="dim")
-            else:
-                self._add(spec, drop.surface)
-            return spec.compile()
-        except (ValueError, OSError, mujoco.FatalError) as error:
-            if isinstance(error, GranularError):
-                raise
-            reason = " ".join(str(error).split())
-            ours = re.search("engine error: mjgranular '[^']*': (.*)", reason)
-            fault = ours[1] if ours else f"MuJoCo cannot load {name}: {reason}"
-            raise InputError(fault) from None
-
-    def _add(self, spec: mujoco.MjSpec, surface: Surface) -> None:
-        bare = spec.compile()
-        if isinstance(surface, Plane) and not self.keep_floor:
-            add_bed(spec, surface)
-        add_sand(
-            spec,
-            medium=self.medium,
-            law=self.law,
-            surface=surface,
-            scheme=self.scheme,
-            bodies=self.bodies or None,
-            geoms=self.geoms or None,
-            groups=self.groups or None,
-            resolution=self.resolution,
-            draw=self.draw,
-        )
-        if not self.keep_floor:
-            refuse_floors(bare, surface, bodies=self.bodies, geoms=self.geoms, groups=self.groups)
+                return spec.compile()
+            show_bed(spec, drop)
+            bare = spec.compile()
+            add_sand(spec, drop.sand, draw=self.draw)
+            if not self.keep_floor:
+                refuse_floors(bare, drop.sand)
+            warnings.simplefilter("ignore", FloorWarning)
+            model = spec.compile()
+            hide_replaced(model, drop.sand)
+            return model

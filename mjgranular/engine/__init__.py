@@ -8,10 +8,13 @@ memory and functions. `pickles` has models bring mjgranular along.
 """
 
 from mjgranular.engine.instances import NAME as NAME
+from mjgranular.engine.instances import bodies_of_sands
 from mjgranular.engine.pickles import register as register_pickles
 from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand
 from mjgranular.engine.tuning import tune as tune
+from mjgranular.sand.sharing import ask_about_models
 
 register()
 register_pickles()
+ask_about_models(bodies_of_sands)

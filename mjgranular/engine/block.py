@@ -26,8 +26,8 @@ from mjgranular.engine.layout import Struct
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
 from mjgranular.kernel.lanes import aligned
-from mjgranular.law.kernel import LawKernel
 from mjgranular.sand.binding import bind
+from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import REFUSED
 
@@ -121,34 +121,25 @@ class Image:
 def make_image(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    *,
-    elements: np.ndarray,
-    scene: np.ndarray,
-    scheme: Scheme,
-    kernel: LawKernel,
+    sand: PreparedSand,
     tunings: np.ndarray,
-    shape: Sequence[np.ndarray],
-    values: dict[str, Any],
+    drawing: dict[str, Any],
 ) -> Image:
     """Makes the image of a block.
 
     Args:
         model: the model.
         data: an `MjData` of it.
-        elements: of the law.
-        scene: parameters of law, medium and surface.
-        scheme: how forces become a step.
-        kernel: of the law.
+        sand: that was prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
-        shape: of the surface (`Surface.shape`).
-        values: those fields of the header that are no places: program, lead, drawing.
+        drawing: fields of the header that say what is drawn, and how.
 
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.
     """
-    packed, slots = kernel.lay(elements), elements["slot"].astype(np.int64)
-    texts = refusals(scheme)
-    binding = bind(model, data, elements, packed, scene, scheme, kernel, within=True)
+    slots, texts = sand.elements["slot"].astype(np.int64), refusals(sand.scheme)
+    shape = sand.surface.shape(model)
+    binding = bind(model, data, sand, within=True)
     head = np.zeros(1, HEADER_DTYPE)
     table, desk = binding.table, binding.desk
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
@@ -156,15 +147,18 @@ def make_image(
     table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
-    linked = (head, table, scene, desk.table, shapes)
+    linked = (head, table, sand.scene, desk.table, shapes)
     # Those that read the model are needed at each step, and so lie in the block.
     count = sum(of_model.holds(int(word)) for array in linked for word in _words(array))
     live = np.zeros(count, RELOCATION_DTYPE)
-    own = [head, live, shapes, table, binding.bodies, binding.contacts, scene]
+    own = [head, live, shapes, table, binding.bodies, binding.contacts, sand.scene]
     own += [desk.table, *desk.holds, ends := np.zeros(6)]
     places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
     for name, value in {
-        **values,
+        **drawing,
+        "program": sand.program,
+        "whole": sand.scheme.whole_state,
+        "lead": sand.scheme.lead,
         "size": sum(map(_padded, own)),
         "image": next(_numbers),
         "refusals": texts.ctypes.data,
@@ -176,7 +170,7 @@ def make_image(
         "qfrc": data.qfrc_passive.ctypes.data,
         "awake": data.body_awake.ctypes.data,
         "results": binding.bodies.ctypes.data,
-        "results_size": places[scene.ctypes.data] - places[binding.bodies.ctypes.data],
+        "results_size": places[sand.scene.ctypes.data] - places[binding.bodies.ctypes.data],
         "slots": slots.ctypes.data,
         "ends": ends.ctypes.data,
         "tunings": tunings.ctypes.data if len(tunings) else 0,
@@ -205,7 +199,7 @@ def make_image(
     return Image(
         content.view(np.float64),
         relocations[~reads_model],
-        (packed, slots, tunings, texts),
+        (sand.packed, slots, tunings, texts),
     )
 
 

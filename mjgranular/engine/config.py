@@ -1,8 +1,8 @@
-"""What a user writes between `<instance>` and `</instance>`, and the arguments of `Sand`.
+"""A sand as it is written between `<instance>` and `</instance>`.
 
-Each `<config>` has a key that is an argument of `Sand`. Law, surface and scheme are a name and its
-options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Numbers are written so that they are
-read as the same numbers.
+Each `<config>` has a key that is a field of `SandSpec`, or of `Config`. Law, surface and scheme are
+a name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Numbers are written so
+that they are read as the same numbers.
 """
 
 from __future__ import annotations
@@ -21,19 +21,16 @@ from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.law import Law, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
+from mjgranular.sand.spec import SAND_FIELDS, SandSpec
 from mjgranular.scheme import Scheme, schemes
+from mjgranular.shape.select import names_in
 from mjgranular.surface import Bed, HeightField, Plane, Surface
+from mjgranular.surface.choice import surface_of
 
-KEYS = (
-    "medium", "law", "surface", "scheme", "bodies", "geoms", "groups", "resolution", "draw",
-    "tunable",
-)  # fmt: skip
+KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""
 
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
-
-DEFAULT_MEDIUM = "play_sand"
-"""That of `Sand`."""
 
 LONGEST = 100_000
 """Characters of a text that is read; chosen: the names of some thousand bodies."""
@@ -55,12 +52,12 @@ class Config:
     """What was written, read.
 
     Attributes:
-        arguments: of `Sand`, those that were given.
+        sand: the sand.
         draw: names out of `DRAWINGS`.
         tunable: whether the sand has state of its own (`engine.tuning`).
     """
 
-    arguments: Mapping[str, Any]
+    sand: SandSpec
     draw: tuple[str, ...] = ()
     tunable: bool = False
 
@@ -85,6 +82,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
         "geoms": _words,
         "groups": lambda text: [_value(word, int, "a group") for word in _words(text)],
         "resolution": _read_resolution,
+        "instead_of": _words,
         "draw": _read_draw,
         "tunable": lambda text: _value(text, bool, "tunable"),
     }
@@ -95,16 +93,20 @@ def read_config(texts: Mapping[str, str]) -> Config:
                 read[key] = reader(given[key])
     if "law" in given:
         with named("law"):
-            read["law"] = _read_law(given["law"], read.get("medium") or get_medium(DEFAULT_MEDIUM))
-    return Config(read, read.pop("draw", ()), read.pop("tunable", False))
+            read["law"] = _read_law(given["law"], get_medium(read.get("medium", SandSpec.medium)))
+    draw, tunable = read.pop("draw", ()), read.pop("tunable", False)
+    return Config(SandSpec(**read), draw, tunable)
 
 
-def write_config(arguments: Mapping[str, Any]) -> dict[str, str]:
-    """The texts, by their keys, that `read_config` reads as these arguments of `Sand`.
+def write_config(
+    sand: SandSpec, *, draw: Sequence[str] | str = (), tunable: bool = False
+) -> dict[str, str]:
+    """The texts, by their keys, that `read_config` reads as this sand.
 
     Args:
-        arguments: those of `Sand`, `draw` and `tunable`; None or False for one not given, and no
-            words for nothing to be drawn.
+        sand: the sand.
+        draw: as in `Config`.
+        tunable: as in `Config`.
 
     Raises:
         InputError: an object that has no name to be written by, or a choice of nothing.
@@ -112,18 +114,18 @@ def write_config(arguments: Mapping[str, Any]) -> dict[str, str]:
     writers = {
         "medium": _write_medium,
         "law": lambda law: _write_part(law, laws, "law", "register_law"),
-        "surface": lambda surface: _write_part(surface, surfaces, "surface", None),
+        "surface": lambda surface: _write_part(surface_of(surface), surfaces, "surface", None),
         "scheme": lambda scheme: _write_part(scheme, schemes, "scheme", "schemes.add"),
-        "bodies": _write_words,
-        "geoms": _write_words,
+        "bodies": lambda bodies: _write_words(names_in(bodies)),
+        "geoms": lambda geoms: _write_words(names_in(geoms)),
         "groups": lambda groups: _write_words(np.atleast_1d(groups).tolist()),
         "resolution": str,
+        "instead_of": lambda geoms: _write_words(names_in(geoms)),
         "draw": _write_words,
         "tunable": lambda _: "true",
     }
     texts = {}
-    for key in KEYS:
-        value = arguments.get(key)
+    for key, value in {**vars(sand), "draw": draw, "tunable": tunable}.items():
         empty = isinstance(value, Sequence) and not value
         if empty and key in _CHOICES:
             raise InputError(f"{key}: no names are nothing that could meet the sand; None is all")

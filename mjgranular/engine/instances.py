@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 
 from mjgranular.engine.config import KEYS, read_config
 from mjgranular.engine.library import config_texts, instance_name, plugin_slot
 from mjgranular.errors import UnknownNameError
-from mjgranular.shape import select_geoms
-from mjgranular.surface import Plane
+from mjgranular.sand.prepare import geoms_in_sand
 
 NAME = "mjgranular.sand"
 """Of the plugin."""
@@ -40,20 +41,13 @@ def instance_of(model: mujoco.MjModel, name: str) -> int:
     return int(slots[names.index(name)])
 
 
-def bodies_of(model: mujoco.MjModel, name: str) -> set[int]:
-    """Ids of the bodies that an instance acts on.
+def bodies_of_sands(model: mujoco.MjModel) -> Iterator[tuple[str, set[int]]]:
+    """The names of a model's instances of sand, and the ids of the bodies that each acts on.
 
     Raises:
-        UnknownNameError: the model has no such instance; lists those it has.
-        InputError: what is written for it cannot be read, or does not fit the model.
+        InputError: what is written for one cannot be read, or does not fit the model.
     """
-    given = read_config(config_texts(model._address, instance_of(model, name), KEYS)).arguments
-    surface = given.get("surface") or Plane()
-    chosen = select_geoms(
-        model,
-        bodies=given.get("bodies"),
-        geoms=given.get("geoms"),
-        groups=given.get("groups"),
-        leave_out=surface.geoms(model),
-    )
-    return {int(model.geom_bodyid[geom]) for geom in chosen}
+    for name in sands_in(model):
+        texts = config_texts(model._address, instance_of(model, name), KEYS)
+        geoms = geoms_in_sand(model, read_config(texts).sand)
+        yield name, {int(model.geom_bodyid[geom]) for geom in geoms}

@@ -21,7 +21,7 @@ import numpy as np
 from mjgranular.engine import sensor
 from mjgranular.engine.aside import aside
 from mjgranular.engine.block import HEADER_DTYPE, NO_RELOCATIONS, NOT_ASKED, Image, make_image
-from mjgranular.engine.config import DEFAULT_MEDIUM, DRAWINGS, KEYS, named, read_config
+from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
@@ -30,18 +30,15 @@ from mjgranular.engine.rows import Rows
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
-from mjgranular.law import get_law, make_scene
-from mjgranular.medium import get_medium, media
+from mjgranular.medium import media
 from mjgranular.names import name_of
-from mjgranular.scheme import Auto, Explicit, get_scheme
-from mjgranular.scheme.auto import FINE_STEP
-from mjgranular.scheme.scheme import STEP
-from mjgranular.shape import select_geoms
+from mjgranular.sand.prepare import prepare
+from mjgranular.sand.spec import SandSpec
+from mjgranular.scheme import Auto
+from mjgranular.shape.select import names_in
 from mjgranular.surface import Plane, Surface
-from mjgranular.surface.floors import warn_of_floors
 
 _KEPT = 32  # images of models of the past: they cost memory, and save preparing them again
 # What elements, selection and surfaces are made of. Heights of a height field are read live.
@@ -72,7 +69,7 @@ class Prepared:
     Attributes:
         image: of its block.
         bodies: names of the bodies that meet it by their ids, in its order.
-        silent: geoms that are the sand itself, whose contacts are off.
+        disabled: geoms whose contacts are off (`sand.prepare`).
         place: where it always is, in words; None for sand that can be switched off (`tunable`).
         draws: whether something is to be drawn.
         origin: the medium; kept because the key of this is made with its identity.
@@ -80,7 +77,7 @@ class Prepared:
 
     image: Image
     bodies: dict[int, str]
-    silent: tuple[int, ...]
+    disabled: tuple[int, ...]
     place: str | None
     draws: bool
     origin: object
@@ -208,7 +205,7 @@ class Loader:
             prepared = aside(lambda: self._make(key, model, texts))
         else:
             self._prepared.move_to_end(key)
-        if self._silence(model, prepared.silent):
+        if self._disable_contacts(model, prepared.disabled):
             self._keep(self._key(model, instance, texts), prepared)
         return prepared
 
@@ -238,7 +235,7 @@ class Loader:
                 digest.update(ctypes.string_at(_pointer(model + offset), size))
         return digest.digest()
 
-    def _silence(self, model: int, geoms: tuple[int, ...]) -> bool:
+    def _disable_contacts(self, model: int, geoms: tuple[int, ...]) -> bool:
         """Switches contacts of geoms off; says whether any were on."""
         changed = False
         for name in ("geom_contype", "geom_conaffinity"):
@@ -267,7 +264,7 @@ def _medium_now(text: str) -> object:
         except OSError:
             return None
         return found.st_mtime_ns, found.st_size
-    return id(media.get(text or DEFAULT_MEDIUM))
+    return id(media.get(text or str(SandSpec.medium)))
 
 
 def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
@@ -301,75 +298,30 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     if model.opt.disableflags & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
         raise InputError(NOT_ASKED)
     config = read_config(texts)
-    given = config.arguments
-    medium = given.get("medium") or get_medium(DEFAULT_MEDIUM)
-    law = get_law(given.get("law"), medium)
-    surface = given.get("surface") or Plane()
-    scheme = get_scheme(given.get("scheme", "auto"))
-    four_stages = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-    if four_stages and not isinstance(scheme, Explicit):
-        if not (isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP):
-            raise InputError(
-                "a force that belongs to the end of the step has no place in the four stages of "
-                "the integrator RK4: set the model's integrator to implicitfast, implicit or "
-                "Euler, or scheme='explicit' with steps of microseconds"
-            )
-        scheme = Explicit()
-    if isinstance(scheme, Explicit):
-        # Between mj_step1 and mj_step2 RK4 is Euler and refused; within mj_step it is itself.
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    scheme.check(model)
-    contacts = model.geom_contype | model.geom_conaffinity
     try:
-        geoms = select_geoms(
-            model,
-            bodies=given.get("bodies"),
-            geoms=given.get("geoms"),
-            groups=given.get("groups"),
-            leave_out=surface.geoms(model),
-        )
+        sand = prepare(model, config.sand, within=True)
     except UnknownNameError as error:
         key = next((_KEYS_OF_KINDS[kind] for kind in _KEYS_OF_KINDS if kind in error.kind), "law")
+        if key == "geoms" and error.name in names_in(config.sand.instead_of):
+            key = "instead_of"
         raise InputError(f"config {key!r}: {error}") from None
-    warn_of_floors(model, geoms, surface)
-    elements = law.elements(model, geoms, given.get("resolution"))
-    scheme = scheme.settle(model, len(elements))
-    scheme.check(model)
-    scene = make_scene(law, medium, surface, model)
     tunings = NO_TUNINGS
     if config.tunable:
         with named("tunable"):
-            tunings = make_tunings(law, surface, scene, model)
-    silent = np.flatnonzero(contacts & ~(model.geom_contype | model.geom_conaffinity))
-    kernel = law.kernel(surface)
-    program = scheme.program(kernel, scene.dtype)
-    values = {
-        "program": program_address(program, STEP),
-        "whole": scheme.whole_state,
-        "lead": scheme.lead,
+            tunings = make_tunings(sand, model)
+    drawing = {
         "draw": _drawing(model, config.draw),
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
     }
-    bodies = {int(body): name_of(model, "body", body) or str(body) for body in _in_order(elements)}
-    image = make_image(
-        model,
-        mujoco.MjData(model),
-        elements=elements,
-        scene=scene,
-        scheme=scheme,
-        kernel=kernel,
-        tunings=tunings,
-        shape=surface.shape(model),
-        values=values,
-    )
+    bodies = dict.fromkeys(sand.elements["body"].tolist())  # which come body by body
     return Prepared(
-        image,
-        bodies=bodies,
-        silent=tuple(int(geom) for geom in silent),
-        place=None if config.tunable else _place_of(surface),
+        make_image(model, mujoco.MjData(model), sand, tunings, drawing),
+        bodies={body: name_of(model, "body", body) or str(body) for body in bodies},
+        disabled=sand.disabled,
+        place=None if config.tunable else _place_of(sand.surface),
         draws=bool(config.draw),
-        origin=medium,
+        origin=sand.medium,
     )
 
 
@@ -386,9 +338,3 @@ def _drawing(model: mujoco.MjModel, drawings: Sequence[str]) -> int:
 
     check_scene(model)
     return sum(1 << DRAWINGS.index(drawing) for drawing in set(drawings))
-
-
-def _in_order(elements: np.ndarray) -> np.ndarray:
-    """Ids of the bodies that elements belong to, by their slots."""
-    _, first = np.unique(elements["slot"], return_index=True)
-    return elements["body"][first]

@@ -3,36 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from typing import Unpack
 
 import mujoco
 
-from mjgranular.engine.config import DEFAULT_MEDIUM, write_config
+from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
-from mjgranular.given import check_spec, surface_of
-from mjgranular.law import Law
-from mjgranular.medium import Medium
-from mjgranular.scheme import Scheme
-from mjgranular.shape.select import Choice
-from mjgranular.surface import Surface
+from mjgranular.given import check_spec
+from mjgranular.sand.spec import SandFields, SandSpec, combined
 
 
 def add_sand(
     spec: mujoco.MjSpec,
+    sand: SandSpec | None = None,
     *,
-    medium: str | Path | Medium = DEFAULT_MEDIUM,
-    law: str | Law | None = None,
-    surface: Surface | None = None,
-    scheme: str | Scheme = "auto",
-    bodies: Choice = None,
-    geoms: Choice = None,
-    groups: Sequence[int] | int | None = None,
-    resolution: int | None = None,
     draw: Sequence[str] | str = (),
     tunable: bool = False,
     name: str | None = None,
+    **fields: Unpack[SandFields],
 ) -> mujoco.MjsPlugin:
     """Adds sand to a model: from then on it acts inside `mj_step`.
 
@@ -41,18 +31,12 @@ def add_sand(
 
     Args:
         spec: the model to be.
-        medium: as for `Sand`; one that is known by its name, or a YAML file.
-        law: as for `Sand`.
-        surface: as for `Sand`.
-        scheme: as for `Sand`.
-        bodies: as for `Sand`.
-        geoms: as for `Sand`.
-        groups: as for `Sand`.
-        resolution: as for `Sand`.
+        sand: the sand, of things that are known by their names; None for one of defaults.
         draw: what viewers and renderers are to show: "forces", "depth".
         tunable: let each simulation have its own strength, density and height of the sand, as a
             part of MuJoCo's state (`tune`).
         name: of the instance; None for "sand", "sand_2", ...
+        **fields: of `SandSpec`, which says what they mean; they replace those of `sand`.
 
     Returns:
         The instance.
@@ -64,20 +48,7 @@ def add_sand(
     """
     check_spec(spec, "add_sand")
     check_registered()
-    config = write_config(
-        {
-            "medium": medium,
-            "law": law,
-            "surface": None if surface is None else surface_of(surface),
-            "scheme": scheme,
-            "bodies": bodies,
-            "geoms": geoms,
-            "groups": groups,
-            "resolution": resolution,
-            "draw": draw,
-            "tunable": tunable,
-        }
-    )
+    config = write_config(combined(sand, fields), draw=draw, tunable=tunable)
     taken = {plugin.name for plugin in spec.plugins}
     if name is None:
         name = next(free for free in _names() if free not in taken)

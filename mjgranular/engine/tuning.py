@@ -15,8 +15,7 @@ import numpy as np
 
 from mjgranular.engine.instances import instance_of
 from mjgranular.errors import InputError
-from mjgranular.law import Law
-from mjgranular.surface import Surface
+from mjgranular.sand.prepare import PreparedSand
 
 STATE = ("active", "strength", "density", "height")
 """The numbers of a tunable instance, in their order in `plugin_state`."""
@@ -38,20 +37,18 @@ TUNING_DTYPE = np.dtype(
 NO_TUNINGS = np.zeros(0, TUNING_DTYPE)
 
 
-def make_tunings(
-    law: Law, surface: Surface, scene: np.ndarray, model: mujoco.MjModel
-) -> np.ndarray:
+def make_tunings(sand: PreparedSand, model: mujoco.MjModel) -> np.ndarray:
     """What the state changes in a scene: rows of `TUNING_DTYPE`.
 
     Args:
-        law: says which of its fields are meant (`Law.strength_keys`, `Law.density_keys`).
-        surface: says what changes where it rises (`Surface.lift`).
-        scene: made of both (`law.make_scene`).
+        sand: its law says which of its fields are meant (`strength_keys`, `density_keys`), its
+            surface what changes where it rises (`lift`).
         model: the model.
 
     Raises:
         InputError: a law that does not say so, or a surface that cannot rise.
     """
+    law, scene = sand.law, sand.scene
     if not (law.strength_keys or law.density_keys):
         raise InputError(
             f"the law {law.name!r} does not say what its strength and density are: it needs "
@@ -61,7 +58,7 @@ def make_tunings(
     for number, keys in ((STRENGTH, law.strength_keys), (DENSITY, law.density_keys)):
         for key in keys:
             rows += [(word, number, base, 0.0) for word, base in _words(scene, "law", key)]
-    for key, rates in surface.lift(model).items():
+    for key, rates in sand.surface.lift(model).items():
         words = _words(scene, "surface", key)
         for (word, base), rate in zip(words, np.ravel(rates), strict=True):
             rows.append((word, HEIGHT, base, float(rate)))

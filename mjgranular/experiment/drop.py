@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import FloorWarning, GranularError, InputError, OutputError, UnknownNameError
-from mjgranular.experiment.ground import refuse_floors, take_out
+from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors
 from mjgranular.experiment.scenery import add_bed
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
@@ -23,7 +25,7 @@ from mjgranular.reading import check_regular
 from mjgranular.sand import Sand
 from mjgranular.sand.work import WorkMeter
 from mjgranular.saved import checked_fields, is_text
-from mjgranular.surface import Bed, HeightField, Plane, Surface
+from mjgranular.surface import Plane
 
 LARGEST_STEP = 1e-4
 """Of a run with the explicit scheme whose time step is left to us [s]; chosen, not measured."""
@@ -32,62 +34,35 @@ _PROGRESS_STEPS = 1000  # between two calls of `progress`
 
 
 @dataclass(frozen=True)
-class Drop:
+class Drop(PlainSand):
     """A run of a user's model on sand, SI units and radians.
+
+    The sand is described as in `PlainSand`.
 
     Attributes:
         model: the MJCF file, or a chain.
-        medium: name of the sand, or a YAML file.
-        law: name of the force law; None for the medium's own.
-        scheme: name of the scheme.
-        surface_height: world z of a level or sloping surface [m].
-        slope: of that surface [rad].
-        uphill: direction of steepest ascent from the x axis [rad].
-        bed: name of a box geom that is the sand; overrides height and slope.
-        height_field: name of an hfield geom that is the sand; overrides height and slope.
-        bodies: names of the bodies that meet the sand; all if neither these nor `geoms` nor
-            `groups` are given.
-        geoms: names of the geoms that meet the sand.
-        groups: geom groups whose collision geoms meet the sand.
         keyframe: name of the keyframe to start from.
         height: of the model's lowest point above the surface at the start [m]; None to start as
             the model stands.
         velocity: downward, at the start [m/s].
         duration: [s].
         timestep: [s]; None for the model's own, but at most 1e-4 s with the explicit scheme.
-        resolution: how finely geoms are cut; None for the law's default.
         state: `qpos` and `qvel` to start from, one after the other; None for the model's own.
-        instead_of: names of geoms that are taken out of the model, such as its floor.
-        keep_floor: whether ground of the model's own may carry it above the sand.
         site: name of a site whose stop is looked for; needs a level surface.
     """
 
     model: Path | Chain
-    medium: str = "play_sand"
-    law: str | None = None
-    scheme: str = "auto"
-    surface_height: float = 0.0
-    slope: float = 0.0
-    uphill: float = 0.0
-    bed: str | None = None
-    height_field: str | None = None
-    bodies: tuple[str, ...] = ()
-    geoms: tuple[str, ...] = ()
-    groups: tuple[int, ...] = ()
+    _: KW_ONLY
     keyframe: str | None = None
     height: float | None = None
     velocity: float = 0.0
     duration: float = 1.0
     timestep: float | None = None
-    resolution: int | None = None
     state: tuple[float, ...] | None = None
     site: str | None = None
-    instead_of: tuple[str, ...] = ()
-    keep_floor: bool = False
 
     def __post_init__(self) -> None:
-        if self.bed is not None and self.height_field is not None:
-            raise InputError("the sand is either a bed or a height field, not both")
+        super().__post_init__()
         if self.height is not None and not (math.isfinite(self.height) and self.height >= 0):
             raise InputError(f"the height must be finite and not negative, not {self.height} m")
         if not math.isfinite(self.velocity):
@@ -95,16 +70,6 @@ class Drop:
         for name, value in (("duration", self.duration), ("time step", self.timestep)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, not {value} s")
-        _ = self.surface
-
-    @property
-    def surface(self) -> Surface:
-        """Where the sand is."""
-        if self.bed is not None:
-            return Bed(self.bed)
-        if self.height_field is not None:
-            return HeightField(self.height_field)
-        return Plane(self.surface_height, self.slope, self.uphill)
 
     def config(self) -> dict[str, Any]:
         """The drop in plain values; `from_config` makes a drop of them again."""
@@ -240,20 +205,10 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     """
     model, xml = load(drop)
     if not drop.keep_floor:
-        refuse_floors(model, drop.surface, bodies=drop.bodies, geoms=drop.geoms, groups=drop.groups)
+        refuse_floors(model, drop.sand)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FloorWarning)
-        sand = Sand(
-            model,
-            medium=drop.medium,
-            law=drop.law,
-            scheme=drop.scheme,
-            surface=drop.surface,
-            bodies=drop.bodies or None,
-            geoms=drop.geoms or None,
-            groups=drop.groups or None,
-            resolution=drop.resolution,
-        )
+        sand = Sand(model, drop.sand)
     data = mujoco.MjData(model)
     _place(drop, model, data, sand)
 
@@ -286,27 +241,51 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
-    """The compiled model, with a visible bed under it if it has none, and its XML."""
-    try:
-        if isinstance(drop.model, Chain):
-            spec = drop.model.spec()
-        else:
-            check_regular(drop.model, "the model")
-            spec = mujoco.MjSpec.from_file(str(drop.model))
-            take_out(spec, drop.instead_of)
-            if isinstance(drop.surface, Plane) and not drop.keep_floor:
-                add_bed(spec, drop.surface)
+    """The compiled model, with a visible bed under it if it has none, and its XML.
+
+    Raises:
+        InputError: MuJoCo cannot load it.
+        UnknownNameError: it lacks a geom that the sand is to replace.
+    """
+    with loading(drop.title):
+        spec = read(drop)
+        show_bed(spec, drop)
         model = spec.compile()
-        if drop.timestep is not None:
-            model.opt.timestep = drop.timestep
-        elif drop.scheme == "explicit":
-            model.opt.timestep = min(model.opt.timestep, LARGEST_STEP)
+        hide_replaced(model, drop.sand)
         return model, spec.to_xml()
+
+
+@contextmanager
+def loading(title: object) -> Iterator[None]:
+    """Has what MuJoCo raises say which model it is about, as an `InputError`."""
+    try:
+        yield
+    except GranularError:
+        raise
     except (ValueError, OSError, mujoco.FatalError) as error:
-        if isinstance(error, GranularError):
-            raise
         reason = " ".join(str(error).split())
-        raise InputError(f"MuJoCo cannot load {drop.title}: {reason}") from None
+        ours = re.search("engine error: mjgranular '[^']*': (.*)", reason)
+        raise InputError(ours[1] if ours else f"MuJoCo cannot load {title}: {reason}") from None
+
+
+def read(drop: Drop) -> mujoco.MjSpec:
+    """The model as it is in its file, with the time step of the run."""
+    if isinstance(drop.model, Chain):
+        spec = drop.model.spec()
+    else:
+        check_regular(drop.model, "the model")
+        spec = mujoco.MjSpec.from_file(str(drop.model))
+    if drop.timestep is not None:
+        spec.option.timestep = drop.timestep
+    elif drop.scheme == "explicit":
+        spec.option.timestep = min(spec.option.timestep, LARGEST_STEP)
+    return spec
+
+
+def show_bed(spec: mujoco.MjSpec, drop: Drop) -> None:
+    """Adds a bed to be seen to a user's model that has neither bed nor floor."""
+    if isinstance(drop.surface, Plane) and not (drop.keep_floor or isinstance(drop.model, Chain)):
+        add_bed(spec, drop.surface)
 
 
 def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:

@@ -1,70 +1,107 @@
-"""A user's model and the ground that it brings along."""
+"""Sand in plain values, and the ground that a user's model brings along."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 
-from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.shape import select_geoms
-from mjgranular.surface import Surface
+from mjgranular.errors import InputError
+from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.spec import SandSpec
+from mjgranular.shape.select import find_all
+from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.floors import describe_floors, find_floors
+from mjgranular.surface.place import replace_geoms
+
+_NOT_SHOWN = 5  # geom group that viewers and films leave out
 
 
-def take_out(spec: mujoco.MjSpec, geoms: Sequence[str]) -> None:
-    """Takes geoms out of a model, such as a floor that sand is to take the place of.
+@dataclass(frozen=True, kw_only=True)
+class PlainSand:
+    """A `SandSpec` in plain values, SI units and radians, as folders of results have it.
 
-    Args:
-        spec: the model to be; it is changed.
-        geoms: names, or numbers of geoms without a name.
+    `medium`, `law`, `scheme`, `bodies`, `geoms`, `groups`, `resolution` and `instead_of` are those
+    of `SandSpec`, by name; `()` stands for no choice.
+
+    Attributes:
+        surface_height: world z of a level or sloping surface [m].
+        slope: of that surface [rad].
+        uphill: direction of steepest ascent from the x axis [rad].
+        bed: name of a box geom that is the sand; overrides height and slope.
+        height_field: name of an hfield geom that is the sand; overrides height and slope.
+        keep_floor: whether ground of the model's own may carry it above the sand.
+    """
+
+    medium: str = "play_sand"
+    law: str | None = None
+    scheme: str = "auto"
+    surface_height: float = 0.0
+    slope: float = 0.0
+    uphill: float = 0.0
+    bed: str | None = None
+    height_field: str | None = None
+    bodies: tuple[str, ...] = ()
+    geoms: tuple[str, ...] = ()
+    groups: tuple[int, ...] = ()
+    resolution: int | None = None
+    instead_of: tuple[str, ...] = ()
+    keep_floor: bool = False
+
+    def __post_init__(self) -> None:
+        if self.bed is not None and self.height_field is not None:
+            raise InputError("the sand is either a bed or a height field, not both")
+        _ = self.surface
+
+    @property
+    def surface(self) -> Surface:
+        """Where the sand is."""
+        if self.bed is not None:
+            return Bed(self.bed)
+        if self.height_field is not None:
+            return HeightField(self.height_field)
+        return Plane(self.surface_height, self.slope, self.uphill)
+
+    @property
+    def sand(self) -> SandSpec:
+        """The sand as `Sand` and `add_sand` take it."""
+        return SandSpec(
+            medium=self.medium,
+            law=self.law,
+            surface=self.surface,
+            scheme=self.scheme,
+            bodies=self.bodies or None,
+            geoms=self.geoms or None,
+            groups=self.groups or None,
+            resolution=self.resolution,
+            instead_of=self.instead_of,
+        )
+
+
+def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
+    """Has viewers and films leave out what the sand replaces.
 
     Raises:
-        UnknownNameError: there is no such geom; lists those there are.
+        UnknownNameError: the model has no such geom; lists those there are.
     """
-    if any(spec.geom(name) is None and name.isdecimal() for name in geoms):
-        spec.compile()  # gives geoms their numbers
-    numbered = {str(geom.id): geom for geom in spec.geoms if not geom.name}
-    found = {name: spec.geom(name) or numbered.get(name) for name in geoms}
-    for name, geom in found.items():
-        if geom is None:
-            known = [geom.name for geom in spec.geoms if geom.name]
-            raise UnknownNameError("geom of the model", name, known)
-    for geom in found.values():
-        spec.delete(geom)
+    model.geom_group[find_all(model, "geom", sand.instead_of)] = _NOT_SHOWN
 
 
-def refuse_floors(
-    model: mujoco.MjModel,
-    surface: Surface,
-    *,
-    bodies: Sequence[str],
-    geoms: Sequence[str],
-    groups: Sequence[int],
-) -> None:
+def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     """Refuses a model whose own ground carries it at or above the sand's surface.
 
     Args:
-        model: the model.
-        surface: where the sand is.
-        bodies: as for `Sand`, none for all.
-        geoms: as for `Sand`, none for all.
-        groups: as for `Sand`, none for all.
+        model: the model; contacts of what the sand replaces are switched off in it.
+        sand: the sand.
 
     Raises:
         InputError: names the ground, and the options that help.
     """
-    chosen = select_geoms(
-        model,
-        bodies=bodies or None,
-        geoms=geoms or None,
-        groups=groups or None,
-        leave_out=surface.geoms(model),
-    )
-    floors = find_floors(model, chosen, surface)
+    replace_geoms(model, sand.instead_of)
+    floors = find_floors(model, geoms_in_sand(model, sand), sand.surface or Plane())
     if floors:
         names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
         raise InputError(
-            f"{describe_floors(model, floors)}: take it out with --instead-of {names}, or say "
-            "--keep-floor if it is to stand on that"
+            f"{describe_floors(model, floors)}: let the sand replace it with --instead-of {names}, "
+            "or say --keep-floor if it is to stand on that"
         )

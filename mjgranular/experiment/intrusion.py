@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.experiment.drop import loading
 from mjgranular.sand import Sand
 
 Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
@@ -205,12 +206,9 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
         kind, size = _shape(intrusion.intruder, intrusion.size)
         body.add_geom(name=_BODY, type=kind, size=size)
         return spec.compile()
-    try:
+    with loading(intrusion.model):
         spec = mujoco.MjSpec.from_file(str(intrusion.model))
         source = spec.compile()
-    except (ValueError, OSError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"MuJoCo cannot load {intrusion.model}: {reason}") from None
     roots = [body for body in spec.worldbody.bodies if _has_geom(body)]
     if intrusion.geom is not None:
         geom = mujoco.mj_name2id(source, mujoco.mjtObj.mjOBJ_GEOM, intrusion.geom)

@@ -12,8 +12,8 @@ from mjgranular.kernel.keep import Kept
 from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
-from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.scheme import Desk, Scheme
+from mjgranular.sand.prepare import PreparedSand
+from mjgranular.scheme.scheme import Desk
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
 from mjgranular.shape.select import last_dof
 
@@ -37,29 +37,22 @@ class Binding:
 def bind(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    elements: np.ndarray,
-    laid: np.ndarray,
-    scene: np.ndarray,
-    scheme: Scheme,
-    kernel: LawKernel,
+    sand: PreparedSand,
     *,
     within: bool = False,
 ) -> Binding:
-    """Makes the binding of elements (fields `body`, `slot`) to a simulation.
+    """Makes the binding of a prepared sand to a simulation.
 
     Args:
         model: the model.
         data: the simulation.
-        elements: of the law.
-        laid: the same as the program reads them (`LawKernel.lay`).
-        scene: parameters of law and surface.
-        scheme: how forces become a step.
-        kernel: of the law.
+        sand: that was prepared for the model.
         within: whether forces are asked for among MuJoCo's passive ones, inside its step.
 
     Raises:
         InputError: elements that do not come body by body.
     """
+    elements, scheme = sand.elements, sand.scheme
     slots, first, counts = np.unique(elements["slot"], return_index=True, return_counts=True)
     ends = np.cumsum(counts)
     if not np.array_equal(elements["slot"], np.repeat(np.arange(len(slots)), counts)):
@@ -74,14 +67,14 @@ def bind(
     kept = Kept.of(model, data)
     # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
     anywhere = within and not scheme.whole_state
-    desk = scheme.desk(model, data, elements, kernel, within=within)
+    desk = scheme.desk(model, data, elements, sand.kernel, within=within)
     table = simulation_table(
         model,
         data,
-        laid=laid,
+        laid=sand.packed,
         count=len(elements),
         bodies=bodies,
-        scene=scene,
+        scene=sand.scene,
         contacts=contacts,
         spans=kept.spans,
         desk=desk.table,

@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import UnknownNameError
-from mjgranular.law.validity import Limit, Measure, Standing
+from mjgranular.law.validity import Measure, Standing
 from mjgranular.names import name_of
 from mjgranular.sand.binding import Binding
+from mjgranular.sand.prepare import PreparedSand
 
 
 @dataclass(frozen=True)
@@ -205,31 +206,28 @@ class Names:
 def describe(
     data: mujoco.MjData,
     *,
-    elements: np.ndarray,
+    sand: PreparedSand,
     members: list[np.ndarray],
     names: Names,
     binding: Binding,
     gravity: float,
-    limits: tuple[Limit, ...] = (),
-    slope: float = 0.0,
-    grain: float | None = None,
-    solver: Solver | None = None,
+    slope: float,
+    solver: Solver | None,
 ) -> Report:
     """Makes a report of what a kernel has just filled in.
 
     Args:
         data: the simulation.
-        elements: the law's elements.
+        sand: the sand.
         members: for each body in the sand, the rows of its elements.
         names: of geoms and bodies.
         binding: with wrenches and contacts.
         gravity: its size [m/s^2].
-        limits: of the law.
         slope: of the surface [rad].
-        grain: diameter of a grain [m], None if it is not known.
         solver: what the scheme has counted.
     """
-    table = _element_table(data, elements, binding.contacts, gravity)
+    table = _element_table(data, sand.elements, binding.contacts, gravity)
+    limits, grain = sand.law.validity, sand.medium.grain and sand.medium.grain.value
     bodies = []
     for row, mine in zip(binding.bodies, members, strict=True):
         deepest = mine[np.argmax(table.depth[mine])]

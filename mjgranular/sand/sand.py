@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import weakref
-from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Unpack
 
 import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnstableError
-from mjgranular.given import check_data, check_model, surface_of
-from mjgranular.kernel.compiled import entry, program_address
-from mjgranular.law import Law, get_law, make_scene
-from mjgranular.medium import Medium, get_medium
+from mjgranular.given import check_data, check_model
+from mjgranular.kernel.compiled import entry
+from mjgranular.law import Law
+from mjgranular.medium import Medium
 from mjgranular.sand.binding import Binding, bind
-from mjgranular.sand.company import company_of, refuse_sand_of_its_own
 from mjgranular.sand.guard import finish_step, guarded_step
+from mjgranular.sand.prepare import prepare
 from mjgranular.sand.report import Names, Report, Solver, describe
-from mjgranular.scheme import Scheme, get_scheme
-from mjgranular.scheme.scheme import STEP
+from mjgranular.sand.sharing import refuse_sand_of_the_model, registry_of
+from mjgranular.sand.spec import SandFields, SandSpec, combined
+from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import FINE, REFUSED
-from mjgranular.shape import select_geoms
-from mjgranular.shape.select import Choice, body_name
+from mjgranular.shape.select import body_name
 from mjgranular.surface import Surface
-from mjgranular.surface.floors import warn_of_floors
 
 _step1 = mujoco.mj_step1
 _step2 = mujoco.mj_step2
@@ -59,21 +59,10 @@ class Sand:
 
     Args:
         model: the model; kept, not copied.
-        medium: a medium, its name, or a YAML file (`medium.file`).
-        law: a law, its name, or None for the medium's own.
-        surface: where the sand is; None for the plane z = 0.
-        scheme: how forces become a step: a scheme or its name. "auto" takes `Implicit`, but
-            `Explicit` for fine time steps (`scheme.auto`); `Sand.scheme` says which.
-        bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
-            or "all".
-        geoms: names or numbers of the geoms that meet the sand; or "all".
-        groups: geom groups whose collision geoms meet the sand, those of bodies that can move. What
-            `bodies`, `geoms` and `groups` name is taken together; with none of them, as with "all",
-            every collision geom of every body that can move.
-        resolution: how finely geoms are cut into elements, in the law's own measure; None for its
-            default.
+        spec: the sand; None for one of defaults.
         shared: lets another `Sand`, shared too, or sand that is a part of the model act on the same
             bodies of the same `MjData`.
+        **fields: of `SandSpec`, which says what they mean; they replace those of `spec`.
 
     Raises:
         UnknownNameError: a name or group that does not exist; lists those that do.
@@ -84,53 +73,19 @@ class Sand:
     def __init__(
         self,
         model: mujoco.MjModel,
+        spec: SandSpec | None = None,
         *,
-        medium: str | Path | Medium = "play_sand",
-        law: str | Law | None = None,
-        surface: Surface | None = None,
-        scheme: str | Scheme = "auto",
-        bodies: Choice = None,
-        geoms: Choice = None,
-        groups: Sequence[int] | int | None = None,
-        resolution: int | None = None,
         shared: bool = False,
+        **fields: Unpack[SandFields],
     ) -> None:
         check_model(model, "Sand")
-        self._arguments: dict[str, Any] = {
-            "medium": medium,
-            "law": law,
-            "surface": surface,
-            "scheme": scheme,
-            "bodies": bodies,
-            "geoms": geoms,
-            "groups": groups,
-            "resolution": resolution,
-            "shared": shared,
-        }
         self._model = model
-        self._medium = get_medium(medium)
-        self._law = get_law(law, self._medium)
-        self._surface = surface_of(surface)
-        asked = get_scheme(scheme)
-        asked.check(model)
-        chosen = select_geoms(
-            model,
-            bodies=bodies,
-            geoms=geoms,
-            groups=groups,
-            leave_out=self._surface.geoms(model),
-        )
-        warn_of_floors(model, chosen, self._surface)
-        self._elements = self._law.elements(model, chosen, resolution)
+        self._spec = combined(spec, fields)
+        self._sand = sand = prepare(model, self._spec)
         if not shared:
-            refuse_sand_of_its_own(model, self._elements)
-        self._scheme = asked.settle(model, len(self._elements))
-        self._scheme.check(model)
-        self._scene = make_scene(self._law, self._medium, self._surface, model)
-        self._kernel = self._law.kernel(self._surface)
-        self._laid = self._kernel.lay(self._elements)
-        program = self._scheme.program(self._kernel, self._scene.dtype)
-        self._program = program_address(program, STEP)
+            refuse_sand_of_the_model(model, sand.elements)
+        self._scheme = sand.scheme
+        self._program = sand.program
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
         self._finish = entry(finish_step, "int64(int64)")
         self._lead = self._scheme.lead
@@ -139,12 +94,10 @@ class Sand:
         self._bindings: weakref.WeakKeyDictionary[mujoco.MjData, Binding] = (
             weakref.WeakKeyDictionary()
         )
-        self._slope = self._surface.tilt(model)
-        self._names = Names.of(model, self._elements)
-        self._members = [
-            np.flatnonzero(self._elements["slot"] == slot)
-            for slot in range(len(np.unique(self._elements["slot"])))
-        ]
+        self._slope = sand.surface.tilt(model)
+        self._names = Names.of(model, sand.elements)
+        slots = sand.elements["slot"]
+        self._members = [np.flatnonzero(slots == slot) for slot in range(len(np.unique(slots)))]
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: what a loop over one simulation needs.
         self._recent = _NOBODY
@@ -155,19 +108,24 @@ class Sand:
         return self._model
 
     @property
+    def spec(self) -> SandSpec:
+        """The sand as it was asked for."""
+        return self._spec
+
+    @property
     def medium(self) -> Medium:
         """What the sand is."""
-        return self._medium
+        return self._sand.medium
 
     @property
     def law(self) -> Law:
         """How it resists."""
-        return self._law
+        return self._sand.law
 
     @property
     def surface(self) -> Surface:
         """Where it is."""
-        return self._surface
+        return self._sand.surface
 
     @property
     def scheme(self) -> Scheme:
@@ -177,7 +135,7 @@ class Sand:
     @property
     def elements(self) -> np.ndarray:
         """The elements that the law acts on: a structured array, read-only."""
-        view = self._elements.view()
+        view = self._sand.elements.view()
         view.flags.writeable = False
         return view
 
@@ -238,7 +196,7 @@ class Sand:
         binding = self._bindings.pop(data, None)
         if binding is not None:
             self._recent = _NOBODY
-            company_of(data).leave(self, binding)
+            registry_of(data).remove(self, binding)
 
     def report(self, data: mujoco.MjData) -> Report:
         """What the sand does at the state in `data` (`qpos`, `qvel`), which is left untouched."""
@@ -249,7 +207,7 @@ class Sand:
             probe, binding = self._probes.pop()
         except IndexError:
             probe = mujoco.MjData(model)
-            binding = self._new_binding(probe)
+            binding = bind(model, probe, self._sand)
         lead = 0.0
         if self._scheme.whole_state:
             lead = self._lead * self._options.timestep
@@ -266,14 +224,12 @@ class Sand:
         probe.time = data.time
         report = describe(
             probe,
-            elements=self._elements,
+            sand=self._sand,
             members=self._members,
             names=self._names,
             binding=binding,
             gravity=float(np.linalg.norm(model.opt.gravity)),
-            limits=self._law.validity,
             slope=self._slope,
-            grain=None if self._medium.grain is None else self._medium.grain.value,
             solver=self._solver(data),
         )
         self._probes.append((probe, binding))
@@ -314,25 +270,14 @@ class Sand:
         if binding is None:
             self._check_owner(data)
             self._scheme.check(self._model)
-            binding = self._new_binding(data)
-            company_of(data).join(self, self._model, binding, shared=self._shared)
+            binding = bind(self._model, data, self._sand)
+            registry_of(data).add(self, self._model, binding, shared=self._shared)
             self._bindings[data] = binding
         if self._shared:  # comes here at every call: the others' shares are to be seen to
-            company_of(data).begin(binding)
+            registry_of(data).begin(binding)
         else:
             self._recent = (weakref.ref(data), binding.address)
         return binding.address
-
-    def _new_binding(self, data: mujoco.MjData) -> Binding:
-        return bind(
-            self._model,
-            data,
-            self._elements,
-            self._laid,
-            self._scene,
-            self._scheme,
-            self._kernel,
-        )
 
     def _failure(
         self,
@@ -401,17 +346,10 @@ class Sand:
             return what, int(model.jnt_bodyid[joint])
         return what, int(model.dof_bodyid[index])
 
-    def __copy__(self) -> Sand:
-        """Sand of its own on the same model: addresses are not copied."""
-        return Sand(self._model, **self._arguments)
-
     def __deepcopy__(self, memo: dict[int, Any]) -> Sand:
         """As `copy`: the model is shared, as it is by the deep copy of a `MjData`."""
-        return self.__copy__()
+        return copy.copy(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _remake, (self._model, self._arguments)
-
-
-def _remake(model: mujoco.MjModel, arguments: dict[str, Any]) -> Sand:
-    return Sand(model, **arguments)
+        # Sand of its own, made anew: addresses are not copied.
+        return partial(Sand, shared=self._shared), (self._model, self._spec)

@@ -55,12 +55,12 @@ def select_geoms(
     chosen = set(_in_groups(model, meets, groups))
     if bodies is None and geoms is None and groups is None:
         chosen.update(meets)
-    for name in _names(bodies):
-        body = _find(model, "body", name)
-        chosen.update(meets if body is None else _of_body(model, body))
-    for name in _names(geoms):
-        geom = _find(model, "geom", name)
-        chosen.update(meets if geom is None else _that_moves(model, geom))
+    for name in names_in(bodies):
+        every = _is_every(model, "body", name)
+        chosen.update(meets if every else _of_body(model, _find(model, "body", name)))
+    for name in names_in(geoms):
+        every = _is_every(model, "geom", name)
+        chosen.update(meets if every else _that_moves(model, _find(model, "geom", name)))
     chosen.difference_update(leave_out)
     if not chosen:
         raise InputError(
@@ -68,6 +68,17 @@ def select_geoms(
             "(contype or conaffinity not 0) is needed, or geoms=[...] to name one"
         )
     return sorted(chosen)
+
+
+def find_all(model: mujoco.MjModel, kind: str, names: Choice) -> list[int]:
+    """The ids of bodies or geoms, as `kind` says.
+
+    Raises:
+        UnknownNameError: a name that the model does not have; lists those there are.
+        InputError: a number that it does not have.
+    """
+    _check_names(model)
+    return [_find(model, kind, name) for name in names_in(names)]
 
 
 def collides(model: mujoco.MjModel, geom: int) -> bool:
@@ -93,9 +104,10 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
     return repr(name) if name else f"number {body}"
 
 
-def _names(names: Choice) -> Sequence[str | int]:
+def names_in(names: Choice) -> list[str | int]:
+    """Names and numbers one by one; anything else is refused."""
     if names is None:
-        return ()
+        return []
     several = names if isinstance(names, Iterable) and not isinstance(names, str) else (names,)
     for name in several:
         if isinstance(name, bool) or not isinstance(name, (str, int, np.integer)):
@@ -115,19 +127,21 @@ def _check_names(model: mujoco.MjModel) -> None:
         ) from None
 
 
-def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int | None:
-    """The id of a body or geom by its name or number, None for all of them."""
-    objects, count = {
-        "body": (mujoco.mjtObj.mjOBJ_BODY, model.nbody),
-        "geom": (mujoco.mjtObj.mjOBJ_GEOM, model.ngeom),
-    }[kind]
-    found = mujoco.mj_name2id(model, objects, name) if isinstance(name, str) else name
+_OBJECTS = {"body": mujoco.mjtObj.mjOBJ_BODY, "geom": mujoco.mjtObj.mjOBJ_GEOM}
+
+
+def _is_every(model: mujoco.MjModel, kind: str, name: str | int) -> bool:
+    return name == EVERY and mujoco.mj_name2id(model, _OBJECTS[kind], EVERY) < 0
+
+
+def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int:
+    """The id of a body or geom by its name or number."""
+    count = model.nbody if kind == "body" else model.ngeom
+    found = mujoco.mj_name2id(model, _OBJECTS[kind], name) if isinstance(name, str) else name
     if found < 0 and str(name).isdecimal():  # a number that was written as a word
         found = int(name)
     if 0 <= found < count:
         return found
-    if name == EVERY:
-        return None
     if isinstance(name, int) or name.isdecimal():
         raise InputError(f"the model has no {kind} number {name}: they go from 0 to {count - 1}")
     known = (name_of(model, kind, i) for i in range(count))

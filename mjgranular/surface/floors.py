@@ -89,8 +89,8 @@ def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface
     floors = find_floors(model, geoms, surface)
     if floors:
         warn_user(
-            f"{describe_floors(model, floors)}: set contype and conaffinity of what is not to be "
-            "there to 0, or put it deeper",
+            f"{describe_floors(model, floors)}: name in instead_of=[...] what the sand replaces, "
+            "or put that ground deeper",
             FloorWarning,
         )
 

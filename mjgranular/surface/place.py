@@ -1,4 +1,4 @@
-"""Where a geom that is sand lies: fixed in the world, and no obstacle of its own."""
+"""Geoms that are sand, or that sand replaces: fixed in the world, and no obstacle of their own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.names import name_of
+from mjgranular.shape.select import Choice, find_all
 
 
 def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str) -> int:
@@ -35,31 +36,56 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
     if model.geom_type[geom] != kind:
         found = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
         raise InputError(f"geom {name!r} is a {found}: a {word} is made of a {shape} geom")
-    body = int(model.geom_bodyid[geom])
-    if model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0:
-        mover = name_of(model, "body", body)
-        raise InputError(
-            f"geom {name!r} is on body {mover!r}, which can move: a {word} must be fixed to the "
-            "world"
-        )
-    _refuse_pairs(model, geom, word)
-    model.geom_contype[geom] = 0
-    model.geom_conaffinity[geom] = 0
+    _disable_contacts(model, [geom], f"a {word}")
     return geom
 
 
-def _refuse_pairs(model: mujoco.MjModel, geom: int, word: str) -> None:
+def replace_geoms(model: mujoco.MjModel, geoms: Choice) -> list[int]:
+    """Switches the contacts of geoms off that sand takes the place of; gives their ids.
+
+    Args:
+        model: the model.
+        geoms: names or numbers, such as that of a floor.
+
+    Raises:
+        UnknownNameError: no such geom; lists those there are.
+        InputError: a geom on a body that moves, or in an explicit contact pair. Then none of them
+            is changed.
+    """
+    found = find_all(model, "geom", geoms)
+    _disable_contacts(model, found, "ground that sand replaces")
+    return found
+
+
+def _disable_contacts(model: mujoco.MjModel, geoms: list[int], thing: str) -> None:
+    """Switches contacts off, after a look whether that will do."""
+    for geom in geoms:
+        body = int(model.geom_bodyid[geom])
+        if model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0:
+            raise InputError(
+                f"geom {_name(model, geom)!r} is on body {name_of(model, 'body', body)!r}, which "
+                f"can move: {thing} must be fixed to the world"
+            )
+        _refuse_pairs(model, geom, thing)
+    model.geom_contype[geoms] = 0
+    model.geom_conaffinity[geoms] = 0
+
+
+def _refuse_pairs(model: mujoco.MjModel, geom: int, thing: str) -> None:
     """Explicit pairs collide whatever contype and conaffinity are, and cannot be switched off."""
     for number in range(model.npair):
         ends = [int(model.pair_geom1[number]), int(model.pair_geom2[number])]
         if geom in ends:
             pair = name_of(model, "pair", number) or number
-            first, second = (name_of(model, "geom", end) or end for end in ends)
-            ours = name_of(model, "geom", geom)
+            first, second = (_name(model, end) for end in ends)
             raise InputError(
                 f"the contact pair {pair!r} makes geoms {first!r} and {second!r} collide, but "
-                f"{ours!r} is a {word}, which bodies sink into: remove that <pair>"
+                f"{_name(model, geom)!r} is {thing}, which bodies sink into: remove that <pair>"
             )
+
+
+def _name(model: mujoco.MjModel, geom: int) -> str | int:
+    return name_of(model, "geom", geom) or geom
 
 
 def world_pose(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:

@@ -150,4 +150,7 @@ def test_view_refuses_it_too(tmp_path):
     with pytest.raises(InputError, match="--instead-of floor"):
         ViewCommand(model).load()
     loaded = ViewCommand(model, instead_of=("floor", "1")).load()
-    assert [loaded.geom(number).name for number in range(loaded.ngeom)] == ["mjgranular_bed", ""]
+    names = [loaded.geom(number).name for number in range(loaded.ngeom)]
+    assert names == ["floor", "", "mjgranular_bed", ""]
+    assert not (loaded.geom_contype | loaded.geom_conaffinity)[:3].any()
+    assert loaded.geom_group[:2].tolist() == [5, 5]  # not shown

@@ -44,12 +44,6 @@ ORDER = (
 
 # Imports of a folder further up that are there today. None is to be added: take out what is gone.
 KNOWN = {
-    # `Plane` and `Surface`, to tell a class from an instance where a surface is expected.
-    ("mjgranular.given", "mjgranular.surface"),
-    # Refuses a Sand on bodies on which a plugin acts already: has to find the plugins of a model.
-    ("mjgranular.sand.company", "mjgranular.engine.instances"),
-    # The type of an argument, for the type checker only.
-    ("mjgranular.picture.learning", "mjgranular.learn.compare"),
     # Puts the folders of a checkout into `mjgranular.__path__`.
     ("mjgranular._checkout", "mjgranular"),
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import mujoco
@@ -14,6 +15,34 @@ from mjgranular.sand.binding import Binding
 from mjgranular.sand.guard import withdraw
 from mjgranular.shape.select import body_name
 
+SandsOfModel = Callable[[mujoco.MjModel], Iterable[tuple[str, set[int]]]]
+"""Gives the sands that are a part of a model: name, and ids of the bodies that it acts on."""
+
+_sands_of_model: list[SandsOfModel] = []
+
+
+def ask_about_models(sands_of_model: SandsOfModel) -> None:
+    """Has `Sand` refuse bodies on which sands act that a model has of its own."""
+    _sands_of_model.append(sands_of_model)
+
+
+def refuse_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> None:
+    """Refuses bodies on which sand of the model's own acts already, inside `mj_step`.
+
+    Raises:
+        InputError: says which.
+    """
+    ours = set(elements["body"].tolist())
+    for sands_of_model in _sands_of_model:
+        for name, bodies in sands_of_model(model):
+            common = ours & bodies
+            if common:
+                raise InputError(
+                    f"the model has sand of its own, the plugin instance {name!r}, which acts on "
+                    f"body {body_name(model, min(common))} inside mj_step: step it with mj_step "
+                    "and without Sand, or say shared=True if both are to act"
+                )
+
 
 @dataclass(frozen=True)
 class _Member:
@@ -23,36 +52,15 @@ class _Member:
     shared: bool
 
 
-def refuse_sand_of_its_own(model: mujoco.MjModel, elements: np.ndarray) -> None:
-    """Refuses bodies on which a plugin instance of the model acts already, inside `mj_step`.
-
-    Raises:
-        InputError: says which.
-    """
-    if model.nplugin == 0:
-        return
-    from mjgranular.engine.instances import bodies_of, sands_in  # it stands on this package
-
-    ours = set(elements["body"].tolist())
-    for name in sands_in(model):
-        common = ours & bodies_of(model, name)
-        if common:
-            raise InputError(
-                f"the model has sand of its own, the plugin instance {name!r}, which acts on body "
-                f"{body_name(model, min(common))} inside mj_step: step it with mj_step and without "
-                "Sand, or say shared=True if both are to act"
-            )
-
-
-class Company:
+class SandRegistry:
     """The Sands that act on one `MjData`, and their shares in its `xfrc_applied`."""
 
     def __init__(self) -> None:
         self._members: weakref.WeakKeyDictionary[object, _Member] = weakref.WeakKeyDictionary()
         self._shares: list[Binding] = []  # of shared Sands, in the order they were added
 
-    def join(self, sand: object, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
-        """Lets a Sand in.
+    def add(self, sand: object, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
+        """Registers a Sand.
 
         Raises:
             InputError: another acts on one of its bodies, and not both are shared.
@@ -68,10 +76,10 @@ class Company:
                 )
         self._members[sand] = _Member(bodies, shared)
 
-    def leave(self, sand: object, binding: Binding) -> None:
-        """Lets a Sand go, and its share too."""
+    def remove(self, sand: object, binding: Binding) -> None:
+        """Removes a Sand, and its share too."""
         if self._members.pop(sand).shared:
-            self._clear()
+            self._withdraw_all()
         else:
             _withdraw(binding)
 
@@ -81,10 +89,10 @@ class Company:
         The first that comes for a second time begins a new step: the shares of the last one go.
         """
         if any(share is binding for share in self._shares):
-            self._clear()
+            self._withdraw_all()
         self._shares.append(binding)
 
-    def _clear(self) -> None:
+    def _withdraw_all(self) -> None:
         """Takes all shares back, the latest first: each finds the row as it was left."""
         while self._shares:
             _withdraw(self._shares.pop())
@@ -94,9 +102,9 @@ def _withdraw(binding: Binding) -> None:
     entry(withdraw, "int64(int64)")(binding.table.ctypes.data)
 
 
-_companies: weakref.WeakKeyDictionary[mujoco.MjData, Company] = weakref.WeakKeyDictionary()
+_registries: weakref.WeakKeyDictionary[mujoco.MjData, SandRegistry] = weakref.WeakKeyDictionary()
 
 
-def company_of(data: mujoco.MjData) -> Company:
-    """Those that act on `data`; nobody at first."""
-    return _companies.setdefault(data, Company())
+def registry_of(data: mujoco.MjData) -> SandRegistry:
+    """The Sands that act on `data`; none at first."""
+    return _registries.setdefault(data, SandRegistry())

@@ -1,0 +1,126 @@
+"""From a model and a `SandSpec` to what a simulation needs, with all checks on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.kernel.compiled import program_address
+from mjgranular.law import Law, get_law, make_scene
+from mjgranular.law.kernel import LawKernel
+from mjgranular.medium import Medium, get_medium
+from mjgranular.sand.spec import SandSpec
+from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
+from mjgranular.scheme.auto import FINE_STEP
+from mjgranular.scheme.scheme import STEP
+from mjgranular.shape import select_geoms
+from mjgranular.surface import Surface
+from mjgranular.surface.choice import surface_of
+from mjgranular.surface.floors import warn_of_floors
+from mjgranular.surface.place import replace_geoms
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedSand:
+    """A sand that fits a model.
+
+    Attributes:
+        medium: the medium.
+        law: the law, with its constants.
+        surface: the surface.
+        scheme: the one that acts, where a choice was asked for.
+        elements: of the law: a structured array, body by body.
+        packed: the same as the program reads them.
+        scene: parameters of law and surface, shape (1,).
+        kernel: of the law under this surface.
+        program: address of the scheme's compiled program (`Scheme.program`).
+        disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
+    """
+
+    medium: Medium
+    law: Law
+    surface: Surface
+    scheme: Scheme
+    elements: np.ndarray
+    packed: np.ndarray
+    scene: np.ndarray
+    kernel: LawKernel
+    program: int
+    disabled: tuple[int, ...]
+
+
+def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> PreparedSand:
+    """Prepares a sand for a model.
+
+    Args:
+        model: the model; contacts of geoms that are the sand, or that it replaces, are switched
+            off in it.
+        spec: the sand.
+        within: the sand is to act inside `mj_step`. Then `model` must be a copy: its integrator
+            may change too.
+
+    Raises:
+        UnknownNameError: a name or group that does not exist; lists those that do.
+        InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
+    """
+    medium = get_medium(spec.medium)
+    law = get_law(spec.law, medium)
+    surface = surface_of(spec.surface)
+    scheme = get_scheme(spec.scheme)
+    if within:
+        scheme = _scheme_within_step(scheme, model)
+    scheme.check(model)
+    geoms = geoms_in_sand(model, spec)
+    replaced = replace_geoms(model, spec.instead_of)
+    warn_of_floors(model, geoms, surface)
+    elements = law.elements(model, geoms, spec.resolution)
+    scheme = scheme.settle(model, len(elements))
+    scheme.check(model)
+    scene = make_scene(law, medium, surface, model)
+    kernel = law.kernel(surface)
+    return PreparedSand(
+        medium=medium,
+        law=law,
+        surface=surface,
+        scheme=scheme,
+        elements=elements,
+        packed=kernel.lay(elements),
+        scene=scene,
+        kernel=kernel,
+        program=program_address(scheme.program(kernel, scene.dtype), STEP),
+        disabled=(*surface.geoms(model), *replaced),
+    )
+
+
+def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:
+    """The ids of the geoms of a model that meet a sand; see `select_geoms`."""
+    return select_geoms(
+        model,
+        bodies=spec.bodies,
+        geoms=spec.geoms,
+        groups=spec.groups,
+        leave_out=surface_of(spec.surface).geoms(model),
+    )
+
+
+def _scheme_within_step(scheme: Scheme, model: mujoco.MjModel) -> Scheme:
+    """The scheme where it acts inside `mj_step`, which RK4 calls four times a step.
+
+    Raises:
+        InputError: RK4, and a scheme whose forces belong to the end of the step.
+    """
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 and not isinstance(scheme, Explicit):
+        if not (isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP):
+            raise InputError(
+                "a force that belongs to the end of the step has no place in the four stages of "
+                "the integrator RK4: set the model's integrator to implicitfast, implicit or "
+                "Euler, or scheme='explicit' with steps of microseconds"
+            )
+        scheme = Explicit()
+    if isinstance(scheme, Explicit):
+        # Between mj_step1 and mj_step2 RK4 is Euler and refused; within mj_step it is itself.
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    return scheme

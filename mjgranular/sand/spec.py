@@ -1,0 +1,90 @@
+"""One description of a sand, for every interface that puts sand under a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, TypedDict
+
+from mjgranular.errors import InputError, shown
+from mjgranular.law import Law
+from mjgranular.medium import Medium
+from mjgranular.scheme import Scheme
+from mjgranular.shape.select import Choice
+from mjgranular.surface import Surface
+
+
+@dataclass(frozen=True, kw_only=True)
+class SandSpec:
+    """A sand: its material, its place, what meets it.
+
+    `Sand`, `add_sand` and `mjgranular.envs.on_sand` take one, or its fields as keyword arguments,
+    which replace those of one that is given beside them. It knows no model: whether it fits one is
+    checked where it meets it.
+
+    Attributes:
+        medium: a medium, its name, or a YAML file (`medium.file`).
+        law: how it resists: a law, its name, or None for the medium's own.
+        surface: where it is; None for the plane z = 0.
+        scheme: how forces become a step: a scheme or its name. "auto" takes `Implicit`, but
+            `Explicit` for fine time steps (`scheme.auto`).
+        bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
+            or "all".
+        geoms: names or numbers of the geoms that meet the sand; or "all".
+        groups: geom groups whose collision geoms meet the sand, those of bodies that can move. What
+            `bodies`, `geoms` and `groups` name is taken together; with none of them, as with "all",
+            every collision geom of every body that can move.
+        resolution: how finely geoms are cut into elements, in the law's own measure; None for its
+            default.
+        instead_of: names or numbers of geoms that the sand replaces, such as the model's own floor.
+            They must be fixed to the world. Their contacts are switched off in the model; what is
+            drawn stays.
+    """
+
+    medium: str | Path | Medium = "play_sand"
+    law: str | Law | None = None
+    surface: Surface | None = None
+    scheme: str | Scheme = "auto"
+    bodies: Choice = None
+    geoms: Choice = None
+    groups: Sequence[int] | int | None = None
+    resolution: int | None = None
+    instead_of: Choice = None
+
+
+class SandFields(TypedDict, total=False):
+    """The fields of `SandSpec` as keyword arguments, for editors and type checkers."""
+
+    medium: str | Path | Medium
+    law: str | Law | None
+    surface: Surface | None
+    scheme: str | Scheme
+    bodies: Choice
+    geoms: Choice
+    groups: Sequence[int] | int | None
+    resolution: int | None
+    instead_of: Choice
+
+
+SAND_FIELDS = tuple(field.name for field in fields(SandSpec))
+
+
+def combined(spec: SandSpec | None, given: SandFields | None = None) -> SandSpec:
+    """A sand with some of its fields replaced.
+
+    Args:
+        spec: the sand, or a record that extends `SandSpec`, of which the rest is left away; None
+            for one of defaults.
+        given: the fields to replace.
+
+    Raises:
+        InputError: `spec` is something else.
+    """
+    if spec is not None and not isinstance(spec, SandSpec):
+        raise InputError(
+            f"sand is described by a SandSpec, not by {shown(spec)}; fields of one are given by "
+            "name, such as medium='play_sand'"
+        )
+    own: Any = {} if spec is None else {name: getattr(spec, name) for name in SAND_FIELDS}
+    return SandSpec(**{**own, **(given or {})})
