@@ -163,13 +163,11 @@ def underscored_of_the_compiler(module: str) -> Iterator[str]:
                 yield f"{module}:{node.lineno}: {bases[0]}.{name}"
 
 
-@pytest.mark.xfail(reason="kernel/ still works with the insides of numba", strict=False)
 def test_no_underscored_name_of_numba() -> None:
     found = [name for module in trees() for name in underscored_of_the_compiler(module)]
     assert not found, "\n".join(found)
 
 
-@pytest.mark.xfail(reason="kernel/ and engine/ still link by themselves", strict=False)
 def test_llvmlite_binding_in_one_module_at_most() -> None:
     binding = {
         module
