@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import chain, count
 from typing import Unpack
 
 import mujoco
@@ -51,7 +52,8 @@ def add_sand(
     config = write_config(combined(sand, fields), draw=draw, tunable=tunable)
     taken = {plugin.name for plugin in spec.plugins}
     if name is None:
-        name = next(free for free in _names() if free not in taken)
+        names = chain(["sand"], (f"sand_{number}" for number in count(2)))
+        name = next(free for free in names if free not in taken)
     elif name in taken:
         raise InputError(f"the model has a plugin instance named {name!r} already")
     spec.activate_plugin(NAME)
@@ -59,14 +61,6 @@ def add_sand(
     instance.config = config
     _attach(spec, name)
     return instance
-
-
-def _names() -> Iterator[str]:
-    yield "sand"
-    number = 2
-    while True:
-        yield f"sand_{number}"
-        number += 1
 
 
 def _attach(spec: mujoco.MjSpec, name: str) -> None:
