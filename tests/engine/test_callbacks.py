@@ -184,6 +184,7 @@ def users(loader: Any) -> int:
     return sum(ctypes.c_int64.from_address(share).value for share in shares)
 
 
+@pytest.mark.slow
 def test_the_same_bed_made_again_and_again_has_no_more_users(loader: Any) -> None:
     loader._prepared.clear()
     for _ in range(10):
@@ -200,6 +201,7 @@ def rows(loader: Any) -> int:
     return int((loader._rows._rows["data"][1:] != 0).sum())
 
 
+@pytest.mark.slow
 def test_a_load_that_fails_leaves_nothing(loader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from mjgranular.engine import block
     from mjgranular.engine.library import library as find_library
@@ -447,6 +449,7 @@ print("all")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="has no fork")
 def test_a_fork_while_another_thread_loads_sand() -> None:
     code = f"import warnings; warnings.simplefilter('ignore')\n{FORKED}"

@@ -225,6 +225,7 @@ spec.compile()
 """
 
 
+@pytest.mark.slow
 def test_kernels_are_compiled_while_their_module_is_imported(tmp_path: Path) -> None:
     """The compiler must not wait for the module: it is waited for."""
     (tmp_path / "kernels.py").write_text(IMPORTED)
@@ -248,6 +249,7 @@ for path in Path(sys.argv[1]).rglob("*.nb[ic]"):
 """
 
 
+@pytest.mark.slow
 @posix
 def test_what_numba_would_unpickle_is_not_read_either(tmp_path: Path) -> None:
     (tmp_path / "kernels.py").write_text(PLANTED)

@@ -177,6 +177,7 @@ def test_a_program_is_loaded_without_the_compiler(run, tmp_path):
     assert run(another) == ["5", "False", "True"]
 
 
+@pytest.mark.slow
 def test_what_no_file_has_is_known_by_what_is_written(run):
     """A kernel of a notebook, changed."""
     code = """
@@ -190,6 +191,7 @@ for number, more in ((1, 10), (2, 10), (2, 20)):
     assert run(code) == run(code) == ["11", "12", "22"]
 
 
+@pytest.mark.slow
 def test_where_a_program_cannot_be_kept_it_is_compiled(run, tmp_path):
     (tmp_path / "file").touch()
     for _ in range(2):
@@ -209,6 +211,7 @@ print(program(1, 2))
     assert run(code) == 4 * ["refused"] + ["5"]
 
 
+@pytest.mark.slow
 def test_two_numbers_that_are_written_out_are_one_type(run):
     code = """
 @compiled
@@ -311,6 +314,7 @@ def test_who_does_not_look_is_not_told(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+@pytest.mark.slow
 def test_without_a_folder_to_write_to_it_says_so_in_every_process(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
     code = (

@@ -70,7 +70,7 @@ def plant(file: Path, bomb: bytes) -> None:
             archive.writestr(name, content)
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_nothing_in_a_run_is_unpickled(algorithm, tmp_path):
     run = trained(tmp_path / "run", algorithm)
     marker = tmp_path / "executed"
@@ -103,6 +103,7 @@ def test_weights_that_hold_a_pickle_are_refused(tmp_path):
     assert not marker.exists()
 
 
+@pytest.mark.slow
 def test_a_pickled_replay_buffer_is_read_only_if_that_is_asked_for(tmp_path, capfd):
     run = trained(tmp_path / "run", "sac")
     newest = run.newest_checkpoint()
