@@ -126,6 +126,7 @@ def run(door, scheme, line):
 """
 
 
+@pytest.mark.slow
 @DOORS
 def test_a_time_step_that_is_none(survive, door):
     values = ("0", "-1e-3", "np.nan", "np.inf", "1e-30", "1e10")

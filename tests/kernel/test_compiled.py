@@ -198,6 +198,7 @@ def test_where_a_program_cannot_be_kept_it_is_compiled(run, tmp_path):
         assert run("sum_of(2, 1.5)", cache="file") == ["5", "False", "True"]
 
 
+@pytest.mark.slow
 def test_a_program_takes_numbers_and_nothing_else(run):
     code = """
 program = entry(add, "int64", "float64")
@@ -306,6 +307,7 @@ def test_who_waits_at_a_terminal_is_told_once(tmp_path):
     assert not any(line.startswith("mjgranular") for line in lines)
 
 
+@pytest.mark.slow
 def test_who_does_not_look_is_not_told(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}

@@ -124,6 +124,7 @@ def test_a_killed_and_resumed_run_is_the_uninterrupted_one_to_the_last_bit(algor
     assert [(row[0], *row[2:]) for row in rows[0]] == [(row[0], *row[2:]) for row in rows[1]]
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_policy_and_the_same_seed_the_same(trained, tmp_path):
     same = begin_run(tmp_path / "same", ID, trained.settings, seed=3)
     other = begin_run(tmp_path / "other", ID, trained.settings, seed=4)

@@ -180,6 +180,7 @@ def test_policies_act_as_stable_baselines_has_them(name, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(tmp_path):
     policy = load_policy(trained(tmp_path / "run", "sac").path)
     whole = SAC.load(policy.folder / "policy.zip", device="cpu")
