@@ -1,7 +1,7 @@
 """The core tests on every Python and MuJoCo that the package says it works with: `nox`.
 
 Interpreters that a machine does not have are skipped. `nox --list` shows the sessions,
-`nox -s "core-3.12(mujoco='3.17')"` runs one. `nox -s bounds` runs the fast tests with compiled code
+`nox -s "core-3.12(mujoco='3.17')"` runs one. `nox -s bounds` runs all tests with compiled code
 that checks each index; `nox -s lowest highest` runs them with the lowest and the highest version of
 every dependency that pyproject.toml allows.
 """
@@ -34,10 +34,10 @@ def core(session: nox.Session, mujoco: str) -> None:
 
 @nox.session(python=PYTHONS[-1])
 def bounds(session: nox.Session) -> None:
-    """The fast tests with kernels that check each index; one out of bounds ends the run."""
+    """All tests with kernels that check each index; one out of bounds ends the run."""
     session.install(".[test]")
     session.run(
-        "pytest", "-q", "-p", "no:cacheprovider", *session.posargs,
+        "pytest", "-q", "-p", "no:cacheprovider", *ALL, *session.posargs,
         env={"NUMBA_BOUNDSCHECK": "1"},
     )  # fmt: skip
 
@@ -48,16 +48,16 @@ def lowest(session: nox.Session) -> None:
     session.install(TORCH)  # by itself: the lowest build would be the one with CUDA
     session.install("--resolution", "lowest-direct", ".[test]")
     # What they depend on is new, and deprecates what the old ones do.
-    _run_fast_tests(session, "-W", "ignore::DeprecationWarning")
+    _run_all_tests(session, "-W", "ignore::DeprecationWarning")
 
 
 @nox.session(python=("3.11", "3.13"), venv_backend="uv")
 def highest(session: nox.Session) -> None:
     """The newest version of every dependency: whether an upper bound is due."""
     session.install("--upgrade", ".[test]", TORCH)
-    _run_fast_tests(session)
+    _run_all_tests(session)
 
 
-def _run_fast_tests(session: nox.Session, *options: str) -> None:
+def _run_all_tests(session: nox.Session, *options: str) -> None:
     session.run("uv", "pip", "list", external=True)
-    session.run("pytest", "-q", "-p", "no:cacheprovider", *options, *session.posargs)
+    session.run("pytest", "-q", "-p", "no:cacheprovider", *ALL, *options, *session.posargs)

@@ -30,6 +30,7 @@ def test_the_impact_script(tmp_path):
     assert len((ROOT / "scripts" / "impact.py").read_text().splitlines()) < 40
 
 
+@pytest.mark.slow
 def test_the_sweep_script(tmp_path):
     assert len(run(ROOT / "scripts" / "sweep.py", cwd=tmp_path).splitlines()) == 6
 

@@ -211,6 +211,7 @@ def test_one_process_at_a_time(tmp_path):
     assert list((tmp_path / "new").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_lock_that_is_removed_by_its_holder_still_keeps_others_out(tmp_path):
     (tmp_path / "number").write_text("0")
     several = [python(CONTEND, tmp_path, 60) for _ in range(3)]
@@ -243,6 +244,7 @@ def test_a_training_run_is_not_overwritten(tmp_path, capfd):
     assert (tmp_path / "config.json").read_text() == '{"command": "train"}'
 
 
+@pytest.mark.slow
 def test_a_reader_sees_one_result_while_it_is_replaced(tmp_path, monkeypatch):
     """The result changes between two files that belong together: read again."""
     folder = tmp_path / "run"

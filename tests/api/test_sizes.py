@@ -135,6 +135,7 @@ def test_too_many_elements_of_many_geoms_are_told():
         Sand(model, law="link_distributed", resolution=10_000)
 
 
+@pytest.mark.slow
 def test_geoms_are_cut_one_by_one():
     def peak(count):
         model = model_of(*(("sphere", (0.1,)) for _ in range(count)))

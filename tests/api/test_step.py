@@ -354,6 +354,7 @@ def test_step_allocates_nothing(model):
     assert sys.getallocatedblocks() - before < 50
 
 
+@pytest.mark.slow
 def test_making_sand_again_and_again_keeps_nothing(link_model):
     def make():
         gc.collect()

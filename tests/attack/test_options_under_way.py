@@ -57,6 +57,7 @@ def assert_still(told, lines):
     assert not moved  # [m/s]
 
 
+@pytest.mark.slow
 @DOORS
 @pytest.mark.parametrize(("before", "after"), [("sparse", "DENSE"), ("dense", "SPARSE")])
 def test_the_jacobian_may_be_stored_otherwise_at_any_step(survive, door, before, after):
@@ -65,6 +66,7 @@ def test_the_jacobian_may_be_stored_otherwise_at_any_step(survive, door, before,
     assert_still(survive(AT_REST, cases), (12, 2))
 
 
+@pytest.mark.slow
 @DOORS
 def test_what_rests_goes_on_resting(survive, door):
     lines = (
@@ -81,6 +83,7 @@ def test_what_rests_goes_on_resting(survive, door):
     assert_still(survive(AT_REST, [(door, "auto", 2, line) for line in lines]), lines)
 
 
+@pytest.mark.slow
 @DOORS
 @pytest.mark.parametrize("integrator", ["RK4", "DISCRETE"])
 def test_an_integrator_that_cannot_be_stepped_is_refused_under_way(survive, door, integrator):
@@ -123,6 +126,7 @@ def run(door, scheme, line):
 """
 
 
+@pytest.mark.slow
 @DOORS
 def test_a_time_step_that_is_none(survive, door):
     values = ("0", "-1e-3", "np.nan", "np.inf", "1e-30", "1e10")

@@ -55,6 +55,7 @@ LINES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("door", ["step", "plugin", "report"])
 @pytest.mark.parametrize("scheme", ["implicit", "explicit"])
 def test_a_body_that_is_nowhere(survive, door, scheme):

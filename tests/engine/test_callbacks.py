@@ -183,6 +183,7 @@ def blocks(loader: Any) -> int:
     return len(loader._rows)
 
 
+@pytest.mark.slow
 def test_the_same_bed_made_again_and_again_is_prepared_once(loader: Any) -> None:
     before = blocks(loader)
     loader._prepared.clear()
@@ -195,6 +196,7 @@ def test_the_same_bed_made_again_and_again_is_prepared_once(loader: Any) -> None
     assert blocks(loader) == before
 
 
+@pytest.mark.slow
 def test_a_load_that_fails_leaves_nothing(loader: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from mjgranular.engine import block
 
@@ -419,6 +421,7 @@ print("all")
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="has no fork")
 def test_a_fork_while_another_thread_loads_sand() -> None:
     code = f"import warnings; warnings.simplefilter('ignore')\n{FORKED}"

@@ -151,7 +151,9 @@ SANDS: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("arguments", SANDS, ids=lambda arguments: "-".join(arguments) or "plain")
-@pytest.mark.parametrize("integrator", ["mjINT_EULER", "mjINT_IMPLICITFAST"])
+@pytest.mark.parametrize(
+    "integrator", ["mjINT_EULER", pytest.param("mjINT_IMPLICITFAST", marks=pytest.mark.slow)]
+)
 def test_both_doors_give_the_same_force(arguments: dict[str, Any], integrator: str) -> None:
     for seed in range(4):
         spec = random_tree(seed)
@@ -450,6 +452,7 @@ def test_a_copy_goes_on_as_the_original_does(
     np.testing.assert_array_equal(data.qpos, landed)
 
 
+@pytest.mark.slow
 def test_pickled_data_outlives_the_original(model: mujoco.MjModel, landed: np.ndarray) -> None:
     data = released(model)
     mujoco.mj_step(model, data, 100)

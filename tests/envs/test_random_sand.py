@@ -62,7 +62,14 @@ def test_a_seed_decides_it():
 
 
 @batches
-@pytest.mark.parametrize("name", ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ChainSwim",
+        "Hopper",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("ChainCrawl", "Hexapod", "Ant")),
+    ],
+)
 def test_a_batch_draws_what_single_environments_draw(name):
     options = {"randomise": EVERYTHING, "observe_sand": True, "max_episode_steps": 5}
     sync = gym.make_vec(id_of(name), num_envs=4, vectorization_mode="sync", **options)

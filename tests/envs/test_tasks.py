@@ -111,6 +111,7 @@ def test_an_episode_is_as_long_as_it_says(name):
     assert gym.spec(id_of(name)).max_episode_steps == tasks[name].episode
 
 
+@pytest.mark.slow
 def test_environments_work_in_processes_of_their_own():
     batch = gym.make_vec(
         id_of("LinkDrop"),

@@ -275,6 +275,7 @@ spec.compile()
 """
 
 
+@pytest.mark.slow
 def test_kernels_are_compiled_while_their_module_is_imported(tmp_path: Path) -> None:
     """The compiler must not wait for the module: it is waited for."""
     (tmp_path / "kernels.py").write_text(IMPORTED)

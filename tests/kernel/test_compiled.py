@@ -165,6 +165,7 @@ print(entry(made_of(grow), "int64(int64)")(1))
     assert run(code) == ["3"]
 
 
+@pytest.mark.slow
 def test_what_no_file_has_is_known_by_what_is_written(run):
     """A kernel of a notebook, changed."""
     code = """
@@ -178,12 +179,14 @@ for number, more in ((1, 10), (2, 10), (2, 20)):
     assert run(code) == run(code) == ["11", "12", "22"]
 
 
+@pytest.mark.slow
 def test_where_a_program_cannot_be_kept_it_is_compiled(run, tmp_path):
     (tmp_path / "file").touch()
     for _ in range(2):
         assert run("sum_of(2, 1.5)", cache="file") == ["5", "True"]
 
 
+@pytest.mark.slow
 def test_a_program_takes_numbers_and_nothing_else(run):
     code = """
 program = entry(add, "int64(int64, float64)")
@@ -282,6 +285,7 @@ def test_who_waits_at_a_terminal_is_told_once(tmp_path):
     assert not any(line.startswith("mjgranular") for line in lines)
 
 
+@pytest.mark.slow
 def test_who_does_not_look_is_not_told(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
@@ -290,6 +294,7 @@ def test_who_does_not_look_is_not_told(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+@pytest.mark.slow
 def test_without_a_folder_to_write_to_it_says_so_in_every_process(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", ""), encoding="utf-8")
     code = "from kernels import *; assert entry(twice, SIGNATURE)(1.0) == 2.0"

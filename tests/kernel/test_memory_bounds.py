@@ -144,6 +144,7 @@ def run(folder, code, *arguments, **environment):
     )
 
 
+@pytest.mark.slow
 def test_a_large_height_field_is_not_left(tmp_path):
     done = run(tmp_path, LARGE)
     assert (done.returncode, done.stdout.split()) == (0, 8 * ["unstable"]), done.stderr
@@ -222,15 +223,14 @@ print(entry(look, "int64(int64, int64)")(room.ctypes.data, int(sys.argv[1])))
 
 
 # How it is read, and the last index that is right.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "last"),
     [
         pytest.param("numbers[index]", 7, id="plain"),
-        pytest.param("read_column(numbers, index)[1]", 4, id="column", marks=pytest.mark.slow),
-        pytest.param("add_up(numbers, index)", 4, id="sum", marks=pytest.mark.slow),
-        pytest.param(
-            "numbers[index + len(read_rows(numbers, index))]", 4, id="rows", marks=pytest.mark.slow
-        ),
+        pytest.param("read_column(numbers, index)[1]", 4, id="column"),
+        pytest.param("add_up(numbers, index)", 4, id="sum"),
+        pytest.param("numbers[index + len(read_rows(numbers, index))]", 4, id="rows"),
     ],
 )
 def test_bounds_checks_are_alive(kind, last, tmp_path):

@@ -70,6 +70,7 @@ def test_first_order_without(reference, speed, angle):
     assert orders(deviation) == pytest.approx(np.ones((4, 2)), abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "angle"), CASES)
 def test_result_of_a_drop_converges(reference, speed, angle):
     solved = reference.solve(reference.Drop(speed=speed, angle=math.radians(angle)))

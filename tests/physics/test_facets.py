@@ -694,6 +694,14 @@ both_depths = pytest.mark.parametrize(
     "submerged", [True, False], ids=["all in the sand", "a quarter to all"]
 )
 each_law = pytest.mark.parametrize("law", LAWS)
+# One of each kind is fast.
+each_shape = pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in (kind, "cube") else pytest.mark.slow)
+        for name, (kind, _) in SHAPES.items()
+    ],
+)
 
 
 @pytest.mark.parametrize("name", BOXES)
@@ -704,7 +712,7 @@ def test_box_wholly_in_the_sand_is_exact(name, law):
     assert own.max() < 1e-5
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@each_shape
 @each_law
 @both_depths
 def test_default_is_within_two_percent_of_a_fine_mesh(name, law, submerged):
@@ -712,7 +720,7 @@ def test_default_is_within_two_percent_of_a_fine_mesh(name, law, submerged):
     assert own.max() <= 0.02
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@each_shape
 @each_law
 @both_depths
 def test_default_is_near_a_fine_mesh(name, law, submerged):
@@ -721,7 +729,7 @@ def test_default_is_near_a_fine_mesh(name, law, submerged):
     assert pressed.max() < 0.01
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@each_shape
 @each_law
 @both_depths
 def test_three_times_the_default_is_nearer(name, law, submerged):
@@ -953,6 +961,7 @@ def test_resolution_is_at_least_two(resolution):
         Sand(body(geom("sphere")), law=GENERIC, resolution=resolution)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resolution", [FINEST + 1, 2000, 10**9])
 def test_resolution_is_at_most_what_fits_into_memory(resolution):
     with pytest.raises(InputError, match=f"at most {FINEST}, not {resolution}"):

@@ -65,6 +65,7 @@ def test_slow_steep_drops_that_slide(reference):
     assert slid >= 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eta_h", [0.0, 2.0, 20.0])
 def test_other_sands(reference, register, eta_h):
     constants = {"eta_d": 3.0, "eta_h": eta_h, "eta_v": 10.0, "exponent": 1.4}

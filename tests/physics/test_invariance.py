@@ -198,6 +198,7 @@ def test_power_is_never_positive(law, pose, motion):
         assert body.power <= 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @given(pose=POSES, motion=MOTIONS)
 def test_which_end_of_the_geom_comes_first(law, pose, motion):

@@ -36,6 +36,7 @@ def test_link_is_the_papers_slender_rod(paper, reference):
     assert rod["width"] == pytest.approx(paper["constants"]["diameter"], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_six_cases_at_a_microsecond(paper):
     printed, solved = paper["tolerance"]["printed"], paper["tolerance"]["solved"]
     for (_, result), case in zip(reproduce(Impact(timestep=1e-6)), paper["cases"], strict=True):

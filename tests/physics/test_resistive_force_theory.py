@@ -872,6 +872,7 @@ def test_mirror_image(law, shape, state):
     assert_same(found, np.concatenate([M @ expected[:3], -M @ expected[3:]]))
 
 
+@pytest.mark.slow
 @each_law
 @given(
     shape=SHAPES,

@@ -99,7 +99,9 @@ def trained(tmp_path_factory) -> Run:
     return run
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac", "td3"])
+@pytest.mark.parametrize(
+    "algorithm", ["ppo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sac", "td3"))]
+)
 def test_a_killed_and_resumed_run_is_the_uninterrupted_one_to_the_last_bit(algorithm, tmp_path):
     settings = quick(algorithm)
     whole = begin_run(tmp_path / "whole", ID, settings, seed=5)
@@ -122,6 +124,7 @@ def test_a_killed_and_resumed_run_is_the_uninterrupted_one_to_the_last_bit(algor
     assert [(row[0], *row[2:]) for row in rows[0]] == [(row[0], *row[2:]) for row in rows[1]]
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_policy_and_the_same_seed_the_same(trained, tmp_path):
     same = begin_run(tmp_path / "same", ID, trained.settings, seed=3)
     other = begin_run(tmp_path / "other", ID, trained.settings, seed=4)
@@ -550,6 +553,7 @@ def test_policies_that_come_with_the_package_go_by_name(trained, tmp_path, monke
         load_policy("Pendulum-v1/ppo-4")
 
 
+@pytest.mark.slow
 def test_a_training_run_is_filmed(tmp_path):
     settings = change(find_settings("Swimmer-v5"), ["num_envs=1", "total_steps=64", *QUICK["ppo"]])
     run = begin_run(tmp_path / "run", "Swimmer-v5", settings, seed=0)
@@ -602,7 +606,6 @@ def test_the_search_finds_the_gait_that_goes_farthest(capfd):
     assert "NAME=LOW:HIGH" in capfd.readouterr().err
 
 
-@pytest.mark.slow
 def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
     small = ["num_envs=2", "n_steps=32", "batch_size=64", "n_epochs=1", "checkpoint_every=1000"]
     command = ["compare", "Hopper", "--policies", "1", "--seeds", "2", "--total-steps", "64"]

@@ -190,6 +190,7 @@ def test_a_sphere_dropped_as_katsuragi_and_durian_did(capfd):
     assert row["depth"] == pytest.approx(0.0336, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_chain_of_one_is_the_link(tmp_path, capfd):
     common = ["--speed", "2", "--duration", "0.03", "--json"]
     assert main(["impact", *common]) == 0

@@ -70,7 +70,7 @@ def plant(file: Path, bomb: bytes) -> None:
             archive.writestr(name, content)
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+@pytest.mark.parametrize("algorithm", ["ppo", pytest.param("sac", marks=pytest.mark.slow)])
 def test_nothing_in_a_run_is_unpickled(algorithm, tmp_path):
     run = trained(tmp_path / "run", algorithm)
     marker = tmp_path / "executed"
@@ -103,6 +103,7 @@ def test_weights_that_hold_a_pickle_are_refused(tmp_path):
     assert not marker.exists()
 
 
+@pytest.mark.slow
 def test_a_pickled_replay_buffer_is_read_only_if_that_is_asked_for(tmp_path, capfd):
     run = trained(tmp_path / "run", "sac")
     newest = run.newest_checkpoint()
@@ -179,6 +180,7 @@ def test_policies_act_as_stable_baselines_has_them(name, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(tmp_path):
     policy = load_policy(trained(tmp_path / "run", "sac").path)
     whole = SAC.load(policy.folder / "policy.zip", device="cpu")
