@@ -1,4 +1,4 @@
-"""How a cost is measured: cases of a group take turns, and each turn gives a ratio.
+"""Measurement of a cost: cases of a group take turns, and each turn gives a ratio.
 
 A machine whose speed drifts, and every shared machine does, slows all cases of a turn alike: so the
 ratio of each turn counts, and its median is quoted with its quartiles.
@@ -57,7 +57,7 @@ UNITS = {"us/step": 1e6, "ms": 1e3}
 
 @dataclass(frozen=True)
 class Effort:
-    """How long is measured.
+    """Length of a measurement.
 
     Attributes:
         turns: that count, after one that does not.

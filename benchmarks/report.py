@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 BEGIN, END = "<!-- figures: written by benchmarks/run.py -->", "<!-- end of figures -->"
-"""What stands in a page around the part that is written anew."""
+"""Frame of a page around the part that is written anew."""
 
 _NAMES = {"us/step": "µs a step", "ms": "ms"}
 assert _NAMES.keys() == UNITS.keys()

@@ -1,4 +1,4 @@
-"""What sand costs: all benchmarks, as tables, JSON and a page of the documentation.
+"""Cost of sand: all benchmarks, as tables, JSON and a page of the documentation.
 
     python benchmarks/run.py                                   all, about a quarter of an hour
     python benchmarks/run.py --only doors elements --quick     two families, to see that they work
@@ -42,14 +42,14 @@ FAMILIES = {
     "start": start.GROUPS,
 }
 NEEDS = {"batches": "a MuJoCo that has mujoco.batch", "robots": "gymnasium"}
-"""What families that have no groups here would need."""
+"""Requirements of families that have no groups here."""
 
 Family = Literal["doors", "elements", "batches", "robots", "start"]
 
 
 @dataclass(frozen=True)
 class Options:
-    """What sand costs beside a bare `mj_step`, MuJoCo's own fluid and a rigid floor."""
+    """Cost of sand beside a bare `mj_step`, MuJoCo's own fluid and a rigid floor."""
 
     only: Annotated[tuple[Family, ...], tyro.conf.arg(metavar="FAMILY ...")] = ()
     """Families that are measured. Default: all."""
@@ -64,7 +64,7 @@ class Options:
 
 
 def facts(effort: measure.Effort) -> dict[str, Any]:
-    """Where and with what was measured."""
+    """Machine and versions of a measurement."""
     return {
         "processor": measure.machine(),
         "cores": os.cpu_count(),

@@ -1,4 +1,4 @@
-"""What `import mjgranular` and a first step cost a process, kernels compiled before."""
+"""Cost of `import mjgranular` and of a process's first step, kernels compiled before."""
 
 from __future__ import annotations
 

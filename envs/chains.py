@@ -19,7 +19,7 @@ from mjgranular.models import Worm
 
 @dataclass(frozen=True, kw_only=True)
 class _Chain(Task):
-    """What the worms share: servos at the joints, paid for the way ahead in body lengths."""
+    """The worms' common part: servos at the joints, paid for the way ahead in body lengths."""
 
     reads: ClassVar[tuple[str, ...]] = ("subtree_com",)
 

@@ -22,7 +22,7 @@ ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
 
 def place_in_plane(state: State) -> dict[str, np.ndarray]:
-    """Where robots are that move over a plane, as Gymnasium tells it [m], each of shape (n,)."""
+    """Positions of robots over a plane, as Gymnasium gives them [m], each of shape (n,)."""
     x, y = state.qpos[:, 0], state.qpos[:, 1]
     return {
         "x_position": x.copy(),
@@ -42,7 +42,7 @@ class Robot(Task):
     hidden: ClassVar[int] = 1
     """Positions that are left out of the observation."""
     gaussian: ClassVar[bool] = False
-    """Whether velocities start with normal noise."""
+    """Tells whether velocities start with normal noise."""
 
     forward_reward_weight: float = 1.0
     reset_noise_scale: float = 5e-3
@@ -103,7 +103,7 @@ class _Legged(Robot):
         return np.concatenate((self.seen(state.qpos), velocity), axis=1)
 
     def healthy(self, state: State) -> np.ndarray:
-        """Whether the robot stands, shape (n,)."""
+        """Tells whether the robot stands, shape (n,)."""
         z, angle = state.qpos[:, 1], state.qpos[:, 2]
         low, high = self.healthy_z_range
         left, right = self.healthy_angle_range

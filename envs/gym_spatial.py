@@ -32,7 +32,7 @@ class _Spatial(Robot):
 
     @cached_property
     def sand_wrenches(self) -> Wrenches:
-        """What reads the sand's force on each body."""
+        """Reader of the sand's force on each body."""
         return Wrenches(self.model)
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
@@ -49,7 +49,7 @@ class _Spatial(Robot):
         )
 
     def healthy(self, state: State) -> np.ndarray:
-        """Whether the robot is at its height, shape (n,)."""
+        """Tells whether the robot is at its height, shape (n,)."""
         raise NotImplementedError
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:

@@ -238,7 +238,7 @@ def told(
     density: np.ndarray,
     slope: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """What `info` says of the sand that was drawn, of n simulations."""
+    """Entries of `info` on the sand that was drawn, of n simulations."""
     info = {
         "sand/strength": strength.copy(),
         "sand/density": density.copy(),

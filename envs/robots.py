@@ -109,7 +109,7 @@ def sandy(environment: str) -> type[OnSand]:
 
 
 class OnSand(MujocoEnv):
-    """What is added to an environment of Gymnasium's.
+    """Additions to an environment of Gymnasium's.
 
     Args:
         sand: the arguments of `on_sand` that say what the sand is.

@@ -1,4 +1,4 @@
-"""What an environment is, over a leading axis of simulations.
+"""Tasks: environments over a leading axis of simulations.
 
 A task knows no Gymnasium environment and no batch: it reads arrays whose first axis counts
 simulations, and works on them element by element. `SandEnv` hands it one simulation and
@@ -49,7 +49,7 @@ ACTION_LIMIT = 1.0
 
 @dataclass(frozen=True)
 class Start:
-    """How an episode begins.
+    """Beginning of an episode.
 
     Attributes:
         qpos: positions, shape (nq,).
@@ -91,7 +91,7 @@ class Task(SandSpec, ABC):
     reads: ClassVar[tuple[str, ...]] = ()
     """Fields of `MjData` that are read beside qpos, qvel, userdata and sensordata."""
     wrenches: ClassVar[bool] = False
-    """Whether the sand's force on each body is measured."""
+    """Tells whether the sand's force on each body is measured."""
     dunes: ClassVar[Dunes] = Dunes()
     """The dunes that are drawn."""
     cut: ClassVar[float] = 0.0
@@ -123,7 +123,7 @@ class Task(SandSpec, ABC):
 
     @abstractmethod
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
-        """How an episode begins.
+        """Beginning of an episode.
 
         Args:
             random: of that simulation.
@@ -145,7 +145,7 @@ class Task(SandSpec, ABC):
         """
 
     def mark(self, state: State) -> Any:
-        """What `rewards` needs from before a step, in memory of its own."""
+        """Copies what `rewards` needs from before a step."""
         return None
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
@@ -160,15 +160,15 @@ class Task(SandSpec, ABC):
         return action
 
     def terminated(self, state: State) -> np.ndarray:
-        """Whether an episode is over, shape (n,)."""
+        """Tells whether an episode is over, shape (n,)."""
         return np.zeros(len(state.qpos), bool)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        """What `info` has after a reset and a step, by name, each of shape (n, ...)."""
+        """Entries of `info` after a reset and a step, by name, each of shape (n, ...)."""
         return {}
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
-        """What `info` has after a step alone, by name, each of shape (n, ...)."""
+        """Entries of `info` after a step alone, by name, each of shape (n, ...)."""
         return {}
 
     @cached_property
@@ -211,7 +211,7 @@ class Task(SandSpec, ABC):
 
     @property
     def figures(self) -> Figures:
-        """What reads the sand's figures."""
+        """Reader of the sand's forces."""
         return self._built[1]
 
     @property
@@ -233,7 +233,7 @@ class Task(SandSpec, ABC):
 
     @staticmethod
     def once(state: State, name: str, find: Callable[[State], Any]) -> Any:
-        """What is found from a state, worked out once.
+        """Quantities that follow from a state, computed once.
 
         The environment forgets it as soon as a simulation moves.
 
@@ -305,7 +305,7 @@ class Task(SandSpec, ABC):
         state.slope[row] = sample.slope
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
-        """How an episode begins on the sand that was drawn.
+        """Beginning of an episode on the sand that was drawn.
 
         Args:
             random: of that simulation.

@@ -140,7 +140,7 @@ def finish_publishing(folder: Path) -> None:
 
 
 def current(folder: Path, name: str) -> Path:
-    """Where a file of a folder is to be read: in its place, or where it waits to be put there."""
+    """Finds a file of a folder: in its place, or where it waits to be put there."""
     waiting = folder / _READY / name
     return waiting if waiting.exists() else folder / name
 
@@ -225,7 +225,7 @@ def remove_folder(folder: Path) -> None:
 
 
 def fault(folder: Path, names: Sequence[str] = ()) -> str | None:
-    """What is wrong with a folder written by `write_folder`; None if nothing is.
+    """Finds what is wrong with a folder written by `write_folder`; None if nothing is.
 
     Args:
         folder: the folder.

@@ -1,4 +1,4 @@
-"""What a user hands over in another's place: a sentence that says what was meant to be there."""
+"""Checks of arguments of the wrong type: a sentence that says what was meant."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def check_data(data: Any, who: str) -> None:
 
 
 def kind_of(value: Any) -> str:
-    """What something is, in a word or two."""
+    """Names the kind of a value in a word or two."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     if value is None or isinstance(value, (str, int, float)):

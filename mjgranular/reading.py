@@ -30,7 +30,7 @@ def check_regular(path: Path, what: str) -> None:
 
 
 class NotRegularError(OSError):
-    """What was to be read is no regular file."""
+    """Error for a path that is no regular file."""
 
 
 def beginning(path: Path, most: int) -> bytes:

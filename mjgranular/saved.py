@@ -160,7 +160,7 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
 
 
 def is_plain_name(name: object) -> bool:
-    """Whether a name is that of a visible file in the folder itself, and nowhere else."""
+    """Tells whether a name is that of a visible file in the folder itself, and nowhere else."""
     return (
         isinstance(name, str)
         and is_text(name)
@@ -171,7 +171,7 @@ def is_plain_name(name: object) -> bool:
 
 
 def is_text(value: object) -> bool:
-    """Whether a value is a text that can be shown: of sensible length, without control codes."""
+    """Tells whether a text can be shown: of sensible length, without control codes."""
     return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable()
 
 

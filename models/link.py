@@ -137,7 +137,7 @@ class Link:
         qvel: Sequence[float] | np.ndarray,
         point: tuple[float, float] | None = None,
     ) -> tuple[float, float, float, float]:
-        """Where T is and how it moves: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
+        """Position and velocity of T: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
 
         Args:
             qpos: shape (3,).

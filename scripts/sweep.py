@@ -1,4 +1,4 @@
-"""How depth and stopping time depend on the diameter of the link: a sweep of your own.
+"""Depth and stopping time against the diameter of the link: a sweep of your own.
 
 python scripts/sweep.py
 """

@@ -1,4 +1,4 @@
-"""What `mjgranular evaluate` and `mjgranular render` share: who acts, and in what."""
+"""Options that `mjgranular evaluate` and `mjgranular render` share: agent and environment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mjgranular.learn.policies import Policy, load_policy
 
 @dataclass(frozen=True)
 class Actor:
-    """Who acts, and in what.
+    """Agent and environment.
 
     Attributes:
         name: for people.
@@ -38,7 +38,7 @@ def find_actor(
     gait: Mapping[str, float] | None = None,
     trust: bool = False,
 ) -> Actor:
-    """Who is meant by a word on the command line.
+    """Finds the agent that a word on the command line means.
 
     Args:
         what: a run's folder, a policy's, or an environment's id for agents that need no training.

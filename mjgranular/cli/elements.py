@@ -102,13 +102,13 @@ class ElementsCommand(ChoiceOptions):
         return sand, data.qpos
 
     def _config(self) -> dict[str, Any]:
-        """What was asked for, in plain values."""
+        """Options in plain values."""
         left_out = ("figure", "out", "overwrite", "json")
         config = {key: value for key, value in asdict(self).items() if key not in left_out}
         return {**config, "model": str(self.model)}
 
     def _summary(self, sand: Sand) -> dict[str, Any]:
-        """What the elements come to, SI units."""
+        """Sums over the elements, SI units."""
         rows = list(_rows(sand))
         return {
             "model": self.model.name,
@@ -202,6 +202,6 @@ def _write_csv(path: Path, sand: Sand) -> None:
 
 
 def _place(k: int, size: int) -> str:
-    """What the k-th of so many numbers is called: x, y, z of one vector; 1x to 3z of several."""
+    """Name of the k-th of so many numbers: x, y, z of one vector; 1x to 3z of several."""
     axis = "xyz"[k % 3]
     return axis if size == 3 else f"{k // 3 + 1}{axis}"

@@ -187,7 +187,7 @@ def impact_table(result: ImpactResult) -> Table:
 
 
 def remarks(result: ImpactResult) -> list[str]:
-    """What a person should know beside the numbers."""
+    """Notes for a person beside the numbers."""
     impact = result.impact
     lines = []
     if result.stop is None:

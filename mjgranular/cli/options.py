@@ -15,7 +15,7 @@ _DEGREES = {"slope", "uphill", "tilt", "direction"}  # options that records have
 
 
 def record_of(kind: type[T], command: object, **others: Any) -> T:
-    """What an experiment takes, of those options of a command that are called as its fields are.
+    """Picks the options of a command that are called as the fields of an experiment are.
 
     Args:
         kind: a dataclass.

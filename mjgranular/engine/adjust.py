@@ -39,7 +39,7 @@ _APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptio
 
 @compiled
 def is_reasonable(state):
-    """Whether all numbers of a state are finite, and none but the height negative."""
+    """Tells whether all numbers of a state are finite, and none but the height negative."""
     for k in range(STATE_SIZE):
         if not math.isfinite(state[k]) or (k != HEIGHT and state[k] < 0.0):
             return False

@@ -14,7 +14,7 @@ _here = threading.local()
 
 
 def is_aside() -> bool:
-    """Whether this thread prepares sand: what it makes on the way gets none."""
+    """Tells whether this thread prepares sand: what it makes on the way gets none."""
     return getattr(_here, "aside", False)
 
 

@@ -204,7 +204,7 @@ def make_image(
 
 
 def refusals(scheme: Scheme) -> np.ndarray:
-    """What MuJoCo is to say: for each of `REFUSED`, then where nobody asks for the sand's forces.
+    """Messages for MuJoCo: for each of `REFUSED`, then where nobody asks for the sand's forces.
 
     Returns:
         Texts of `REFUSAL_SIZE` bytes.
@@ -240,7 +240,7 @@ def _padded(array: np.ndarray) -> int:
 
 
 def _places(arrays: Sequence[np.ndarray]) -> list[int]:
-    """Where each begins when they lie one behind the other [bytes]."""
+    """Offsets of arrays that lie one behind the other [bytes]."""
     return [sum(map(_padded, arrays[:index])) for index in range(len(arrays))]
 
 

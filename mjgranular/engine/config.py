@@ -39,7 +39,7 @@ LARGEST = 100_000
 """Of whole numbers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
 
 DRAWINGS = ("forces", "depth")
-"""What the plugin can draw: arrows of force, discs coloured by depth."""
+"""Drawings of the plugin: arrows of force, discs coloured by depth."""
 
 surfaces: Registry[type[Surface]] = Registry("surface")
 surfaces.add("plane", Plane)
@@ -49,7 +49,7 @@ surfaces.add("height_field", HeightField)
 
 @dataclass(frozen=True)
 class Config:
-    """What was written, read.
+    """Configuration of an instance, read.
 
     Attributes:
         sand: the sand.

@@ -1,4 +1,4 @@
-"""What MuJoCo calls first: a few machine instructions each, which stand between it and Python.
+"""Trampolines: a few machine instructions each, which stand between MuJoCo and Python.
 
 A function of Python's that MuJoCo called by itself could fail before its first line, where a signal
 has come in; what MuJoCo then takes for its answer is what happened to lie in memory. These ask
@@ -52,7 +52,7 @@ FINE, ERROR, INTERRUPT = 1, 2, 3
 """Answers of Python's: with an error comes the address of a text. 0 is none."""
 
 Answer = ctypes.c_int64 * 2
-"""What Python writes at the address that it is given: one of these, and what comes with it."""
+"""Answer of Python at the address that it is given: one of these, and what comes with it."""
 
 _COMMON = r"""
 @says = private constant [3 x i8] c"%s\00"
@@ -218,7 +218,7 @@ _WHY = (
 
 @dataclass(frozen=True)
 class Size:
-    """How many numbers an instance has, by what it is configured.
+    """Number of numbers of an instance, by its configuration.
 
     Attributes:
         key: of the configuration.
@@ -292,7 +292,7 @@ def make_doors(
 
 @cache
 def _common() -> dict[str, int]:
-    """What all plugins share; known to compiled code by its names from now on."""
+    """Functions that all plugins share, published to compiled code."""
     publish_functions(library(), ("mju_error", "mj_getPluginConfig"))
     publish_functions(ctypes.pythonapi, _PYTHON)
     code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))

@@ -1,4 +1,4 @@
-"""Which sands a model has, and what they act on: read from the model, for those who ask."""
+"""The sands that a model has, and the bodies they act on, read from the model."""
 
 from __future__ import annotations
 

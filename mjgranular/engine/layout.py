@@ -1,4 +1,4 @@
-"""Where fields lie in MuJoCo's structs, found by looking.
+"""Layout of MuJoCo's structs, found by looking.
 
 A plugin is handed `mjModel*` and `mjData*`. What is behind them is laid out by headers that differ
 from version to version, and there is no compiler here to read them. But Python shows the same
@@ -99,11 +99,11 @@ class Struct:
         )
 
     def encloses(self, address: int) -> bool:
-        """Whether an address lies in the struct itself, before its pointers."""
+        """Tells whether an address lies in the struct itself, before its pointers."""
         return self.address <= address < self.address + self.pointers
 
     def holds(self, address: int) -> bool:
-        """Whether an address lies in the struct, before its pointers, or in the buffer."""
+        """Tells whether an address lies in the struct, before its pointers, or in the buffer."""
         return self.encloses(address) or address in self.buffer
 
     def pointer(self, address: int, what: str) -> tuple[int, int]:
@@ -141,7 +141,7 @@ class Struct:
 
 @dataclass(frozen=True)
 class Layout:
-    """What compiled code has to know of the structs, offsets in bytes.
+    """Offsets in the structs that compiled code needs [bytes].
 
     Attributes:
         timestep: of `opt.timestep` in mjModel; all before it are sizes.

@@ -51,7 +51,7 @@ def instance_name(model: int, instance: int) -> str:
 
 
 def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
-    """What is written for an instance under each key, "" for nothing."""
+    """Texts of the configuration of an instance by key, "" for none."""
     read = library().mj_getPluginConfig
     texts = {key: read(model, instance, key.encode()) for key in keys}
     return {key: text_of(text) for key, text in texts.items()}

@@ -224,7 +224,7 @@ class Loader:
             self._prepared.popitem(last=False)
 
     def _key(self, model: int, instance: int, texts: dict[str, str]) -> bytes:
-        """What the sand is made of, in short."""
+        """Digest of all that the sand is made of."""
         digest = hashlib.blake2b(self._sizes(model), digest_size=16)
         digest.update(ctypes.string_at(model + self._layout.integrator, _SWITCHES))
         digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
@@ -257,7 +257,7 @@ def _copy(model: int) -> mujoco.MjModel:
 
 
 def _medium_now(text: str) -> object:
-    """What tells the medium under this name from another that it may stand for later."""
+    """Identifies the medium that a name or file stands for now."""
     if text.endswith((".yaml", ".yml")):
         try:
             found = Path(text).stat()
@@ -268,7 +268,7 @@ def _medium_now(text: str) -> object:
 
 
 def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
-    """Where models of these sizes keep what sand is made of: offset of the pointer, size [bytes].
+    """Finds the arrays of a model that sand is made of: offset of the pointer, size [bytes].
 
     Raises:
         LayoutError: a field is not found.

@@ -1,4 +1,4 @@
-"""What the engine calls: compiled, without Python, without the GIL, without allocating."""
+"""Callbacks of the engine: compiled, without Python, without the GIL, without allocating."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def link_model(block, model, header):
 
 @partial(compiled, inline=True)
 def is_of_that_shape(header):
-    """Whether arrays of the model that a block is linked to are as long as the sand takes them."""
+    """Tells whether the arrays of the model are as long as the sand takes them."""
     shapes = _shapes(header.shape, header.shape_count)
     alike = True
     for i in range(len(shapes)):
@@ -154,7 +154,7 @@ def add_wrenches(table, qfrc, awake):
 
 @cache
 def life(layout: Layout) -> Callbacks:
-    """What is called when simulations are made, copied and freed, the same for all plugins."""
+    """Callbacks for simulations that are made, copied and freed, the same for all plugins."""
     find_row, find_block = row_finder(layout), block_finder(layout)
     statenum = layout.plugin_statenum
 
@@ -255,7 +255,7 @@ def sand_callbacks(layout: Layout) -> Callbacks:
 
 @cache
 def drawing_callbacks(layout: Layout) -> Callbacks:
-    """What is added to `mjgranular.sand` when something is to be drawn."""
+    """Callbacks that `mjgranular.sand` gets when something is to be drawn."""
     from mjgranular.engine.draw import draw
 
     find_block = block_finder(layout)

@@ -73,7 +73,7 @@ class PluginStruct(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Plugin:
-    """What MuJoCo is told of a plugin beside its functions."""
+    """Description of a plugin for MuJoCo, without its functions."""
 
     name: str
     keys: tuple[str, ...]
@@ -84,7 +84,7 @@ class Plugin:
 
 
 class Engine:
-    """What the plugins have in common: asleep until the first model needs one of them."""
+    """State that the plugins share: nothing is compiled until the first model needs one of them."""
 
     def __init__(self) -> None:
         self._awake: set[str] = set()
@@ -230,7 +230,7 @@ def _cut(text: str) -> bytes:
 
 
 def _errors_are_caught() -> bool:
-    """Whether an error of MuJoCo's would come back to Python now, and not end the process.
+    """Tells whether an error of MuJoCo's would come back to Python now, and not end the process.
 
     One place of the bindings lets it through: where an `MjData` is unpickled.
     """

@@ -1,4 +1,4 @@
-"""Whose block is where: one table for all simulations of the process.
+"""Handles: one table of all blocks of the process.
 
 `mjData.plugin_data` holds a *handle* for each instance: the number of a row here. A handle and not
 an address, because it cannot be trusted: an `MjData` that is unpickled gets the words of the one

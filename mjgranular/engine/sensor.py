@@ -89,7 +89,7 @@ def find_sand(name: str, sands: Mapping[str, int]) -> int:
 def make_senses(
     instance: int, sand: int, measure: str, sensors: Sensors, bodies: Mapping[int, str]
 ) -> np.ndarray:
-    """What is to be measured for one instance: rows of `SENSE_DTYPE`.
+    """Makes the list of what one instance measures: rows of `SENSE_DTYPE`.
 
     Args:
         instance: of this plugin.

@@ -24,7 +24,7 @@ ACTIVE, STRENGTH, DENSITY, HEIGHT = range(len(STATE))
 STATE_SIZE = len(STATE)
 
 INITIAL = (1.0, 1.0, 1.0, 0.0)
-"""What they are after a reset."""
+"""Values after a reset."""
 
 TUNING_DTYPE = np.dtype(
     [
@@ -38,7 +38,7 @@ NO_TUNINGS = np.zeros(0, TUNING_DTYPE)
 
 
 def make_tunings(sand: PreparedSand, model: mujoco.MjModel) -> np.ndarray:
-    """What the state changes in a scene: rows of `TUNING_DTYPE`.
+    """Makes the list of what the state changes in a scene: rows of `TUNING_DTYPE`.
 
     Args:
         sand: its law says which of its fields are meant (`strength_keys`, `density_keys`), its
@@ -66,7 +66,7 @@ def make_tunings(sand: PreparedSand, model: mujoco.MjModel) -> np.ndarray:
 
 
 def _words(scene: np.ndarray, part: str, key: str) -> list[tuple[int, float]]:
-    """Where the numbers of a field lie in the scene [words of 8 bytes], and the numbers."""
+    """Places of the numbers of a field in the scene [words of 8 bytes], and the numbers."""
     fields: Any = scene.dtype.fields
     inner: Any = fields[part][0].fields
     first = (fields[part][1] + inner[key][1]) // 8

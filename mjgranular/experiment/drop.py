@@ -107,7 +107,7 @@ class Drop(PlainSand):
 
     @property
     def title(self) -> str:
-        """What runs, in a word or two."""
+        """Name of what runs, in a word or two."""
         if isinstance(self.model, Chain):
             return f"chain of {self.model.count}"
         return self.model.name
@@ -115,7 +115,7 @@ class Drop(PlainSand):
 
 @dataclass(frozen=True)
 class BodySummary:
-    """What the sand did to one body.
+    """Result of a drop for one body.
 
     Attributes:
         body: its name.

@@ -51,7 +51,7 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
 
 
 def _crossing(recent: deque[float]) -> float | None:
-    """Where a velocity whose last value is the first not above zero really crosses zero.
+    """Finds the time at which a velocity crosses zero, whose last value is the first not above it.
 
     Where the link slides on the static force (E keeps its height while T still sinks), the explicit
     sign of that force makes velocities tremble from step to step, and a velocity that comes down to

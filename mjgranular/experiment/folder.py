@@ -31,7 +31,7 @@ from mjgranular.saved import (
 CONFIG = "config.json"
 SUMMARY = "summary.json"
 TRAINING = "train"
-"""What `config.json` of a training run names as its command."""
+"""Command that `config.json` of a training run names."""
 _CSV = "trajectory.csv"
 _NPZ = "trajectory.npz"
 
@@ -109,7 +109,7 @@ class ResultFolder:
 
     @contextmanager
     def published(self, *, keep: Sequence[str] = ()) -> Iterator[None]:
-        """What is written within appears at once, in place of the whole result that was there.
+        """Publishes what is written within at once, in place of the whole result that was there.
 
         Args:
             keep: names of files that stay although they are not written anew.
@@ -250,7 +250,7 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
 
 
 def _fault_of_samples(arrays: dict[str, np.ndarray], duration: float) -> str | None:
-    """What is wrong with the samples of a run of a model; None if nothing is."""
+    """Finds what is wrong with the samples of a run of a model; None if nothing is."""
     t, force = arrays["t"], arrays["force"]
     if t.ndim != 1 or not len(t) or force.shape != (len(t), *force.shape[1:2], 3):
         return "it has no samples"

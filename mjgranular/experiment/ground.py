@@ -55,7 +55,7 @@ class PlainSand:
 
     @property
     def surface(self) -> Surface:
-        """Where the sand is."""
+        """Surface of the sand."""
         if self.bed is not None:
             return Bed(self.bed)
         if self.height_field is not None:

@@ -1,4 +1,4 @@
-"""What an experimenter measures first: an intruder moved on a prescribed path, force on it."""
+"""Intrusion, the first experiment: the force on a body moved on a prescribed path."""
 
 from __future__ import annotations
 

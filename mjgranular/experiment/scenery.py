@@ -1,4 +1,4 @@
-"""What makes a user's model look as if it were on sand."""
+"""Scenery that makes a user's model look as if it were on sand."""
 
 from __future__ import annotations
 

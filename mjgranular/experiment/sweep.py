@@ -64,7 +64,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """What was finished of a sweep.
+    """Finished part of a sweep.
 
     Attributes:
         sweep: what was asked for.

@@ -1,4 +1,4 @@
-"""What is kept of a run: samples of the state, and what follows from them."""
+"""Trajectories: samples of the state of a run, and what follows from them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Recorder:
         self._skip = 0
 
     def due(self) -> bool:
-        """Whether the present step is one to take a sample of; to be asked once a step."""
+        """Tells whether the present step is one to take a sample of; to be asked once a step."""
         if self._skip:
             self._skip -= 1
             return False

@@ -23,7 +23,7 @@ class RestWatch:
         self._high = np.zeros(0)
 
     def still(self, time: float, points: np.ndarray) -> bool:
-        """Whether the points have stayed where they are for the window of rest.
+        """Tells whether the points have stayed where they are for the window of rest.
 
         Args:
             time: now [s].

@@ -1,4 +1,4 @@
-"""What every kernel stands on: compiling, reading MuJoCo's memory, the motion of a body.
+"""The ground of every kernel: compiling, MuJoCo's memory, the motion of a body.
 
 Nothing here knows a law. `compiled` turns a function into machine code that is kept on disk,
 `memory` reads arrays of a running simulation by their address, `motion` gives a body's velocity.

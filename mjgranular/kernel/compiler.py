@@ -1,4 +1,4 @@
-"""Which versions of numba are known to work, and what is said where another one does not."""
+"""Versions of numba that are known to work, and the error where another one does not."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ _PROBE = """
 
 @cache
 def constraint_rows() -> tuple[int, ...]:
-    """Where `mjData` keeps its constraint rows: a record of `ROWS_DTYPE`.
+    """Offsets of the constraint rows in `mjData`: a record of `ROWS_DTYPE`.
 
     Raises:
         ImportError: this MuJoCo lays `mjData` out in another way than its own description says.

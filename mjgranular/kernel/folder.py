@@ -1,4 +1,4 @@
-"""Where machine code is kept: in folders and files that nobody else may write to.
+"""Folders for machine code, in which nobody else may write.
 
 What is kept is executed by who loads it. So each user has a folder of his own, and reads what he
 has written there himself, or the administrator, whom he trusts with Python as well. What belongs to
@@ -102,7 +102,7 @@ def _user() -> int | None:
 
 
 def _is_trusted(path: Path, found: os.stat_result) -> bool:
-    """Whether only this user or the administrator can have written something; tells why not."""
+    """Tells whether only this user or the administrator can have written it; warns if not."""
     user = _user()
     if user is None:
         return True

@@ -76,7 +76,7 @@ def identity(value: Any) -> tuple[object, ...]:
 
 
 def _content(function: FunctionType) -> str:
-    """What is written in a function that no file has, as in a notebook: code, and what it names."""
+    """Digest of a function that no file has, as in a notebook: its code, and what it names."""
     code = function.__code__
     consts = [const for const in code.co_consts if not isinstance(const, CodeType)]
     named = (function.__globals__.get(name) for name in code.co_names)

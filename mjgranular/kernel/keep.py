@@ -67,7 +67,7 @@ def keep(table):
 
 @dataclass(frozen=True)
 class Kept:
-    """Where the state of one simulation is kept, and how it gets there.
+    """The snapshot of one simulation, and the spans that are copied to it.
 
     Attributes:
         spans: from where, to where, how many numbers: those that are bytes (`eq_active`), then

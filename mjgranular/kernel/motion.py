@@ -1,4 +1,4 @@
-"""How a body's velocity changes within the time a scheme looks ahead, at its points; forces on it.
+"""Motion of a body: its velocity, and the change within the time that a scheme looks ahead.
 
 MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) about the centre of
 mass of the kinematic tree, world axes; sums of them need no Jacobian.

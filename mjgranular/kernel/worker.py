@@ -89,7 +89,7 @@ def uninterrupted(work: Callable[[], T]) -> T:
 
 
 def is_main() -> bool:
-    """Whether this is the main thread, the one that signals interrupt."""
+    """Tells whether this is the main thread, the one that signals interrupt."""
     return threading.get_ident() == threading.main_thread().ident
 
 

@@ -1,4 +1,4 @@
-"""Who acts: nobody, chance, a scripted gait, or a trained policy (`policies.Policy`)."""
+"""Agents: nobody, chance, a scripted gait, or a trained policy (`policies.Policy`)."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ _OF_EPISODES = (
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a training has come.
+    """Progress of a training.
 
     Attributes:
         steps: of all environments together.
@@ -167,7 +167,7 @@ def write_policy(run: Run, checkpoint: Path) -> None:
 
 
 def has_policy(run: Run, checkpoint: Path) -> bool:
-    """Whether `write_policy` was called with that checkpoint, and came to its end."""
+    """Tells whether `write_policy` was called with that checkpoint, and came to its end."""
     return all(
         (run.path / name).is_file()
         and (run.path / name).read_bytes() == (checkpoint / name).read_bytes()

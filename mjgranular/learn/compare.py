@@ -20,7 +20,7 @@ from mjgranular.learn.train import train
 
 @dataclass(frozen=True)
 class Ground:
-    """What a robot stands on.
+    """Ground that a robot stands on.
 
     Attributes:
         environment: Gymnasium's id.
@@ -53,7 +53,7 @@ GROUNDS: dict[str, dict[str, Ground]] = {
 
 @dataclass(frozen=True)
 class Cell:
-    """How policies that were trained on one ground do on another.
+    """Comparison of policies on grounds that they were not trained on.
 
     Attributes:
         trained_on: the one.

@@ -17,7 +17,7 @@ _PURPOSE = "Training and evaluating policies"
 
 
 def find_spec(env_id: str) -> Any:
-    """What Gymnasium knows of an environment.
+    """Facts that Gymnasium knows of an environment.
 
     Raises:
         UnknownNameError: there is none of that id; lists those of mjgranular and similar ones.
@@ -146,7 +146,7 @@ def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
-    """What `make` makes of the arguments; an environment's own complaints as one sentence."""
+    """Calls `make`; turns an environment's own complaints into one sentence."""
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     given, times = refine.split(_resolved(arguments))
     try:

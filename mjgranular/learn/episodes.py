@@ -19,7 +19,7 @@ LONGEST = 10_000
 
 @dataclass(frozen=True)
 class Episodes:
-    """What came of some episodes.
+    """Outcome of some episodes.
 
     Attributes:
         seeds: shape (n,).
@@ -96,7 +96,7 @@ def _run(env: Any, agent: Agent, seeds: list[int], progress: Callable[[int], obj
 
 
 def _is_number_each(values: object, count: int) -> bool:
-    """Whether an entry of `info` is one number, or yes or no, for each simulation."""
+    """Tells whether an entry of `info` is one number, or yes or no, for each simulation."""
     return (
         isinstance(values, np.ndarray)
         and values.shape == (count,)

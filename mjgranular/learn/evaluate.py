@@ -1,4 +1,4 @@
-"""How well an agent does: returns over many seeds, with confidence intervals."""
+"""Evaluation of an agent: returns over many seeds, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def mean_of(values: Sequence[float] | np.ndarray) -> Mean:
 
 @dataclass(frozen=True)
 class Score:
-    """How well one agent did in one environment.
+    """Evaluation of one agent in one environment.
 
     Attributes:
         agent: who acted, for people.

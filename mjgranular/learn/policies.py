@@ -20,7 +20,7 @@ from mjgranular.learn.run import CHECKPOINTS, CURVE, POLICY, Run, open_run, read
 from mjgranular.learn.weights import build_policy, read_weights
 
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
-"""Where the policies that come with the package lie: folders with the files of `POLICY_FILES`."""
+"""Folder of the policies that come with the package, each with the files of `POLICY_FILES`."""
 POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
 _LAST = 0.8
 _TRIES = 3

@@ -67,7 +67,7 @@ class Run:
         return f"{self.environment} {self.settings.algorithm} seed {self.seed}"
 
     def config(self) -> dict[str, Any]:
-        """What is in `config.json`."""
+        """Content of `config.json`."""
         return {
             "command": TRAINING,
             "environment": self.environment,
@@ -101,7 +101,7 @@ class Run:
         return None
 
     def checkpoint_folder(self, steps: int) -> Path:
-        """Where the checkpoint after so many steps goes."""
+        """Path of the checkpoint after so many steps."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
     def remove_old_checkpoints(self, written: Path | None = None) -> None:

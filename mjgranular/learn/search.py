@@ -35,7 +35,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Search:
-    """What a search came to.
+    """Result of a search.
 
     Attributes:
         gaits: all of them, the best first.

@@ -1,4 +1,4 @@
-"""What a policy is trained with: read from TOML files, changed on the command line, checked."""
+"""Settings of a training: read from TOML files, changed on the command line, checked."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What a policy is trained with.
+    """Settings of a training.
 
     Attributes:
         algorithm: ppo, sac or td3, those of Stable-Baselines3.
@@ -270,7 +270,7 @@ def algorithm_class(name: str) -> Any:
 
 
 def linear_start(value: object) -> float | None:
-    """Where a value that falls to zero begins: 3e-4 of "linear_3e-4"; None for other values."""
+    """First value of one that falls to zero: 3e-4 of "linear_3e-4"; None for other values."""
     if isinstance(value, str) and value.startswith(_LINEAR):
         try:
             return float(value.removeprefix(_LINEAR))

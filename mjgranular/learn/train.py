@@ -43,7 +43,7 @@ _ROWS_PER_CHECKPOINT = 5  # of the learning curve
 
 @dataclass(frozen=True)
 class Training:
-    """How a training ended.
+    """Outcome of a training.
 
     Attributes:
         progress: how far it came.

@@ -42,7 +42,7 @@ _NUMBER = re.compile(r"[-+]?(?:inf|\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)", re.IGNORECAS
 
 @dataclass(frozen=True)
 class Weights:
-    """What a file of Stable-Baselines3 holds, as data.
+    """Content of a file of Stable-Baselines3, as data.
 
     Attributes:
         observation_space: of Gymnasium.
@@ -178,7 +178,7 @@ def _entry(archive: zipfile.ZipFile, name: str, file: Path) -> bytes:
 
 
 def _tensors(content: bytes) -> Any:
-    """What PyTorch saved, if that is tensors and plain values."""
+    """Reads what PyTorch saved, if that is tensors and plain values."""
     torch = need("torch", extra="train", purpose=_PURPOSE)
     # Its older kinds of files are not zips, and were not safe to read in older versions.
     if not content.startswith(b"PK"):

@@ -1,4 +1,4 @@
-"""What the sand is: densities, grain sizes and, law by law, published constants with sources."""
+"""Media: densities, grain sizes and, law by law, published constants with sources."""
 
 from mjgranular.medium import presets as presets
 from mjgranular.medium.file import read_medium as read_medium

@@ -26,7 +26,7 @@ constants:
     eta_v: {value: 22, source: guessed}
     exponent: {value: 1.1, source: guessed}
 """
-"""What such a file looks like. `grain: {value: ..., unit: m, source: ...}` is optional."""
+"""Form of such a file. `grain: {value: ..., unit: m, source: ...}` is optional."""
 
 _REQUIRED = ("name", "title", "density", "default_law", "constants")
 

@@ -19,7 +19,7 @@ _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
 class OutlineError(InputError):
-    """What is wrong with a text, and in which line."""
+    """Error in a text, with its line."""
 
 
 def read_outline(text: str, yaml: Any) -> Any:

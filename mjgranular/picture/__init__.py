@@ -1,1 +1,1 @@
-"""What people look at: figures and films. Loads matplotlib and mediapy only when used."""
+"""Figures and films. Loads matplotlib and mediapy only when used."""

@@ -105,7 +105,7 @@ class _Shown:
 
     @property
     def sizes(self) -> np.ndarray:
-        """How large each element is [m], shape (n,)."""
+        """Size of each element [m], shape (n,)."""
         e = self.elements
         if self.kind == "facets":
             return np.sqrt(e["area"])
@@ -115,12 +115,12 @@ class _Shown:
 
     @property
     def reach(self) -> float:
-        """How large all of them are together [m]."""
+        """Size of all of them together [m]."""
         middles, half = self.middles, self.sizes[:, None] / 2
         return float(((middles + half).max(axis=0) - (middles - half).min(axis=0)).max())
 
     def normals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where short normals of the facets begin and end [m], each of shape (n, 3)."""
+        """Ends of short normals of the facets [m], each of shape (n, 3)."""
         if self.kind != "facets":
             return np.zeros((0, 3)), np.zeros((0, 3))
         length = np.minimum(0.5 * self.sizes, 0.06 * self.reach)
@@ -128,7 +128,7 @@ class _Shown:
         return self.middles, self.place(ends[:, None])[:, 0]
 
     def forces(self, scale: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """Where arrows of the forces begin and end [m], each of shape (m, 3), m at most n.
+        """Ends of arrows of the forces [m], each of shape (m, 3), m at most n.
 
         Facets are pushed from outside: their arrows end where the force acts. Others begin there.
 
@@ -145,7 +145,7 @@ class _Shown:
 
 
 def kind_of(sand: Sand) -> Kind:
-    """What kind of elements a law has cut the geoms into.
+    """Finds the kind of elements that a law has cut the geoms into.
 
     Raises:
         InputError: a law of one's own with elements of another kind.
@@ -358,7 +358,7 @@ def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
 
 
 def _draw_scale(figure: Any, depth: np.ndarray) -> None:
-    """What colours mean in depth."""
+    """Scale of the colours of depth."""
     cm = need("matplotlib.cm", extra="figures", purpose="Drawing elements")
     colors = need("matplotlib.colors", extra="figures", purpose="Drawing elements")
     low, high = float(depth.min()), float(depth.max())
@@ -375,7 +375,7 @@ def _draw_scale(figure: Any, depth: np.ndarray) -> None:
 
 
 def _polygons(shown: _Shown) -> tuple[np.ndarray, np.ndarray]:
-    """What is drawn for elements: polygons in the world frame, and the element each belongs to."""
+    """Polygons of elements in the world frame, and the element that each belongs to."""
     e, n = shown.elements, np.arange(len(shown.elements))
     if shown.kind == "facets":
         return shown.place(_facet_corners(e)), n
@@ -415,7 +415,7 @@ def _facet_corners(facets: np.ndarray) -> np.ndarray:
 
 
 def _half_edges(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which facets are drawn as parallelograms, shape (n,), and their half edges, shape (m, 2, 3).
+    """Facets that are drawn as parallelograms, shape (n,), and their half edges, shape (m, 2, 3).
 
     The edges are scaled to the facets' areas. A triangle of a mesh has none, a patch that is hidden
     but for a strip hardly any: those are drawn as discs.

@@ -221,7 +221,7 @@ def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: 
 
 
 def _comparable(case: PaperCase, row: dict[str, Any], over: str) -> bool:
-    """Whether a printed value belongs into a sweep: all but what is swept is the paper's."""
+    """Tells whether a printed value belongs into a sweep: all but what is swept is the paper's."""
     paper = {
         "law": "link",
         "medium": "play_sand",

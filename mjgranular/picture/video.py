@@ -23,7 +23,7 @@ _LONGEST = 3600.0  # film [s]
 
 @dataclass(frozen=True)
 class Film:
-    """How a run is filmed.
+    """Options of a film.
 
     Attributes:
         camera: name of a camera of the model.

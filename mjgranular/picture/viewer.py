@@ -26,13 +26,13 @@ _FILM = "`mjgranular drop MODEL.xml --out DIR --video` films a run without one"
 
 
 class Switch:
-    """Whether the simulation is held; turned by a key."""
+    """Tells whether the simulation is held; turned by a key."""
 
     def __init__(self) -> None:
         self.held = False
 
     def press(self, key: int) -> None:
-        """What a key does."""
+        """Reacts to a key."""
         if key == _SPACE:
             self.held = not self.held
 

@@ -1,4 +1,4 @@
-"""What the sand keeps for one `MjData`: addresses, the wrenches it wrote, the last good state."""
+"""Binding of a sand to one `MjData`: addresses, wrenches, the last good state."""
 
 from __future__ import annotations
 

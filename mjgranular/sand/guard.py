@@ -1,4 +1,4 @@
-"""What stands around a scheme's program: a state to go back to, and a look whether it is needed."""
+"""The guard around a scheme's program: a snapshot of the state, and the check that needs it."""
 
 from __future__ import annotations
 

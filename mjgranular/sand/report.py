@@ -1,4 +1,4 @@
-"""What the sand does to a model at one instant, for people, logs and plots."""
+"""Reports of the sand's action on a model at one instant, for people, logs and plots."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class BodyReport:
 
     @property
     def valid(self) -> bool:
-        """Whether the law holds for this body now."""
+        """Tells whether the law holds for this body now."""
         return all(standing.holds for standing in self.validity)
 
 
@@ -109,7 +109,7 @@ class ElementTable:
 
 @dataclass(frozen=True)
 class Solver:
-    """What the implicit scheme has counted since the sand met this `MjData`.
+    """Counters of the implicit scheme since the sand met this `MjData`.
 
     Attributes:
         steps: in which an element was in the sand.

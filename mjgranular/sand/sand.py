@@ -114,22 +114,22 @@ class Sand:
 
     @property
     def medium(self) -> Medium:
-        """What the sand is."""
+        """The medium."""
         return self._sand.medium
 
     @property
     def law(self) -> Law:
-        """How it resists."""
+        """The law of resistance."""
         return self._sand.law
 
     @property
     def surface(self) -> Surface:
-        """Where it is."""
+        """The surface."""
         return self._sand.surface
 
     @property
     def scheme(self) -> Scheme:
-        """How forces become a step."""
+        """The scheme by which forces become a step."""
         return self._scheme
 
     @property
@@ -199,7 +199,7 @@ class Sand:
             registry_of(data).remove(self, binding)
 
     def report(self, data: mujoco.MjData) -> Report:
-        """What the sand does at the state in `data` (`qpos`, `qvel`), which is left untouched."""
+        """Reports the sand's action at the state in `data` (`qpos`, `qvel`), which stays."""
         model = self._model
         self._check_owner(data)
         # Probes are kept for the next call; a list hands each to one thread at a time.
@@ -236,7 +236,7 @@ class Sand:
         return report
 
     def _solver(self, data: mujoco.MjData) -> Solver | None:
-        """What the scheme has counted in this simulation."""
+        """Counters of the scheme in this simulation."""
         bound = self._bindings.get(data)
         if bound is None or bound.desk.account is None:
             return None
@@ -287,7 +287,7 @@ class Sand:
         *,
         own: bool = True,
     ) -> UnstableError | InputError:
-        """What to raise when a program has failed; brings the last good state back, if it is bad.
+        """Makes the error for a program that failed; brings the last good state back, if it is bad.
 
         Args:
             data: the simulation.
@@ -331,7 +331,7 @@ class Sand:
         return f"t = {time:.6g} s" + (f", step {round(step) + 1}" if math.isfinite(step) else "")
 
     def _blame(self, data: mujoco.MjData) -> tuple[str, int]:
-        """What MuJoCo has found bad, and in which body; its warnings count as told then."""
+        """Finds what MuJoCo found bad, and in which body; clears its warnings."""
         model = self._model
         warnings = {
             what: data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what.upper()}"))]

@@ -1,4 +1,4 @@
-"""Which sands act on one simulation: one for a body, unless all of them say that they share it."""
+"""Registry of the sands of one simulation: one for a body, unless all of them share it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def refuse_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> Non
 
 @dataclass(frozen=True)
 class _Member:
-    """What one Sand acts on."""
+    """Bodies of one Sand."""
 
     bodies: frozenset[int]
     shared: bool

@@ -89,7 +89,7 @@ def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
 
 @compiled
 def support(blob, x, y, z):
-    """How far a blob reaches from its centre in a direction given in the body frame [m]."""
+    """Reach of a blob from its centre in a direction given in the body frame [m]."""
     a = blob.axes
     gx = a[0] * x + a[3] * y + a[6] * z
     gy = a[1] * x + a[4] * y + a[7] * z

@@ -130,7 +130,7 @@ def facets_from_model(
 def hidden_skin(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, skin: Cells, geoms: Sequence[int]
 ) -> np.ndarray:
-    """Which cells of the skin of a geom lie inside others.
+    """Finds the cells of the skin of a geom that lie inside others.
 
     A geom hides what is inside it on its own body, and on bodies that are welded to it. On a body
     that hinges or balls join to its own, before or behind, it hides what is inside it at `qpos0`
@@ -190,7 +190,7 @@ def _joints_between(model: mujoco.MjModel, geom: int, other: int) -> list[int] |
 
 
 def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
-    """Whether points [m] in the frame of a geom lie inside it, shape (n,)."""
+    """Tells whether points [m] in the frame of a geom lie inside it, shape (n,)."""
     size, kind = model.geom_size[geom], int(model.geom_type[geom])
     if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
         return ((points / half_extents(model, geom)) ** 2).sum(axis=1) < 1

@@ -1,4 +1,4 @@
-"""Which geoms of a model meet the sand."""
+"""The choice of the geoms of a model that meet the sand."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ def find_all(model: mujoco.MjModel, kind: str, names: Choice) -> list[int]:
 
 
 def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether a geom is there for contacts, not only to be seen."""
+    """Tells whether a geom is there for contacts, not only to be seen."""
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def moves(model: mujoco.MjModel, body: int) -> bool:
-    """Whether a body has a degree of freedom between itself and the world."""
+    """Tells whether a body has a degree of freedom between itself and the world."""
     return int(model.body_weldid[body]) != 0 and last_dof(model, body) >= 0
 
 

@@ -1,4 +1,4 @@
-"""How large a geom is, and how large and how finely cut it may be."""
+"""Sizes of geoms: how large they are, how large and how finely cut they may be."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the sand is: for a point, its depth and the normal of the surface above it."""
+"""Surfaces: for a point, its depth and the normal of the surface above it."""
 
 from mjgranular.surface.bed import Bed as Bed
 from mjgranular.surface.height_field import HeightField as HeightField

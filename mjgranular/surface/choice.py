@@ -1,4 +1,4 @@
-"""What users may give for a surface."""
+"""Choices that users have for a surface."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[int]) -> np.ndarray:
-    """Which geoms make contacts with which others: bool, shape (geoms, others)."""
+    """Tells which geoms make contacts with which others: bool, shape (geoms, others)."""
     types, affinities = model.geom_contype, model.geom_conaffinity
     meets = (types[geoms, None] & affinities[others]) | (affinities[geoms, None] & types[others])
     pairs = {frozenset(ends) for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)}

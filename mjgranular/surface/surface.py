@@ -1,4 +1,4 @@
-"""What every surface offers."""
+"""The interface of surfaces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjgranular.errors import InputError
 
 
 class Surface(ABC):
-    """Where the sand is. A final surface is a frozen dataclass.
+    """Surface of the sand. A final surface is a frozen dataclass.
 
     Attributes:
         probe: kernel `probe(record, x, y, z) -> (depth, nx, ny, nz)`: depth of a point below the
@@ -51,7 +51,7 @@ class Surface(ABC):
         return ()
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
-        """How the record changes for each metre that the surface rises along its normal.
+        """Changes of the record for each metre that the surface rises along its normal.
 
         Returns:
             For each field that changes its change [1/m], in the shape of the field.

@@ -47,7 +47,7 @@ class Job:
         return rows
 
     def hangs(self) -> bool:
-        """Whether nothing has moved for long."""
+        """Tells whether nothing has moved for long."""
         path = self.folder / PLACE
         now = path.read_bytes() if path.exists() else b""
         if now != self.seen:

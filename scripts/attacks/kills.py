@@ -335,7 +335,7 @@ def attack(case: Case, rng: random.Random, kills: int, place: Path) -> list[str]
 
 
 def _is_done(case: Case, status: int | None, log: Path) -> bool:
-    """Whether a sweep came to its end before, so that the same command is refused."""
+    """Tells whether a sweep came to its end before, so that the same command is refused."""
     return (
         case.kind.startswith("sweep")
         and status == 2

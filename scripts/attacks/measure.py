@@ -58,7 +58,7 @@ def sand_force_inside(data: mujoco.MjData) -> np.ndarray:
 
 
 def without_which(model: mujoco.MjModel, given: str, before: np.ndarray) -> str:
-    """Whether the work is gone with a new Sand, or if the engine's solver goes to its end."""
+    """Tells whether the work is gone with a new Sand, or if the engine's solver goes to its end."""
     if model.opt.integrator not in (0, 2, 3):
         return ""
     model = copy.copy(model)
@@ -101,7 +101,7 @@ def sensitivity(
 
 
 def doors_may_differ(model: mujoco.MjModel) -> bool:
-    """Whether the doors are known to differ here (docs/plugin.md)."""
+    """Tells whether the doors are known to differ here (docs/plugin.md)."""
     opt = model.opt
     if opt.disableflags & _NO_PASSIVE == _NO_PASSIVE:
         return True
@@ -109,7 +109,7 @@ def doors_may_differ(model: mujoco.MjModel) -> bool:
 
 
 def all_finite(data: mujoco.MjData) -> bool:
-    """Whether positions, velocities and accelerations are numbers."""
+    """Tells whether positions, velocities and accelerations are numbers."""
     return bool(
         np.isfinite(data.qpos).all()
         and np.isfinite(data.qvel).all()

@@ -73,7 +73,7 @@ class Tally:
 
     @property
     def failed(self) -> bool:
-        """Whether anything is against what is promised."""
+        """Tells whether anything is against what is promised."""
         return bool(self.failures) or any(self.others.values())
 
     def by_kind(self) -> dict[tuple[str, bool], list[dict[str, Any]]]:

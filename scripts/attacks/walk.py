@@ -392,7 +392,7 @@ class Walk:
         )
 
     def without_what(self, before: np.ndarray) -> str:
-        """Whether the work is gone with a new Sand, or if the engine's solver goes to its end."""
+        """Tells whether the work is gone with a new Sand, or with an exact solver."""
         if self.asked > 5:
             return self.last_answer
         self.asked += 1
@@ -419,7 +419,7 @@ class Walk:
             self.find("step", "not as foreseen", text, off / scale, failed=False)
 
     def watch_rest(self) -> None:
-        """Whether what lies still goes on lying still."""
+        """Tells whether what lies still goes on lying still."""
         settled = self.drawn.plan.settled
         if settled is None or self.step < settled - 1:
             return
