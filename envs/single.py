@@ -8,7 +8,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 
-from mjgranular.envs.eyes import RENDER_MODES, Eyes
+from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.task import Task, check_actions
 from mjgranular.envs.tasks import get_task
 
@@ -47,7 +47,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self.data = mujoco.MjData(self.model)
         self.metadata = {**self.metadata, "render_fps": round(1 / self.task.dt)}
         self.render_mode = render_mode
-        self.eyes = Eyes(self.task, render_mode, width, height, camera_name)
+        self.eyes = Cameras(self.task, render_mode, width, height, camera_name)
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self._state = self.task.state_of(self.data)

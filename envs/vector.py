@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mjgranular.envs.eyes import RENDER_MODES, Eyes
+from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.task import Task, check_actions
 from mjgranular.envs.tasks import get_task
 from mjgranular.errors import InputError
@@ -70,7 +70,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "autoreset_mode": self.autoreset_mode,
         }
         self.render_mode = render_mode
-        self.eyes = Eyes(self.task, render_mode, width, height, camera_name)
+        self.eyes = Cameras(self.task, render_mode, width, height, camera_name)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -1,10 +1,11 @@
-"""The engine door: sand inside plain `mj_step`, declared in MJCF.
+"""The plugin: sand inside plain `mj_step`, declared in MJCF.
 
-`spec` writes the MJCF and `config` reads it; `plugin` registers with MuJoCo; `loader` prepares the
-sand when an `mjData` is made, `block` lays it out in memory, `rows` knows whose is where; `native`
-is what runs at each step, `sensor` and `draw` are what reads its results. `tuning` is sand with
-state of its own, `adjust` has a block follow it. `layout`, `library` and `links` know MuJoCo's
-memory and functions. `pickles` has models bring mjgranular along.
+`spec` writes the MJCF and `config` reads it; `plugin` registers with MuJoCo, by `trampolines` that
+stand before Python; `loader` prepares the sand when an `mjData` is made, `block` lays it out in
+memory, `handles` tells which block belongs to which simulation; `callbacks` is what runs at each
+step, `sensor` and `draw` read its results. `tuning` is sand with state of its own, `adjust` has a
+block follow it. `layout` and `library` know MuJoCo's memory and functions. `pickles` has models
+bring mjgranular along.
 """
 
 from mjgranular.engine.instances import NAME as NAME

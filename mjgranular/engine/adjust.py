@@ -47,7 +47,7 @@ def is_reasonable(state):
 
 
 @compiled
-def spoil(header):
+def invalidate_forces(header):
     """Forces that are no numbers: MuJoCo finds them, warns and resets, as with any bad state."""
     table = table_at(header.table)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
@@ -57,7 +57,7 @@ def spoil(header):
 
 
 @compiled
-def clear(header):
+def clear_results(header):
     """Leaves nothing behind for sensors and drawings."""
     table = table_at(header.table)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
@@ -109,12 +109,12 @@ def adjuster(layout: Layout) -> Any:
         if not known:
             if not is_reasonable(state):
                 header.tuned = 0
-                clear(header)
-                spoil(header)
+                clear_results(header)
+                invalidate_forces(header)
                 return False
             rescale(header, state)
             if state[ACTIVE] == 0.0:
-                clear(header)
+                clear_results(header)
             for k in range(STATE_SIZE):
                 applied[k] = bits[k]
             header.tuned = 1

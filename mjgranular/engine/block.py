@@ -144,7 +144,7 @@ def make_image(
     table, desk = binding.table, binding.desk
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
     # nobody asks for the last good one.
-    table[[memory.XFRC, memory.WARNINGS, memory.KEEP]] = 0
+    table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
     linked = (head, table, sand.scene, desk.table, shapes)

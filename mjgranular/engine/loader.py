@@ -19,14 +19,14 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine import sensor
-from mjgranular.engine.aside import aside
 from mjgranular.engine.block import HEADER_DTYPE, NO_RELOCATIONS, NOT_ASKED, Image, make_image
 from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
+from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
 from mjgranular.engine.measures import SENSOR_KEYS
-from mjgranular.engine.rows import Rows
+from mjgranular.engine.preparing import prepare_in_worker
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
@@ -93,7 +93,7 @@ class Loader:
 
     def __init__(self, layout: Layout, draw: Callable[[], None]) -> None:
         self._layout = layout
-        self._rows = Rows(layout)
+        self._handles = HandleTable(layout)
         self._prepared: OrderedDict[bytes, Prepared] = OrderedDict()
         self._fields: OrderedDict[bytes, dict[str, tuple[int, int]]] = OrderedDict()
         self._draw = draw
@@ -106,36 +106,36 @@ class Loader:
             InputError: what was written cannot be read, or does not fit the model.
         """
         with LOADER:
-            self._rows.clear(data, instance)
+            self._handles.clear(data, instance)
             sands = self._sands(model)
             if instance in sands.values():
                 self._refuse_twice(model, instance, sands)
                 content = self._prepare(model, instance).image
             else:
                 content = self._sensor(model, instance, sands)
-            self._rows.put(data, instance, content.copy_for(data), content)
+            self._handles.put(data, instance, content.copy_for(data), content)
 
     def refuse(self, model: int, data: int, instance: int, text: bytes) -> None:
         """Gives an instance a block that is an error of MuJoCo's as soon as it is used."""
         head = np.zeros(1, HEADER_DTYPE)
         head["refused"] = 1
         with LOADER:
-            self._rows.clear(data, instance)
+            self._handles.clear(data, instance)
             message = np.frombuffer(text.ljust(len(text) // 8 * 8 + 8, b"\0"), np.float64)
-            self._rows.put(data, instance, np.concatenate([head.view(np.float64), message]))
+            self._handles.put(data, instance, np.concatenate([head.view(np.float64), message]))
 
     def leave_empty(self, data: int, instance: int) -> None:
         """Gives an instance that sand is prepared with a block that does nothing.
 
         Whoever prepares it has another thread hold the lock, and wait.
         """
-        self._rows.clear(data, instance)
-        self._rows.put(data, instance, np.zeros(1, HEADER_DTYPE))
+        self._handles.clear(data, instance)
+        self._handles.put(data, instance, np.zeros(1, HEADER_DTYPE))
 
     def abandon(self, data: int) -> None:
         """Drops all blocks of an `mjData` that MuJoCo is about to give up."""
         with LOADER:
-            self._rows.vacate(data)
+            self._handles.vacate(data)
 
     def _refuse_twice(self, model: int, instance: int, sands: dict[str, int]) -> None:
         """Refuses two sands in one place that act on the same body.
@@ -165,10 +165,12 @@ class Loader:
         sensors = {
             field.name: self._array(model, f"sensor_{field.name}") for field in fields(Sensors)
         }
-        senses = sensor.make_senses(instance, sand, texts["measure"], Sensors(**sensors), bodies)
+        readings = sensor.make_readings(
+            instance, sand, texts["measure"], Sensors(**sensors), bodies
+        )
         head = np.zeros(1, HEADER_DTYPE)
-        head["size"] = head.nbytes + senses.nbytes
-        content = np.concatenate([head.view(np.float64), senses.view(np.float64)])
+        head["size"] = head.nbytes + readings.nbytes
+        content = np.concatenate([head.view(np.float64), readings.view(np.float64)])
         return Image(content, NO_RELOCATIONS)
 
     def _sands(self, model: int) -> dict[str, int]:
@@ -191,7 +193,7 @@ class Loader:
     def _fields_of(self, model: int) -> dict[str, tuple[int, int]]:
         sizes = self._sizes(model)
         if sizes not in self._fields:
-            self._fields[sizes] = aside(lambda: _fields(_copy(model)))
+            self._fields[sizes] = prepare_in_worker(lambda: _fields(_copy(model)))
             while len(self._fields) > _KEPT:
                 self._fields.popitem(last=False)
         self._fields.move_to_end(sizes)
@@ -202,7 +204,7 @@ class Loader:
         key = self._key(model, instance, texts)
         prepared = self._prepared.get(key)
         if prepared is None:
-            prepared = aside(lambda: self._make(key, model, texts))
+            prepared = prepare_in_worker(lambda: self._make(key, model, texts))
         else:
             self._prepared.move_to_end(key)
         if self._disable_contacts(model, prepared.disabled):

@@ -1,9 +1,9 @@
 """The plugins, `mjgranular.sand` and `mjgranular.sensor`: registered on import, compiled when used.
 
 MuJoCo copies the struct of function pointers when it is registered, and looks into its copy at each
-call. What is registered are a few instructions (`doors`), the way into Python among them; the first
-model with sand in it has compiled functions put beside them. A program that imports mjgranular and
-uses no plugin pays next to nothing.
+call. What is registered are a few instructions (`trampolines`), the way into Python among them; the
+first model with sand in it has compiled functions put beside them. A program that imports
+mjgranular and uses no plugin pays next to nothing.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from typing import Any
 
 import mujoco
 
-from mjgranular.engine.aside import aside, is_aside
 from mjgranular.engine.config import KEYS
-from mjgranular.engine.doors import (
+from mjgranular.engine.instances import NAME
+from mjgranular.engine.layout import LayoutError, find_layout, laid_out
+from mjgranular.engine.library import instance_name, library
+from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
+from mjgranular.engine.preparing import is_preparing, prepare_in_worker
+from mjgranular.engine.trampolines import (
     ERROR,
     FINE,
     INTERRUPT,
     NONE,
     Answer,
     Size,
-    make_doors,
+    make_trampolines,
     pausing,
     raise_later,
 )
-from mjgranular.engine.instances import NAME
-from mjgranular.engine.layout import LayoutError, find_layout, laid_out
-from mjgranular.engine.library import instance_name, library
-from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 from mjgranular.kernel.compiled import program_address
@@ -87,11 +87,11 @@ class Engine:
     """State that the plugins share: nothing is compiled until the first model needs one of them."""
 
     def __init__(self) -> None:
-        self._awake: set[str] = set()
+        self._active: set[str] = set()
         self._failure: GranularError | None = None
         self._layout: Any = None
         self._loader: Any = None
-        self._told = threading.local()
+        self._message = threading.local()
 
     def register(self, plugin: Plugin) -> None:
         """Makes a plugin known to MuJoCo.
@@ -109,10 +109,10 @@ class Engine:
         struct.attributes = (ctypes.c_char_p * len(texts))(*texts)
         struct.capabilityflags = plugin.capability
         struct.needstage = plugin.stage
-        doors = make_doors(
+        trampolines = make_trampolines(
             plugin.name, partial(self._init, plugin), plugin.nstate, plugin.nsensordata
         )
-        for callback, address in doors.items():
+        for callback, address in trampolines.items():
             setattr(struct, callback, address)
         lib.mjp_registerPlugin(ctypes.addressof(struct))
 
@@ -135,14 +135,14 @@ class Engine:
             raise_later(error)
 
     def _serve(self, plugin: Plugin, model: int, data: int, instance: int) -> None:
-        if is_aside():
+        if is_preparing():
             if self._loader is None:
                 pausing.value = data
             else:
                 self._loader.leave_empty(data, instance)
             return
-        if plugin.name not in self._awake:
-            aside(lambda: self._wake(plugin))
+        if plugin.name not in self._active:
+            prepare_in_worker(lambda: self._activate(plugin))
         self._loader.load(model, data, instance)
 
     def _refuse(
@@ -158,8 +158,10 @@ class Engine:
             reason = str(error) if isinstance(error, GranularError) else repr(error)
             text = f"mjgranular {instance_name(model, instance)!r}: {reason}"
             if now:
-                self._told.text = ctypes.create_string_buffer(_cut(text))  # must outlive this call
-                answer[1] = ctypes.addressof(self._told.text)
+                self._message.text = ctypes.create_string_buffer(
+                    _cut(text)
+                )  # must outlive this call
+                answer[1] = ctypes.addressof(self._message.text)
                 if self._loader is not None:
                     self._loader.abandon(data)
             elif self._loader is not None:
@@ -169,14 +171,14 @@ class Engine:
         except Exception:
             _logger.debug("telling why failed", exc_info=True)
 
-    def _wake(self, plugin: Plugin) -> None:
+    def _activate(self, plugin: Plugin) -> None:
         """Compiles what MuJoCo is to call, and has it called from now on.
 
         Raises:
             GranularError: that cannot be, now or ever.
         """
         with ENGINE:
-            if self._failure is None and plugin.name not in self._awake:
+            if self._failure is None and plugin.name not in self._active:
                 try:
                     self._compile(plugin)
                 except (MemoryError, OSError):  # another time perhaps
@@ -187,28 +189,28 @@ class Engine:
                     self._failure = error if known else CompilerError(error)
             if self._failure is not None:
                 raise self._failure
-            self._awake.add(plugin.name)
+            self._active.add(plugin.name)
 
     def _compile(self, plugin: Plugin) -> None:
         with laid_out("something"):
-            from mjgranular.engine import native
+            from mjgranular.engine import callbacks
             from mjgranular.engine.loader import Loader
 
-            publish_functions(library(), native.FUNCTIONS)
+            publish_functions(library(), callbacks.FUNCTIONS)
             try:
                 self._layout = self._layout or find_layout(NAME)
             finally:
                 pausing.value = 0
-        made = {NAME: native.sand_callbacks, SENSOR: native.sensor_callbacks}[plugin.name]
+        made = {NAME: callbacks.sand_callbacks, SENSOR: callbacks.sensor_callbacks}[plugin.name]
         if self._loader is None:
             self._loader = Loader(self._layout, self._draw)
         self._put(plugin.name, made(self._layout))
 
     def _draw(self) -> None:
         """Has MuJoCo draw from now on."""
-        from mjgranular.engine import native
+        from mjgranular.engine import callbacks
 
-        self._put(NAME, native.drawing_callbacks(self._layout))
+        self._put(NAME, callbacks.drawing_callbacks(self._layout))
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, str]]) -> None:
         """Compiles functions and has MuJoCo call them."""

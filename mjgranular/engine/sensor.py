@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.block import HEADER_DTYPE
-from mjgranular.engine.doors import UNPREPARED
+from mjgranular.engine.handles import block_finder
 from mjgranular.engine.layout import Layout
 from mjgranular.engine.measures import MEASURES
-from mjgranular.engine.rows import block_finder
+from mjgranular.engine.trampolines import UNPREPARED
 from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.machine import c_function
@@ -37,7 +37,7 @@ from mjgranular.kernel.records import body_records, contact_records
 
 FORCE, MOMENT, DEPTH, POWER, SPEED = range(len(MEASURES))
 
-SENSE_DTYPE = np.dtype(
+READING_DTYPE = np.dtype(
     [
         ("sand", np.int64),  # instance whose results are read
         ("measure", np.int64),
@@ -47,7 +47,7 @@ SENSE_DTYPE = np.dtype(
 )
 
 _header = records(HEADER_DTYPE)
-_senses = records(SENSE_DTYPE)
+_readings = records(READING_DTYPE)
 _unprepared = c_function(UNPREPARED, "void", "int64")
 
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
@@ -86,10 +86,10 @@ def find_sand(name: str, sands: Mapping[str, int]) -> int:
     return sands[name]
 
 
-def make_senses(
+def make_readings(
     instance: int, sand: int, measure: str, sensors: Sensors, bodies: Mapping[int, str]
 ) -> np.ndarray:
-    """Makes the list of what one instance measures: rows of `SENSE_DTYPE`.
+    """Makes the list of what one instance measures: rows of `READING_DTYPE`.
 
     Args:
         instance: of this plugin.
@@ -105,8 +105,8 @@ def make_senses(
         raise InputError(f"config 'measure': {UnknownNameError('measure', measure, MEASURES)}")
     kind = list(MEASURES).index(measure)
     mine = np.flatnonzero(sensors.plugin == instance)
-    senses = np.zeros(len(mine), SENSE_DTYPE)
-    for sense, number in zip(senses, mine, strict=True):
+    rows = np.zeros(len(mine), READING_DTYPE)
+    for row, number in zip(rows, mine, strict=True):
         slot = -1
         if sensors.objtype[number] in _BODIES:
             body = int(sensors.objid[number])
@@ -122,9 +122,9 @@ def make_senses(
             raise InputError(
                 "a moment is about the centre of mass of one body: objtype and objname"
             )
-        sense["sand"], sense["measure"], sense["slot"] = sand, kind, slot
-        sense["at"] = sensors.adr[number]
-    return senses
+        row["sand"], row["measure"], row["slot"] = sand, kind, slot
+        row["at"] = sensors.adr[number]
+    return rows
 
 
 @compiled
@@ -173,7 +173,7 @@ def sensor_compute(layout: Layout) -> Any:
     """The compiled `compute` of the plugin."""
     find_block = block_finder(layout)
     sensordata = layout.sensordata
-    begin, stride = HEADER_DTYPE.itemsize, SENSE_DTYPE.itemsize
+    begin, stride = HEADER_DTYPE.itemsize, READING_DTYPE.itemsize
 
     @compiled
     def compute(model, data, instance, capability):
@@ -183,14 +183,14 @@ def sensor_compute(layout: Layout) -> Any:
             return
         if _header(block, 1)[0].size == 0:
             return
-        senses = _senses(block + begin, (_header(block, 1)[0].size - begin) // stride)
+        rows = _readings(block + begin, (_header(block, 1)[0].size - begin) // stride)
         readings = longs(data + sensordata, 1)[0]
-        for i in range(len(senses)):
-            sense = senses[i]
-            sand = find_block(data, sense.sand)
+        for i in range(len(rows)):
+            row = rows[i]
+            sand = find_block(data, row.sand)
             if sand != 0 and _header(sand, 1)[0].table != 0:
-                size = 3 if sense.measure in (FORCE, MOMENT) else 1
-                values = floats(readings + 8 * sense.at, size)
-                measure_sand(sand, sense.measure, sense.slot, values)
+                size = 3 if row.measure in (FORCE, MOMENT) else 1
+                values = floats(readings + 8 * row.at, size)
+                measure_sand(sand, row.measure, row.slot, values)
 
     return compute

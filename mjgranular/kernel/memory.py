@@ -24,11 +24,11 @@ from mjgranular.kernel.compiled import compiled
 
 # The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
-# Within `mj_step` (`engine.block`) XFRC, WARNINGS and KEEP are 0: there they are MuJoCo's own
+# Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there they are MuJoCo's own
 # business.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
-WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, KEEP, DESK = range(16, 23)
+WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, DESK = range(16, 23)
 TABLE_SIZE = 23
 
 
@@ -57,7 +57,7 @@ def simulation_table(
         bodies: rows of `sand.binding.BODY_DTYPE`, shape (m,).
         scene: parameters of law, medium and surface, shape (1,).
         contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
-        spans: what is kept of the state (`kernel.keep`).
+        spans: what is kept of the state (`kernel.snapshot`).
         desk: what the scheme works with (`Scheme.desk`).
         options: address of the model's options (`kernel.options`).
         integrators: that can be stepped, a bit each.

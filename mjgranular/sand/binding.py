@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.kernel.keep import Kept
 from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
+from mjgranular.kernel.snapshot import Snapshot
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme.scheme import Desk
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
@@ -30,7 +30,7 @@ class Binding:
     address: int  # of the table: what the compiled calls take
     bodies: np.ndarray
     contacts: np.ndarray
-    kept: Kept
+    snapshot: Snapshot
     desk: Desk
 
 
@@ -64,7 +64,7 @@ def bind(
         row["last_dof"] = last_dof(model, int(body))
     bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
-    kept = Kept.of(model, data)
+    snapshot = Snapshot.of(model, data)
     # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
     anywhere = within and not scheme.whole_state
     desk = scheme.desk(model, data, elements, sand.kernel, within=within)
@@ -76,10 +76,10 @@ def bind(
         bodies=bodies,
         scene=sand.scene,
         contacts=contacts,
-        spans=kept.spans,
+        spans=snapshot.spans,
         desk=desk.table,
         options=options_address(model),
         integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
         longest_step=nanoseconds(scheme.step_limit),
     )
-    return Binding(table, table.ctypes.data, bodies, contacts, kept, desk)
+    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, desk)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.keep import keep
 from mjgranular.kernel.machine import call_step
 from mjgranular.kernel.memory import table_at
+from mjgranular.kernel.snapshot import save_snapshot
 from mjgranular.scheme.status import BAD_STATE, FINE
 from mjgranular.scheme.wrenches import is_bad, take_back_wrenches, withdraw_wrenches
 
@@ -25,7 +25,7 @@ def guarded_step(program, address, lead):
     table = table_at(address)
     if is_bad(table):
         return BAD_STATE
-    keep(table)
+    save_snapshot(table)
     return call_step(program, address, lead)
 
 

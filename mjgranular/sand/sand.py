@@ -309,7 +309,7 @@ class Sand:
         what, body = self._blame(data)
         found = f"MuJoCo found NaN, infinite or huge numbers in {what} of body "
         found += body_name(model, body)
-        time = binding.kept.time
+        time = binding.snapshot.time
         if time is None:
             reset = not self._options.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
             return UnstableError(
@@ -317,7 +317,7 @@ class Sand:
                 f"{' and has reset the simulation' if reset else ''}: start from finite numbers"
             )
         applied = data.xfrc_applied.copy()
-        binding.kept.restore(model, data)
+        binding.snapshot.restore(model, data)
         if not own:
             data.xfrc_applied[:] = applied
         return UnstableError(

@@ -13,7 +13,7 @@ import pytest
 
 from mjgranular import Bed, GranularWarning, InputError, Sand, UnstableError
 from mjgranular.errors import warn_user
-from mjgranular.kernel.keep import Kept, keep
+from mjgranular.kernel.snapshot import Snapshot, save_snapshot
 
 pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
 
@@ -236,15 +236,15 @@ def test_what_is_kept_is_the_state_of_mujoco(everything):
     excite(everything, data)
     for _ in range(20):
         sand.step(data)
-    assert Kept.of(everything, data).time is None
+    assert Snapshot.of(everything, data).time is None
     binding = sand._bindings[data]
-    keep(binding.table)
+    save_snapshot(binding.table)
     saved = state(everything, data)
-    assert np.array_equal(binding.kept.state, saved)
+    assert np.array_equal(binding.snapshot.state, saved)
     mujoco.mj_resetData(everything, data)
-    binding.kept.restore(everything, data)
+    binding.snapshot.restore(everything, data)
     assert np.array_equal(state(everything, data), saved)
-    assert binding.kept.time == data.time > 0.125
+    assert binding.snapshot.time == data.time > 0.125
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import mujoco
 import pytest
 
 from mjgranular import Bed, DepthVelocityLaw, GranularError, add_sand
-from mjgranular.engine import doors, plugin
+from mjgranular.engine import plugin, trampolines
 from mjgranular.kernel.worker import cancellation_point, run_in_worker
 
 LAW = DepthVelocityLaw(stiffness=100, linear=5)
@@ -39,7 +39,7 @@ def sandy_ball() -> mujoco.MjModel:
 
 @pytest.fixture
 def loader() -> Any:
-    """What makes blocks, awake."""
+    """The loader of the engine, activated."""
     mujoco.MjData(sandy_ball())
     return plugin._engine._loader
 
@@ -86,7 +86,9 @@ def test_an_interrupt_before_the_first_line_is_raised(
     """Python gives no answer then: here because its function takes other arguments."""
     model = sandy_ball()
     with monkeypatch.context() as patch:
-        patch.setattr(doors.Answer, "from_address", raising(KeyboardInterrupt()), raising=False)
+        patch.setattr(
+            trampolines.Answer, "from_address", raising(KeyboardInterrupt()), raising=False
+        )
         for make in (lambda: mujoco.MjData(model), sandy_ball):
             with pytest.raises(KeyboardInterrupt):
                 make()
@@ -180,7 +182,7 @@ def test_names_that_are_not_utf8(tmp_path: Path) -> None:
 def blocks(loader: Any) -> int:
     """How many instances have a block."""
     gc.collect()
-    return len(loader._rows)
+    return len(loader._handles)
 
 
 @pytest.mark.slow
@@ -271,7 +273,7 @@ def attempt(way):
 for way in ("spec", "model", "data", "sand"):
     counts = [0, 0]
     for moment in range(MOMENTS):
-        plugin._engine._awake.clear()
+        plugin._engine._active.clear()
         plugin._engine._loader._prepared.clear()
         for again in (False, True):
             made = None

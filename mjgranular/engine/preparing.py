@@ -13,12 +13,12 @@ T = TypeVar("T")
 _here = threading.local()
 
 
-def is_aside() -> bool:
+def is_preparing() -> bool:
     """Tells whether this thread prepares sand: what it makes on the way gets none."""
-    return getattr(_here, "aside", False)
+    return getattr(_here, "preparing", False)
 
 
-def aside(work: Callable[[], T]) -> T:
+def prepare_in_worker(work: Callable[[], T]) -> T:
     """Does something in a thread of its own, and waits for it, whatever happens (`run_in_worker`).
 
     MuJoCo turns its errors into exceptions by a jump to a place that it keeps one of per thread.
@@ -27,7 +27,7 @@ def aside(work: Callable[[], T]) -> T:
     """
 
     def run() -> T:
-        _here.aside = True
+        _here.preparing = True
         return work()
 
     return run_in_worker(run)

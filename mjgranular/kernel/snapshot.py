@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import KEEP, floats, records
+from mjgranular.kernel.memory import SNAPSHOT, floats, records
 
 _SPAN_DTYPE = np.dtype([("source", np.int64), ("target", np.int64), ("size", np.int64)])
 _PARTS = {  # of mjSTATE_INTEGRATION, in its order, but for the time, which comes first
@@ -45,13 +45,13 @@ _bytes = records(np.dtype(np.uint8))
 
 
 @compiled
-def keep(table):
+def save_snapshot(table):
     """Copies the state of a simulation to where it is kept.
 
     Args:
         table: the simulation's (`kernel.memory`).
     """
-    spans = _spans(table[KEEP], _MOST)
+    spans = _spans(table[SNAPSHOT], _MOST)
     first = spans[0]
     flags, kept = _bytes(first.source, first.size), floats(first.target, first.size)
     for i in range(first.size):
@@ -66,7 +66,7 @@ def keep(table):
 
 
 @dataclass(frozen=True)
-class Kept:
+class Snapshot:
     """The snapshot of one simulation, and the spans that are copied to it.
 
     Attributes:
@@ -79,7 +79,7 @@ class Kept:
     state: np.ndarray
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Kept:
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Snapshot:
         """Room for the state of `data`; nothing is kept in it yet."""
         state = np.full(mujoco.mj_stateSize(model, _STATE), math.nan)
         # Python gives no address for `time`: in mjdata.h it is the number before `energy`.

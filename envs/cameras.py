@@ -15,7 +15,7 @@ from mjgranular.errors import InputError, RenderError, UnknownNameError
 RENDER_MODES = ["human", "rgb_array"]
 
 
-class Eyes:
+class Cameras:
     """A camera that follows the robot, or one of the model's.
 
     Nothing is taken from the machine before the first look.

@@ -257,7 +257,7 @@ def _notice(place: int) -> None:
     raise_later(KeyboardInterrupt())
 
 
-def make_doors(
+def make_trampolines(
     name: str, init: Callable[[int, int, int, int], object], nstate: Size, nsensordata: Size
 ) -> dict[str, int]:
     """Makes the functions of a plugin of which nothing is compiled yet.

@@ -50,7 +50,7 @@ def _table() -> np.ndarray:
     return rows
 
 
-class Rows:
+class HandleTable:
     """The table, as Python writes it, and the blocks that its rows are of.
 
     An `mjData` is freed on any thread, with or without Python's lock, so its rows are only marked

@@ -17,16 +17,16 @@ from mjgranular.engine.block import (
     RELOCATION_DTYPE,
     SHAPE_DTYPE,
 )
-from mjgranular.engine.doors import FAIL, FORGET, UNPREPARED
-from mjgranular.engine.layout import Layout
-from mjgranular.engine.rows import (
+from mjgranular.engine.handles import (
     ROW_COUNT,
     block_finder,
     row_finder,
     row_records,
     rows_address,
 )
+from mjgranular.engine.layout import Layout
 from mjgranular.engine.sensor import sensor_compute
+from mjgranular.engine.trampolines import FAIL, FORGET, UNPREPARED
 from mjgranular.engine.tuning import INITIAL, STATE_SIZE
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.machine import (
