@@ -18,13 +18,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from numba import config
+import numba
 
 from mjgranular.kernel.folder import folders_to_read, folders_to_write, read, restrict
 
 T = TypeVar("T")
+
+_settings: Any = numba.config
 
 _SUMS = "sums"
 _OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; chosen
@@ -92,12 +94,12 @@ def can_save() -> bool:
 @contextmanager
 def _caching(folder: Path) -> Iterator[None]:
     """Has numba read and write its cache there; it looks when a function is decorated."""
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
+    before = _settings.CACHE_DIR
+    _settings.CACHE_DIR = str(folder)
     try:
         yield
     finally:
-        config.CACHE_DIR = before
+        _settings.CACHE_DIR = before
 
 
 def _publish(aside: Path, folder: Path) -> None:

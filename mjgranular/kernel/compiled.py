@@ -126,12 +126,13 @@ def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any]) -> A
 
 # numba's cache names a function by its closure, which it names anew in every process, and by its
 # file, which a function of a notebook does not have.
+kernel: Any = None
 _CALLS: Any = (
-    lambda a: kernel(a),  # noqa: F821
-    lambda a, b: kernel(a, b),  # noqa: F821
-    lambda a, b, c: kernel(a, b, c),  # noqa: F821
-    lambda a, b, c, d: kernel(a, b, c, d),  # noqa: F821
-    lambda a, b, c, d, e: kernel(a, b, c, d, e),  # noqa: F821
+    lambda a: kernel(a),
+    lambda a, b: kernel(a, b),
+    lambda a, b, c: kernel(a, b, c),
+    lambda a, b, c, d: kernel(a, b, c, d),
+    lambda a, b, c, d, e: kernel(a, b, c, d, e),
 )
 
 

@@ -20,8 +20,9 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+from numba.extending import lower_builtin, models, register_model, type_callable
 
+from mjgranular.kernel.machine import intrinsic
 from mjgranular.kernel.memory import numbers_of
 
 LINE = 64

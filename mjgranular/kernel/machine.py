@@ -14,8 +14,11 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+from numba import extending, types
+
+# numba's types for these are those of Python functions that would be called as they are written.
+intrinsic: Any = extending.intrinsic
+overload: Any = extending.overload
 
 
 def publish(name: str, address: int) -> None:

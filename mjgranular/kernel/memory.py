@@ -17,10 +17,10 @@ import numpy as np
 from llvmlite import ir
 from numba import from_dtype, types
 from numba.core import cgutils
-from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.machine import intrinsic
 
 # The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).

@@ -14,15 +14,14 @@ from typing import Any
 from numba import types
 from numba.core import cgutils
 from numba.extending import (
-    intrinsic,
     make_attribute_wrapper,
     models,
-    overload,
     register_model,
 )
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.lanes import Lanes, lanes_among, spread
+from mjgranular.kernel.machine import intrinsic, overload
 
 
 class VectorType(types.Type):
