@@ -20,13 +20,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numba
+from numba.core import config
 
 from mjgranular.kernel.folder import folders_to_read, folders_to_write, read, restrict
 
 T = TypeVar("T")
 
-_settings: Any = numba.config
+_settings: Any = config
 
 _SUMS = "sums"
 _OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; chosen
