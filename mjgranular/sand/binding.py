@@ -13,7 +13,7 @@ from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.scheme import Desk, Scheme
+from mjgranular.scheme.scheme import Scheme, Workspace
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
 from mjgranular.shape.select import last_dof
 
@@ -31,7 +31,7 @@ class Binding:
     bodies: np.ndarray
     contacts: np.ndarray
     kept: Kept
-    desk: Desk
+    workspace: Workspace
 
 
 def bind(
@@ -74,7 +74,7 @@ def bind(
     kept = Kept.of(model, data)
     # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
     anywhere = within and not scheme.whole_state
-    desk = scheme.desk(model, data, elements, kernel, within=within)
+    workspace = scheme.workspace(model, data, elements, kernel, within=within)
     table = simulation_table(
         model,
         data,
@@ -84,9 +84,9 @@ def bind(
         scene=scene,
         contacts=contacts,
         spans=kept.spans,
-        desk=desk.table,
+        workspace=workspace.record,
         options=options_address(model),
         integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
         longest_step=nanoseconds(scheme.step_limit),
     )
-    return Binding(table, table.ctypes.data, bodies, contacts, kept, desk)
+    return Binding(table, table.ctypes.data, bodies, contacts, kept, workspace)
