@@ -141,18 +141,18 @@ def make_image(
     shape = sand.surface.shape(model)
     binding = bind(model, data, sand, within=True)
     head = np.zeros(1, HEADER_DTYPE)
-    table, desk = binding.table, binding.desk
+    table, workspace = binding.table, binding.workspace
     # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
     # nobody asks for the last good one.
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
-    linked = (head, table, sand.scene, desk.table, shapes)
+    linked = (head, table, sand.scene, workspace.record, shapes)
     # Those that read the model are needed at each step, and so lie in the block.
     count = sum(of_model.holds(int(word)) for array in linked for word in _words(array))
     live = np.zeros(count, RELOCATION_DTYPE)
     own = [head, live, shapes, table, binding.bodies, binding.contacts, sand.scene]
-    own += [desk.table, *desk.holds, ends := np.zeros(6)]
+    own += [workspace.record, *workspace.arrays.values(), ends := np.zeros(6)]
     places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
     for name, value in {
         **drawing,

@@ -28,7 +28,7 @@ from mjgranular.kernel.machine import intrinsic
 # business.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
-WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, DESK = range(16, 23)
+WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
 TABLE_SIZE = 23
 
 
@@ -42,7 +42,7 @@ def simulation_table(
     scene: np.ndarray,
     contacts: np.ndarray,
     spans: np.ndarray,
-    desk: np.ndarray,
+    workspace: np.ndarray,
     options: int,
     integrators: int,
     longest_step: int,
@@ -58,7 +58,7 @@ def simulation_table(
         scene: parameters of law, medium and surface, shape (1,).
         contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
         spans: what is kept of the state (`kernel.snapshot`).
-        desk: what the scheme works with (`Scheme.desk`).
+        workspace: record of the scheme's (`Scheme.workspace`).
         options: address of the model's options (`kernel.options`).
         integrators: that can be stepped, a bit each.
         longest_step: the longest time step that can be taken [ns].
@@ -83,7 +83,7 @@ def simulation_table(
         scene,
         contacts,
         spans,
-        desk,
+        workspace,
     )
     numbers = (model.nbody, model.nv, count, len(bodies), integrators, longest_step)
     addresses = (options, *(array.ctypes.data for array in arrays))

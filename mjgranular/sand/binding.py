@@ -13,7 +13,7 @@ from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.kernel.snapshot import Snapshot
 from mjgranular.sand.prepare import PreparedSand
-from mjgranular.scheme.scheme import Desk
+from mjgranular.scheme.scheme import Workspace
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
 from mjgranular.shape.select import last_dof
 
@@ -31,7 +31,7 @@ class Binding:
     bodies: np.ndarray
     contacts: np.ndarray
     snapshot: Snapshot
-    desk: Desk
+    workspace: Workspace
 
 
 def bind(
@@ -67,7 +67,7 @@ def bind(
     snapshot = Snapshot.of(model, data)
     # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
     anywhere = within and not scheme.whole_state
-    desk = scheme.desk(model, data, elements, sand.kernel, within=within)
+    workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
     table = simulation_table(
         model,
         data,
@@ -77,9 +77,9 @@ def bind(
         scene=sand.scene,
         contacts=contacts,
         spans=snapshot.spans,
-        desk=desk.table,
+        workspace=workspace.record,
         options=options_address(model),
         integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
         longest_step=nanoseconds(scheme.step_limit),
     )
-    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, desk)
+    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace)

@@ -132,9 +132,9 @@ class Solver:
     worst: float
 
     @classmethod
-    def of(cls, account: np.void) -> Solver:
-        """From the record that the scheme keeps (`scheme.desk`)."""
-        return cls(*(account[field.name].item() for field in fields(cls)))
+    def of(cls, statistics: np.void) -> Solver:
+        """From the record that the scheme keeps (`scheme.workspace`)."""
+        return cls(*(statistics[field.name].item() for field in fields(cls)))
 
 
 @dataclass(frozen=True)

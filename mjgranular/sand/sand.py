@@ -238,9 +238,9 @@ class Sand:
     def _solver(self, data: mujoco.MjData) -> Solver | None:
         """Counters of the scheme in this simulation."""
         bound = self._bindings.get(data)
-        if bound is None or bound.desk.account is None:
+        if bound is None or bound.workspace.statistics is None:
             return None
-        return Solver.of(bound.desk.account[0])
+        return Solver.of(bound.workspace.statistics[0])
 
     def _own_applied(self, data: mujoco.MjData) -> np.ndarray:
         """`xfrc_applied` without what `apply` has left in it."""

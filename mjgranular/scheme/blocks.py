@@ -47,7 +47,7 @@ class BlockKernels:
 
     Attributes:
         size: numbers in a block.
-        immerse: kernel `immerse(table, desk)`: fills the desk's blocks with the elements in the
+        immerse: kernel `immerse(table, w)`: fills the workspace's blocks with the elements in the
             sand; how many blocks.
         move: kernel `move(block, motion, grips, eps, loose)`: velocities in a block from its body's
             spatial velocity, and grips.

@@ -1,9 +1,15 @@
 """MuJoCo's constraints in the balance of momentum, as the implicit scheme foresees them.
 
-They are soft: the force of a row is a function of the acceleration along it, which is, up to
-damping that the integrator takes implicitly, the change of velocity over the step. Equalities,
-friction losses, limits, and contacts with pyramidal and elliptic cones, as in the engine's
-documentation.
+They are soft: the force of a row J_i is a function of the acceleration along it, within bounds,
+
+    q_c = sum_i J_i^T f_i,    f_i = -D_i x_i,    x_i = J_i a - a_i^ref,
+
+where a is the acceleration in front of the integrator's own damping C = A - M,
+
+    M a = A (v' - v) / h,    J_i a = J_i (1 + M^-1 C) (v' - v) / h.
+
+Equalities, friction losses, limits, and contacts with pyramidal and elliptic cones, as in the
+engine's documentation.
 """
 
 from __future__ import annotations
@@ -14,279 +20,191 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, solve_inertia
-from mjgranular.kernel.memory import floats, ints, longs, records
-from mjgranular.scheme import desk as d
-from mjgranular.scheme.balance import clear, copy, norm
+from mjgranular.kernel.engine import solve_inertia
+from mjgranular.kernel.memory import scratch
 from mjgranular.scheme.blocks import NEXT, SAME
+from mjgranular.scheme.dense import add_outer, add_scaled, clear, copy, inner
+from mjgranular.scheme.workspace import EULER, ROWS_KEPT
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)  # and of a joint, one below
 _ELLIPTIC = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC)
-_contacts = records(CONTACT_DTYPE)
-rows_of = records(ROWS_DTYPE)
-
-# Not literals, for each of which numba would compile a function anew.
-_ANEW, _MORE = np.bool_(True), np.bool_(False)
+# In `w.rows`: for a row that is not kept, and for a sum of rows.
+_SPARE, _SUM = np.int64(ROWS_KEPT), np.int64(ROWS_KEPT + 1)
+numbers_of_contact = scratch(6)
 
 
 @compiled
-def prepare_rows(desk, room):
-    """Reads the constraints' rows, and what they make of a change of velocity over the step.
-
-    The integrator's own damping C comes after MuJoCo's constraints, M a = (M + C) (v' - v) / h, so
-    that the acceleration along a row is row (1 + M^-1 C) (v' - v) / h.
-    """
-    nv = desk[d.NV]
-    rows = rows_of(desk[d.ROWS], 1)[0]
-    count = min(ints(desk[d.DATA] + rows.count, 1)[0], d.ROWS_KEPT)
-    for i in range(count):
-        read_row(desk, rows, i, room.rows + 8 * i * nv)
-        firm_up(desk, room, room.rows + 8 * i * nv, room.firms + 8 * i * nv)
+def prepare_rows(w):
+    """Reads the constraints' rows, those that are kept."""
+    for i in range(min(w.nefc, ROWS_KEPT)):
+        read_row(w, i, i)
 
 
 @compiled
-def read_row(desk, rows, i, address):
-    """Writes the row of a constraint to an address."""
-    nv = desk[d.NV]
-    row = floats(address, nv)
-    data = desk[d.DATA]
-    jacobian = longs(data + rows.jacobian, 1)[0]
-    if desk[d.SPARSE]:
+def read_row(w, i, k):
+    """Writes J_i and J_i (1 + M^-1 C) to `w.rows[k]` and `w.damped_rows[k]`."""
+    nv = w.nv
+    row, damped = w.rows[k], w.damped_rows[k]
+    if w.sparse:
         clear(row)
-        count = ints(data + rows.count, 1)[0]
-        size = ints(longs(data + rows.row_size, 1)[0], count)[i]
-        start = ints(longs(data + rows.row_start, 1)[0], count)[i]
-        column = ints(longs(data + rows.column, 1)[0] + 4 * start, size)
-        values = floats(jacobian + 8 * start, size)
-        for k in range(size):
-            row[column[k]] = values[k]
+        start = w.efc_J_rowadr[i]
+        for place in range(start, start + w.efc_J_rownnz[i]):
+            row[w.efc_J_colind[place]] = w.efc_J[place]
     else:
-        copy(row, floats(jacobian + 8 * i * nv, nv))
+        copy(row, w.efc_J[i * nv : i * nv + nv])
+    copy(damped, row)
+    if w.integrator != EULER:
+        product = w.product
+        solve_inertia(w.model, w.data, product.ctypes.data, row.ctypes.data, 1)
+        for j in range(nv):
+            if product[j] != 0.0:
+                add_scaled(damped, product[j], w.damping[j])
 
 
 @compiled
-def firm_up(desk, room, address, firm_address):
-    """Writes row (1 + M^-1 C) to an address."""
-    nv = desk[d.NV]
-    row, firm = floats(address, nv), floats(firm_address, nv)
-    copy(firm, row)
-    if desk[d.INTEGRATOR] == d.PLAIN:
-        return
-    product = floats(room.product, nv)
-    extra = floats(room.extra, nv * nv)
-    solve_inertia(desk[d.MODEL], desk[d.DATA], product.ctypes.data, address, 1)
-    for i in range(nv):
-        u = product[i]
-        if u != 0.0:
-            for j in range(nv):
-                firm[j] += u * extra[i * nv + j]
+def kept_row(w, i):
+    """The index in `w.rows` and `w.damped_rows` where row i of the constraints is."""
+    if i < ROWS_KEPT:
+        return i
+    read_row(w, i, _SPARE)
+    return _SPARE
 
 
 @compiled
-def row_at(desk, room, rows, i):
-    """Addresses of the row of a constraint, and of what it makes of a change of velocity."""
-    if i < d.ROWS_KEPT:
-        nv = desk[d.NV]
-        return room.rows + 8 * i * nv, room.firms + 8 * i * nv
-    read_row(desk, rows, i, room.acceleration)
-    firm_up(desk, room, room.acceleration, room.answer)
-    return room.acceleration, room.answer
+def along_row(w, i):
+    """The acceleration along a row, less its reference: x_i."""
+    return inner(w.damped_rows[kept_row(w, i)], w.rate) - w.efc_aref[i]
 
 
 @compiled
-def row_value(desk, room, rows, i, rate):
-    """The acceleration along a constraint's row, of changes of velocity over the step."""
-    nv = desk[d.NV]
-    firm = floats(row_at(desk, room, rows, i)[1], nv)
-    total = 0.0
-    for k in range(nv):
-        total += firm[k] * rate[k]
-    return total
+def add_row(w, k, force, stiffness, h):
+    """Adds the force along a kept row to h q_c, and its stiffness, minus its derivative, to R'."""
+    if force != 0.0:
+        add_scaled(w.constraint, h * force, w.rows[k])
+    if stiffness != 0.0:
+        add_outer(w.jacobian, stiffness, w.rows[k], w.damped_rows[k])
 
 
 @compiled
-def leave(desk, room, velocity, h, grips):
-    """Takes sand and constraints from the residual, which `weigh` has begun.
-
-    Returns:
-        (its norm, greatest bend of a friction loss).
-    """
-    nv = desk[d.NV]
-    residual = floats(room.residual, nv)
-    sand = floats(room.sand, nv)
-    bound = floats(room.bound, nv)
-    bend = bound_forces(desk, room, velocity, h, grips)
-    for j in range(nv):
-        residual[j] -= sand[j] + bound[j]
-    return norm(residual, room, nv), bend
-
-
-@compiled
-def bound_forces(desk, room, velocity, h, grips):
-    """Momentum of the constraints at a velocity, and its derivative, added to the matrix.
-
-    Returns:
-        The greatest bend of a friction loss (`hold`).
-    """
-    nv = desk[d.NV]
-    bound = floats(room.bound, nv)
-    start = floats(room.start, nv)
-    rate = floats(room.rate, nv)
-    data = desk[d.DATA]
-    rows = rows_of(desk[d.ROWS], 1)[0]
-    count = ints(data + rows.count, 1)[0]
-    for j in range(nv):
-        bound[j] = 0.0
-    bend = 0.0
-    if count == 0:
-        return bend
-    for j in range(nv):
-        rate[j] = (velocity[j] - start[j]) / h
-    kind = ints(longs(data + rows.kind, 1)[0], count)
-    loss = floats(longs(data + rows.loss, 1)[0], count)
-    mass = floats(longs(data + rows.mass, 1)[0], count)
-    reference = floats(longs(data + rows.reference, 1)[0], count)
-    owner = ints(longs(data + rows.owner, 1)[0], count)
-    contacts = _contacts(longs(data + rows.contact, 1)[0], ints(data + rows.contacts, 1)[0])
-    holds = floats(room.holds, 2 * desk[d.HOLD_COUNT])
-    held = 0
-    i = np.int64(0)  # a literal would be compiled for on its own
-    while i < count:
-        if kind[i] == _ELLIPTIC:
-            contact = contacts[owner[i]]
-            add_cone(desk, room, rows, i, contact, mass, reference, h)
-            i += contact.dim
-            continue
-        x = row_value(desk, room, rows, i, rate) - reference[i]
-        force = -mass[i] * x
-        stiff = mass[i]
-        if kind[i] == _EQUALITY:
-            pass
-        elif kind[i] <= _FRICTION:
-            force, stiff, turn = hold(holds, held, x, loss[i], mass[i], grips)
-            held += 2
-            bend = max(bend, turn)
-        elif x >= 0.0:
-            force, stiff = 0.0, 0.0
-        if force != 0.0 or stiff != 0.0:
-            row, firm = row_at(desk, room, rows, i)
-            push(desk, room, row, firm, force, stiff, h)
-        i += 1
-    return bend
-
-
-@compiled
-def hold(kept, first, x, limit, mass, grips):
-    """Friction with a limit, -limit x / max(|x|, limit / mass), and minus its derivative.
-
-    From one side of rest to the other Newton's method could leap for ever, as it could with the
-    sand's: the grip q = -x / max(|x|, limit / mass) is unknown beside x (`law.kernel.next_grip`;
-    for this function M. Hintermueller, G. Stadler, SIAM J. Sci. Comput. 28 (2006)).
+def add_constraints(w, h, update):
+    """Sets h q_c at the velocity `w.velocity`, and adds its derivative to R'.
 
     Args:
-        kept: x and q that were last looked at, of each friction loss; will be those of now.
-        first: where those of this one are.
-        x: acceleration along the row, less its reference.
-        limit: of the force.
-        mass: that of the row while it holds.
-        grips: `FRESH`, `NEXT`, `SAME`.
+        w: the workspace.
+        h: time step [s].
+        update: of friction multipliers: `FRESH`, `NEXT`, `SAME`.
 
     Returns:
-        (force, stiffness, square of the difference of q and the one of x itself).
+        The greatest mismatch of a friction loss (`friction_loss`).
+    """
+    clear(w.constraint)
+    mismatch = 0.0
+    losses = 0
+    for j in range(w.nv):
+        w.rate[j] = (w.velocity[j] - w.start[j]) / h
+    i = np.int64(0)  # a literal would be compiled for on its own
+    while i < w.nefc:
+        kind = w.efc_type[i]
+        if kind == _ELLIPTIC:
+            contact = w.contact[w.efc_id[i]]
+            add_cone(w, i, contact, h)
+            i += contact.dim
+            continue
+        x, mass = along_row(w, i), w.efc_D[i]
+        force, stiffness = -mass * x, mass
+        if kind != _EQUALITY and kind <= _FRICTION:
+            last, limit = w.friction[losses], w.efc_frictionloss[i]
+            force, stiffness, own = friction_loss(last, x, limit, mass, update)
+            mismatch = max(mismatch, own)
+            losses += 1
+        elif kind != _EQUALITY and x >= 0.0:
+            force, stiffness = 0.0, 0.0
+        add_row(w, kept_row(w, i), force, stiffness, h)
+        i += 1
+    return mismatch
+
+
+@compiled
+def friction_loss(last, x, limit, mass, update):
+    """Friction with a limit, f = -L x / max(|x|, L / D), and minus its derivative.
+
+    From one side of rest to the other Newton's method could leap for ever, as it could with the
+    sand's: the multiplier p = -x / max(|x|, L / D) is unknown beside x (`law.kernel`; for this
+    function M. Hintermueller, G. Stadler, SIAM J. Sci. Comput. 28 (2006)).
+
+    Args:
+        last: x and p that were last looked at; will be those of now.
+        x: acceleration along the row, less its reference.
+        limit: L.
+        mass: D, of the row while it holds.
+        update: `FRESH`, `NEXT`, `SAME`.
+
+    Returns:
+        (force, stiffness, square of the difference of p and the one of x itself).
     """
     edge = limit / mass
     size = max(abs(x), edge)
     own = -x / size
-    q = own
-    if grips == NEXT:
-        old, q = kept[first], kept[first + 1]
+    p = own
+    if update == NEXT:
+        old, p = last[0], last[1]
         growth = math.copysign(x - old, old * (x - old)) if abs(old) > edge else 0.0
-        q = min(max(-(x + growth * q) / max(abs(old), edge), -1.0), 1.0)
-    elif grips == SAME:
-        q = kept[first + 1]
-    kept[first], kept[first + 1] = x, q
-    along = math.copysign(q, q * x) if abs(x) > edge else 0.0
-    return limit * own, limit * (1.0 + along) / size, (q - own) ** 2
+        p = min(max(-(x + growth * p) / max(abs(old), edge), -1.0), 1.0)
+    elif update == SAME:
+        p = last[1]
+    last[0], last[1] = x, p
+    along = math.copysign(p, p * x) if abs(x) > edge else 0.0
+    return limit * own, limit * (1.0 + along) / size, (p - own) ** 2
 
 
 @compiled
-def mix_row(desk, room, rows, i, factor, fresh):
-    """Adds a multiple of a constraint's row to `row` and `firm`, or begins them."""
-    nv = desk[d.NV]
-    row, firm = floats(room.row, nv), floats(room.firm, nv)
-    if fresh:
-        clear(row)
-        clear(firm)
-    address, firm_address = row_at(desk, room, rows, i)
-    source, firm_source = floats(address, nv), floats(firm_address, nv)
-    for k in range(nv):
-        row[k] += factor * source[k]
-        firm[k] += factor * firm_source[k]
-
-
-@compiled
-def push(desk, room, address, firm_address, force, stiff, h):
-    """Adds a force along a row to the constraints' momentum, and its stiffness to the matrix."""
-    nv = desk[d.NV]
-    bound = floats(room.bound, nv)
-    row, firm = floats(address, nv), floats(firm_address, nv)
-    matrix = floats(room.matrix, nv * nv)
-    for j in range(nv):
-        bound[j] += h * force * row[j]
-    if stiff == 0.0:
-        return
-    for i in range(nv):
-        u = stiff * row[i]
-        if u != 0.0:
-            for j in range(nv):
-                matrix[i * nv + j] += u * firm[j]
-
-
-@compiled
-def add_cone(desk, room, rows, i, contact, mass, reference, h):
-    """A contact with an elliptic cone, rows i to i + dim.
+def add_cone(w, first, contact, h):
+    """A contact with an elliptic cone, rows `first` to `first + dim`.
 
     In coordinates scaled by friction, U = (mu x_0, friction_k x_k), N the first of them and T the
     size of the others: above the cone (N >= mu T) nothing; below its polar (mu N + T <= 0) all
-    rows are springs; between, one spring D_m along the distance N - mu T from the cone.
+    rows are springs; between, one spring D_m along the distance d = N - mu T from the cone,
+
+        f = -D_m d grad d,    -f' = D_m (grad d grad d^T - d mu T''),
+        T'' = (diag(friction_k^2) - grad T grad T^T) / T.
     """
-    nv = desk[d.NV]
-    rate = floats(room.rate, nv)
-    dim = contact.dim
-    mu = contact.mu
-    x0 = row_value(desk, room, rows, i, rate) - reference[i]
-    n = x0 * mu
+    dim, mu = contact.dim, contact.mu
+    x, away, along = numbers_of_contact(), numbers_of_contact(), numbers_of_contact()
     t = 0.0
-    for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
-        t += (x * contact.friction[k - 1]) ** 2
-    t = math.sqrt(t)
-    if n >= mu * t or (t <= 0.0 and n >= 0.0):
+    for k in range(dim):
+        x[k] = along_row(w, first + k)
+        if k > 0:
+            t += (x[k] * contact.friction[k - 1]) ** 2
+    n, t = mu * x[0], math.sqrt(t)
+    if n >= mu * t:
         return
-    if mu * n + t <= 0.0 or (t <= 0.0 and n < 0.0):
+    if mu * n + t <= 0.0:
         for k in range(dim):
-            x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
-            row, firm = row_at(desk, room, rows, i + k)
-            push(desk, room, row, firm, -mass[i + k] * x, mass[i + k], h)
+            mass = w.efc_D[first + k]
+            add_row(w, kept_row(w, first + k), -mass * x[k], mass, h)
         return
-    stiff = mass[i] / (mu * mu * (1.0 + mu * mu))
-    away = n - mu * t
-    # Along the gradient of the distance: mu for the normal row, -mu U_k / T friction_k for others.
-    mix_row(desk, room, rows, i, mu, _ANEW)
+    spring = w.efc_D[first] / (mu * mu * (1.0 + mu * mu))
+    distance = n - mu * t
+    bend = -spring * distance * mu / t
+    away[0], along[0] = mu, 0.0  # grad d, grad T
     for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
-        friction = contact.friction[k - 1]
-        mix_row(desk, room, rows, i + k, -mu * (x * friction / t) * friction, _MORE)
-    push(desk, room, room.row, room.firm, -stiff * away, stiff, h)
-    # The gradient turns with U: curvature of T, taken with no regard to its direction.
-    bend = -stiff * away * mu / t
-    for k in range(1, dim):
-        friction = contact.friction[k - 1]
-        mix_row(desk, room, rows, i + k, friction, _ANEW)
-        push(desk, room, room.row, room.firm, 0.0, bend, h)
-    for k in range(1, dim):
-        x = row_value(desk, room, rows, i + k, rate) - reference[i + k]
-        friction = contact.friction[k - 1]
-        mix_row(desk, room, rows, i + k, (x * friction / t) * friction, k == 1)
-    push(desk, room, room.row, room.firm, 0.0, -bend, h)
+        friction = contact.friction[k - 1] ** 2
+        along[k] = friction * x[k] / t
+        away[k] = -mu * along[k]
+        add_row(w, kept_row(w, first + k), 0.0, bend * friction, h)
+    sum_rows(w, first, dim, away)
+    add_row(w, _SUM, -spring * distance, spring, h)
+    sum_rows(w, first, dim, along)
+    add_row(w, _SUM, 0.0, -bend, h)
+
+
+@compiled
+def sum_rows(w, first, dim, factors):
+    """Writes a sum of multiples of so many rows to `w.rows` and `w.damped_rows`."""
+    clear(w.rows[_SUM])
+    clear(w.damped_rows[_SUM])
+    for k in range(dim):
+        row = kept_row(w, first + k)
+        add_scaled(w.rows[_SUM], factors[k], w.rows[row])
+        add_scaled(w.damped_rows[_SUM], factors[k], w.damped_rows[row])

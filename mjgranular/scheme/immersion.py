@@ -24,7 +24,6 @@ from mjgranular.kernel.memory import (
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.law.kernel import WORLD, LawKernel
-from mjgranular.scheme import desk as d
 from mjgranular.scheme.layout import (
     ARM,
     IMMERSED,
@@ -32,7 +31,6 @@ from mjgranular.scheme.layout import (
     VELOCITY,
     WEIGHT,
     block_size,
-    head_records,
 )
 from mjgranular.scheme.sheets import CONTACT_SIZE, look_kernel
 from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
@@ -57,17 +55,16 @@ def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             block[WEIGHT * lanes + lane] = 0.0
 
     @compiled
-    def immerse_all(table, desk):
+    def immerse_all(table, w):
         elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         bodies = body_records(table[BODIES], table[BODY_COUNT])
-        heads = head_records(desk[d.HEADS], desk[d.BLOCK_COUNT])
-        address = desk[d.BLOCKS]
+        heads, blocks = w.heads, w.blocks
         scene = scene_records(table[SCENE], 1)
         law = scene[0].law
         surface = scene[0].surface
         g = gravity_of(table)
-        block = floats(address, size)
+        block = blocks[0]
         count = 0
         first = 0
         for slot in range(len(bodies)):
@@ -94,7 +91,7 @@ def immerse_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
                 v = velocity_at(pose.motion, x, y, z)
                 contact.velocity[0], contact.velocity[1], contact.velocity[2] = v[0], v[1], v[2]
                 if live == 0:
-                    block = floats(address + 8 * size * count, size)
+                    block = blocks[count]
                     heads[count].body = body.body
                     count += 1
                 write_three(block, ARM * lanes + live, (x, y, z))
@@ -118,7 +115,7 @@ def gather_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """The same for elements that lie in sheets: what is in the sand of them is put together."""
     sheets, level, lanes = kernel.sheets, kernel.level, kernel.lanes
     assert sheets is not None
-    size, sheet_size = block_size(kernel), sheets.rows * lanes
+    sheet_size = sheets.rows * lanes
     scene_records, look = records(scene_dtype), look_kernel(kernel)
     immerse = sheets.immerse(IMMERSED * lanes)
     element, three = column(sheets.rows, lanes), rows(3, lanes)
@@ -154,18 +151,17 @@ def gather_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             write_three(contact.velocity, 0, read_three(block, VELOCITY * lanes + lane))
 
     @compiled
-    def immerse_all(table, desk):
+    def immerse_all(table, w):
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         bodies = body_records(table[BODIES], table[BODY_COUNT])
-        heads = head_records(desk[d.HEADS], desk[d.BLOCK_COUNT])
-        address = desk[d.BLOCKS]
+        heads, blocks = w.heads, w.blocks
         scene = scene_records(table[SCENE], 1)
         law = scene[0].law
         surface = scene[0].surface
         g = gravity_of(table)
         ux, uy, uz, _ = level(surface, WORLD)
         up = (ux, uy, uz)
-        block, depths, gathered = floats(address, size), room_of_depths(), room_of_gathered()
+        block, depths, gathered = blocks[0], room_of_depths(), room_of_gathered()
         sheet_address, told = table[ELEMENTS], table[CONTACTS]
         count = 0
         first = 0
@@ -185,7 +181,7 @@ def gather_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
                         if depths[lane] <= 0.0:
                             continue
                         if live == 0:
-                            block = floats(address + 8 * size * count, size)
+                            block = blocks[count]
                             heads[count].body = body.body
                             count += 1
                         write_element(gathered, live, read_element(sheet, lane))

@@ -7,16 +7,20 @@ the sand's forces on its elements and J their Jacobian, one step of MuJoCo is
     A (v' - v) = h (q + q_c(v') + J^T f(v'))
 
 where A is the inertia (with the integrator's own implicit damping), q all smooth forces and q_c
-those of MuJoCo's constraints, which answer to the sand as the sand does to them. It is solved for
-v' by Newton's method: nv equations, whatever the number of elements, since what the elements of a
-body add to the derivative is one 6 x 6 matrix, as if it were inertia.
+those of MuJoCo's constraints, which answer to the sand as the sand does to them. In the order of
+reading:
 
-Rest is made soft over a speed eps far below anything visible: a static force grows to its limit
-over speeds of that size. What part of the limit is called on, the element's grip, is unknown beside
-the velocity, and Newton's method finds both (`law.kernel.next_grip`). It starts from the velocity
-that MuJoCo's last acceleration leads to. Nothing of our own is carried from step to step: the force
-is a function of MuJoCo's state, so that what is copied, saved or reset goes on alike, to the last
-bit.
+    workspace      all arrays by name, MuJoCo's and the scheme's
+    balance        residual R(v') and Jacobian R'(v') of this equation: nv numbers, nv x nv,
+                   whatever the number of elements
+    constraints    what MuJoCo's constraints add to them
+    newton         Newton's method, with friction multipliers
+    continuation   where it begins, and how soft rest is: forces that hold grow to their limit over
+                   a speed far below anything visible
+    passivity      where it stops short: no energy from the sand
+
+Nothing of our own is carried from step to step: the force is a function of MuJoCo's state, so that
+what is copied, saved or reset goes on alike, to the last bit.
 """
 
 from __future__ import annotations
@@ -31,58 +35,46 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.elementary import bits_of
 from mjgranular.kernel.engine import (
     bias_forces,
     constraint_references,
     forward_acceleration,
     forward_actuation,
+    solve_inertia,
     tendon_bias_forces,
 )
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
-    DESK,
-    floats,
-    ints,
+    CONTACTS,
+    ELEMENT_COUNT,
+    WORKSPACE,
     table_at,
 )
-from mjgranular.kernel.motion import velocity_at
-from mjgranular.kernel.records import body_records
+from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.kernel.vector import cross, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme import desk as d
-from mjgranular.scheme.balance import (
-    body_motions,
-    clear,
-    copy,
-    motion_of,
-    prepare_inertia,
-)
-from mjgranular.scheme.blocks import FRESH, SAME, block_kernels
+from mjgranular.scheme.balance import prepare_inertia
+from mjgranular.scheme.blocks import block_kernels
 from mjgranular.scheme.constraints import prepare_rows
-from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
-from mjgranular.scheme.layout import ARM, head_records
-from mjgranular.scheme.newton import Way, newton_kernel
-from mjgranular.scheme.passive import NO_ENERGY, passive_share, power_bound
-from mjgranular.scheme.scheme import Desk, Scheme, refuse_runge_kutta, schemes
-from mjgranular.scheme.softness import fastest_of, goal_of, softness
-from mjgranular.scheme.status import BAD_STATE, FINE, bits_of, check_options
-from mjgranular.scheme.wrenches import (
-    add_wrenches,
-    is_bad,
-    withdraw_wrenches,
+from mjgranular.scheme.continuation import lane_vector, solver_kernel
+from mjgranular.scheme.dense import add_scaled, clear, copy, inner
+from mjgranular.scheme.layout import FORCE, INDEX
+from mjgranular.scheme.passivity import passive_share
+from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes
+from mjgranular.scheme.status import BAD_STATE, FINE, check_options
+from mjgranular.scheme.status import bits_of as bits_of_integrators
+from mjgranular.scheme.workspace import (
+    EULER,
+    make_workspace,
+    open_constraints,
+    read_options,
+    workspace_at,
 )
+from mjgranular.scheme.wrenches import add_wrenches, is_bad, withdraw_wrenches
 
-# Residuals, in parts of the momentum at hand: between two softnesses; above that a step is counted
-# as unfinished, and the direct way as lost. What is left between may be one of the law's own jumps.
-# Chosen.
-_COARSE, _ROUNDED, _LOST = 1e-3, 1e-6, 1e-3
-_TURNED = 0.1  # square of the difference of a grip and its velocity's; chosen
-# In parts of what the step would change without sand: speeds of which all elements may be at rest.
-_SLOW = 1e-3
-_FINER = 1e-2  # from one softness to the next, where the direct way is lost
-_BEGUN = 10.0  # how much softer a hold may be at the velocity found for that to be tried
-# Of Newton's method; not literals, for each of which numba would compile anew.
-_STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 40, 6))
+_UNFINISHED = 1e-6  # residual in parts of the momentum at hand, above which a step is counted so
 _NOTHING = 1e-150  # a momentum that may be divided by
 
 
@@ -113,7 +105,7 @@ class Implicit(Scheme):
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
         return implicit_program(kernel, scene, self.evaluations)
 
-    def desk(
+    def workspace(
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
@@ -121,21 +113,12 @@ class Implicit(Scheme):
         kernel: LawKernel,
         *,
         within: bool = False,
-    ) -> Desk:
-        return d.make_desk(
-            model,
-            elements,
-            kernel,
-            within=within,
-            model_address=model._address,
-            data_address=data._address,
-            of_model=lambda name: getattr(model, name).ctypes.data,
-            of_data=lambda name: getattr(data, name).ctypes.data,
-        )
+    ) -> Workspace:
+        return make_workspace(model, data, elements, kernel, within=within)
 
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
-        if not bits_of(self.integrators) >> int(model.opt.integrator) & 1:
+        if not bits_of_integrators(self.integrators) >> int(model.opt.integrator) & 1:
             raise InputError(
                 "the implicit scheme foresees the steps of the integrators Euler, implicit and "
                 "implicitfast: set one of them, or scheme='explicit'"
@@ -154,67 +137,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         scene_dtype: record of law and surface.
         most: evaluations after which no finer softness is begun.
     """
-    immerse_all = block_kernels(kernel, scene_dtype).immerse
-    newton = newton_kernel(kernel, scene_dtype)
-
-    @compiled
-    def find_velocity(table, desk, room, count, h, coarse, fine, scale):
-        """Solves for the velocity at the end of the step.
-
-        Returns:
-            (evaluations, residual in parts of `scale`, the softness that was reached, the one that
-            was sought).
-        """
-        nv = desk[d.NV]
-        velocity = floats(room.velocity, nv)
-        start = floats(room.start, nv)
-        before = floats(desk[d.WARMSTART], nv)
-        goal = goal_of(fine) * scale
-        done = 0
-        if fastest_of(desk, count) < _SLOW * coarse:
-            # At rest what was is what will be.
-            way = Way(FRESH, fine, fine, goal, _STEPS_NEAR, _TURNED)
-            done, error = newton(table, desk, room, count, h, way)
-            if error <= goal:
-                return done, error / scale, fine, fine
-
-        # In motion the last acceleration, which is part of MuJoCo's state, is a good guess. What is
-        # slower than the step may change is not taken to slide.
-        known = True
-        for j in range(nv):
-            known = known and math.isfinite(before[j])
-        for j in range(nv):
-            velocity[j] = start[j] + h * before[j] if known else start[j]
-        loose = max(coarse, fine)
-        way = Way(FRESH, loose, fine, goal, _STEPS, math.inf)
-        more, error = newton(table, desk, room, count, h, way)
-        done += more
-        if goal < error <= _LOST * scale:
-            # What begins to move in this step is rounded more than its velocity before can say.
-            moved = softness(desk, count, velocity)
-            if moved > _BEGUN * fine:
-                fine = moved
-                goal = goal_of(fine) * scale
-                loose = max(coarse, fine)
-                way = Way(SAME, fine, fine, goal, _STEPS_COARSE, math.inf)
-                more, error = newton(table, desk, room, count, h, way)
-                done += more
-        if error <= _LOST * scale:
-            return done, error / scale, fine, fine
-
-        # Lost: from a coarse softness to the fine one. What holds keeps its grip.
-        copy(velocity, start)
-        eps = loose
-        grips = FRESH
-        while eps > fine and done < most:
-            way = Way(grips, eps, eps, _COARSE * scale, _STEPS_COARSE, math.inf)
-            more, _ = newton(table, desk, room, count, h, way)
-            done += more
-            grips = SAME
-            eps = max(_FINER * eps, fine)
-        way = Way(grips, eps, eps, goal, _STEPS, math.inf)
-        more, error = newton(table, desk, room, count, h, way)
-        return done + more, error / scale, eps, fine
+    immerse = block_kernels(kernel, scene_dtype).immerse
+    find_velocity = solver_kernel(kernel, scene_dtype, most)
 
     @compiled
     def program(address, lead):
@@ -224,98 +148,121 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         status = check_options(table)
         if status != FINE:
             return status
-        desk = d.desk_at(table[DESK])
-        d.read_options(table, desk)
+        w = workspace_at(table[WORKSPACE])
+        read_options(table, w)
         bodies = body_records(table[BODIES], table[BODY_COUNT])
         withdraw_wrenches(table)
         for slot in range(len(bodies)):
             clear(bodies[slot].wrench)
-        count = immerse_all(table, desk)
+        count = immerse(table, w)
         if count > 0:
-            forward_smooth(desk)
-            room = d.open_room(desk)
-            coarse, fine, scale = begin(desk, room, count, lead)
-            scale = max(scale, _NOTHING)
-            done, error, soft, fine = find_velocity(
-                table, desk, room, count, lead, coarse, fine, scale
-            )
-            warm_engine(desk, room, lead)
-            share = 1.0
-            if power_bound(desk, room, error, scale) > NO_ENERGY:
-                share = passive_share(desk, room, error, lead)
-            hand_over(desk, room, bodies, share)
-            tell_contacts(table, desk, count, share)
-            account = d.account_records(desk[d.ACCOUNT], 1)[0]
-            account.steps += 1
-            account.evaluations += done
-            account.most = max(account.most, done)
-            account.softened += soft > fine
-            account.unfinished += not error <= _ROUNDED
-            account.residual = error
-            account.worst = max(account.worst, error)
+            find_smooth_forces(w)
+            open_constraints(table[WORKSPACE], w)
+            prepare_inertia(w, lead)
+            prepare_rows(w)
+            mark_wet(w, count)
+            scale = begin(w, lead)
+            done, error, softened = find_velocity(table, w, count, lead, scale)
+            warm_start(w, lead)
+            share = passive_share(w, error, scale, lead)
+            write_wrenches(w, bodies, share)
+            write_contacts(table, w, count, share)
+            statistics = w.statistics[0]
+            statistics.steps += 1
+            statistics.evaluations += done
+            statistics.most = max(statistics.most, done)
+            statistics.softened += softened
+            statistics.unfinished += not error <= _UNFINISHED
+            statistics.residual = error
+            statistics.worst = max(statistics.worst, error)
         return add_wrenches(table)
 
     return program
 
 
 @compiled
-def forward_smooth(desk):
-    """Has the engine find the accelerations of all smooth forces but the sand's."""
-    model, data = desk[d.MODEL], desk[d.DATA]
-    if desk[d.WITHIN] != 0:
+def find_smooth_forces(w):
+    """Has the engine find q, all smooth forces but the sand's, and their accelerations."""
+    model, data = w.model, w.data
+    if w.within != 0:  # what comes after passive forces in the step is not there yet
         constraint_references(model, data)
-        bias_forces(model, data, 0, desk[d.BIAS])
-        tendon_bias_forces(model, data, desk[d.BIAS])
+        bias_forces(model, data, 0, w.qfrc_bias.ctypes.data)
+        tendon_bias_forces(model, data, w.qfrc_bias.ctypes.data)
     forward_actuation(model, data)
     forward_acceleration(model, data)
 
 
 @compiled
-def begin(desk, room, count, h):
-    """Reads the state, and says how softly to begin and to end.
+def mark_wet(w, count):
+    """Marks the bodies that have an element in the sand, and those that carry them."""
+    wet = w.wet
+    for body in range(w.nbody):
+        wet[body] = 0
+    for i in range(count):
+        body = w.heads[i].body
+        while body > 0 and wet[body] == 0:
+            wet[body] = 1
+            body = w.body_parentid[body]
+
+
+@compiled
+def begin(w, h):
+    """Reads v and h q; v' begins with v.
 
     Returns:
-        (coarse softness [m/s], fine softness [m/s], size of the momentum at hand).
+        The size of the momentum at hand, of velocities and forces.
     """
-    nv, nbody = desk[d.NV], desk[d.NBODY]
-    velocity = floats(room.velocity, nv)
-    start = floats(room.start, nv)
-    trial = floats(room.trial, nv)
-    room_smooth = floats(room.smooth, nv)
-    weight = floats(room.weight, nv)
-    motion = floats(room.motion, 6 * nbody)
-    room_wet = floats(room.wet, nbody)
-    qvel = floats(desk[d.QVEL], nv)
-    smooth = floats(desk[d.SMOOTH], nv)
-    acceleration = floats(desk[d.ACCELERATION], nv)
-    parents = ints(desk[d.BODY_PARENT], nbody)
-    prepare_inertia(desk, room, h)
-    prepare_rows(desk, room)
-    clear(room_wet)
-    heads = head_records(desk[d.HEADS], count)
-    for i in range(count):
-        body = heads[i].body
-        while body > 0 and room_wet[body] == 0.0:
-            room_wet[body] = 1.0
-            body = parents[body]
-    size = 0.0
-    for j in range(nv):
-        start[j] = qvel[j]
-        velocity[j] = qvel[j]
-        room_smooth[j] = h * smooth[j]
-        trial[j] = h * acceleration[j]
-        light = math.sqrt(weight[j])
-        size += abs(room_smooth[j]) * light + abs(qvel[j]) / light
+    scale = 0.0
+    for j in range(w.nv):
+        w.start[j] = w.velocity[j] = w.qvel[j]
+        w.smooth[j] = h * w.qfrc_smooth[j]
+        light = math.sqrt(w.weight[j])
+        scale += abs(w.smooth[j]) * light + abs(w.qvel[j]) / light
+    return max(scale, _NOTHING)
 
-    # How much the elements' velocities would change in the step without sand: what is slower than
-    # that may stop.
-    body_motions(desk, room, trial)
-    coarse = 0.0
-    lanes = desk[d.LANES]
+
+@compiled
+def warm_start(w, h):
+    """Has the engine's constraint solver begin at the acceleration that has been foreseen.
+
+    By itself it stops when it is within some 1e-6 of it, which is little where things move, but at
+    rest a kick, beside what the sand holds. From here it has nothing to do but to see that it is
+    there. It solves for the acceleration in front of the integrator's own damping C, which is
+    (1 + M^-1 C) (v' - v) / h.
+    """
+    if w.nefc == 0:
+        return
+    rate, damped, answer = w.rate, w.product, w.solution
+    for j in range(w.nv):
+        rate[j] = (w.velocity[j] - w.start[j]) / h
+    copy(w.qacc_warmstart, rate)
+    if w.integrator != EULER:
+        for i in range(w.nv):
+            damped[i] = inner(w.damping[i], rate)
+        solve_inertia(w.model, w.data, answer.ctypes.data, damped.ctypes.data, 1)
+        add_scaled(w.qacc_warmstart, 1.0, answer)
+
+
+@compiled
+def write_wrenches(w, bodies, share):
+    """Writes the bodies' wrenches about their own centres of mass, force before moment."""
+    for slot in range(len(bodies)):
+        body = bodies[slot]
+        if w.wet[body.body] == 0:
+            continue
+        moment = read_vector(w.wrench[body.body], 0)
+        force = read_vector(w.wrench[body.body], 3)
+        arm = read_vector(w.xipos[body.body], 0) - read_vector(w.subtree_com[body.root], 0)
+        write_vector(body.wrench, 0, share * force)
+        write_vector(body.wrench, 3, share * (moment - cross(arm, force)))
+
+
+@compiled
+def write_contacts(table, w, count, share):
+    """Writes the forces on elements to their contacts."""
+    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
     for i in range(count):
-        w = motion_of(motion, heads[i].body)
-        arm = d.vectors_at(desk, i, ARM)
-        for lane in range(lanes):
-            vx, vy, vz = velocity_at(w, arm[lane], arm[lanes + lane], arm[2 * lanes + lane])
-            coarse = max(coarse, vx * vx + vy * vy + vz * vz)
-    return math.sqrt(coarse), softness(desk, count, qvel), size
+        block = w.blocks[i]
+        for lane in range(w.heads[i].live):
+            contact = contacts[bits_of(block[INDEX * w.lanes + lane])]
+            write_vector(contact.force, 0, share * lane_vector(w, block, FORCE, lane))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import mujoco
@@ -24,18 +25,18 @@ _SPELLED = {"EULER": "Euler"}
 
 
 @dataclass(frozen=True)
-class Desk:
+class Workspace:
     """Where a scheme works: made once for a simulation, so that no step allocates.
 
     Attributes:
-        table: sizes and addresses, int64, as the scheme's program reads them.
-        holds: arrays whose addresses are in the table, to be kept alive.
-        account: what the program counts, by name; see the scheme.
+        record: sizes and addresses, as the scheme's program reads them; words of 8 bytes.
+        arrays: by name, those whose addresses are in the record, to be kept alive.
+        statistics: what the program counts, by name; see the scheme.
     """
 
-    table: np.ndarray
-    holds: tuple[Any, ...] = ()
-    account: np.ndarray | None = None
+    record: np.ndarray
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    statistics: np.ndarray | None = None
 
 
 class Scheme(ABC):
@@ -90,7 +91,7 @@ class Scheme(ABC):
         """The scheme for a model with so many elements: itself, unless it is a choice of others."""
         return self
 
-    def desk(
+    def workspace(
         self,
         model: mujoco.MjModel,
         data: mujoco.MjData,
@@ -98,8 +99,8 @@ class Scheme(ABC):
         kernel: LawKernel,
         *,
         within: bool = False,
-    ) -> Desk:
-        """What the program works with in one simulation; nothing unless a scheme says so.
+    ) -> Workspace:
+        """The memory that the program works with in one simulation, if it needs any.
 
         Args:
             model: the model.
@@ -108,7 +109,7 @@ class Scheme(ABC):
             kernel: of the law.
             within: whether the program runs among MuJoCo's passive forces, inside its step.
         """
-        return Desk(np.zeros(0, np.int64))
+        return Workspace(np.zeros(0, np.int64))
 
     @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:

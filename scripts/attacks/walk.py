@@ -212,7 +212,7 @@ class Walk:
         quiet(data)
         counted = self.counters()
         binding = self.sand._bindings.get(data)
-        account = None if binding is None else binding.desk.account
+        account = None if binding is None else binding.workspace.statistics
         self.wet_steps = 0 if account is None else int(account[0]["steps"])
         applied = data.xfrc_applied.copy()
         self.place(self.step, 0)
@@ -402,15 +402,14 @@ class Walk:
     def compare_foreseen(self, speed: np.ndarray, announced: bool) -> None:
         """The velocity that has been foreseen, where the engine has no constraint to solve."""
         assert self.sand is not None
-        desk = self.sand._bindings[self.data].desk
-        if announced or self.data.nefc or desk.account is None or not desk.holds:
+        workspace = self.sand._bindings[self.data].workspace
+        if announced or self.data.nefc or workspace.statistics is None:
             return
-        if int(desk.account[0]["steps"]) == self.wet_steps:  # nothing was in the sand
+        if int(workspace.statistics[0]["steps"]) == self.wet_steps:  # nothing was in the sand
             return
-        if desk.account[0]["residual"] > 1e-9:
+        if workspace.statistics[0]["residual"] > 1e-9:
             return
-        nv = self.model.nv
-        found = desk.holds[0][:nv]
+        found = workspace.arrays["velocity"]
         h = abs(float(self.model.opt.timestep))
         scale = max(np.abs(speed).max(), np.abs(self.data.qvel).max(), 9.81 * h)
         off = float(np.abs(found - self.data.qvel).max())
@@ -445,9 +444,9 @@ class Walk:
         """What the scheme counts of its own shortcomings."""
         assert self.sand is not None
         binding = self.sand._bindings.get(self.data)
-        if binding is None or binding.desk.account is None:
+        if binding is None or binding.workspace.statistics is None:
             return ()
-        account = binding.desk.account[0]
+        account = binding.workspace.statistics[0]
         whole = [name for name in account.dtype.names if account.dtype[name] == np.int64]
         return tuple(
             int(account[name]) for name in whole if name not in ("steps", "evaluations", "most")

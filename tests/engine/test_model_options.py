@@ -208,7 +208,7 @@ def test_disabled_gravity_is_no_gravity(scheme):
 
 
 def foreseen(sand, data):
-    return sand._bindings[data].desk.holds[0][: sand.model.nv]
+    return sand._bindings[data].workspace.arrays["velocity"]
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])

@@ -15,7 +15,6 @@ from mujoco.batch import Batch
 
 from mjgranular import HeightField, InputError, Sand, UnstableError
 from mjgranular.engine import add_sand
-from mjgranular.scheme import desk as d
 
 # A body that a mocap body carries, and one that is free; both in the dune.
 DUNE = """
@@ -189,12 +188,49 @@ def test_a_height_field_that_is_longer_than_its_data():
         Sand(model, **given("link_distributed", "explicit"))
 
 
-@pytest.mark.parametrize(("nv", "nbody", "ntendon"), [(1, 2, 0), (6, 3, 2), (27, 17, 5)])
-def test_the_solvers_arrays_fill_their_room(nv, nbody, ntendon):
-    desk = np.zeros(d.DESK_SIZE, np.int64)
-    desk[d.NV], desk[d.NBODY], desk[d.NUMBERS] = nv, nbody, 4096
-    room = d.open_room.py_func(desk)
-    assert room.holds + 16 * (nv + ntendon) == 4096 + 8 * d.room_size(nv, nbody, ntendon)
+CROWD = """
+<mujoco>
+  <option timestep="0.002" cone="{cone}" jacobian="{jacobian}" integrator="{integrator}"/>
+  <default><joint damping="0.1" frictionloss="0.01"/></default>
+  <worldbody>
+    <geom type="plane" size="1 1 1" pos="0 0 -0.1"/>
+    {bodies}
+  </worldbody>
+</mujoco>
+"""
+HINGED = """
+<body pos="{x} 0 -0.072">
+  <freejoint/><geom type="capsule" size="0.03 0.1" euler="0 80 0"/>
+  <body pos="0 0.2 0">
+    <joint axis="1 0 0" range="-10 -5" limited="true"/><geom type="capsule" size="0.03 0.06"/>
+  </body>
+</body>
+"""
+
+
+# The arrays of a workspace, with an index that is off in none: `NUMBA_BOUNDSCHECK`.
+WORKSPACE = """
+from test_memory_bounds import *
+
+for cone, jacobian, integrator, count in (
+    ("elliptic", "dense", "Euler", 10), ("pyramidal", "sparse", "implicitfast", 3),
+):
+    bodies = "".join(HINGED.format(x=0.4 * k) for k in range(count))
+    given = {"cone": cone, "jacobian": jacobian, "integrator": integrator}
+    model = mujoco.MjModel.from_xml_string(CROWD.format(bodies=bodies, **given))
+    sand, data = Sand(model, law="link", scheme="implicit"), mujoco.MjData(model)
+    rows = 0
+    for _ in range(20):
+        sand.step(data)
+        rows = max(rows, data.nefc)
+    print(rows > 64, sand.report(data).solver.steps)
+"""
+
+
+def test_the_implicit_scheme_stays_within_its_arrays(tmp_path):
+    checked = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = run(tmp_path, WORKSPACE, **checked)
+    assert (done.returncode, done.stdout.split()) == (0, ["True", "20", "False", "20"]), done.stderr
 
 
 # With bounds checks. A program of its own: the first number is read by itself, the others as

@@ -65,13 +65,12 @@ def sand_of(name, model, **options):
 
 def account(sand, data):
     """What the scheme has counted."""
-    return sand._bindings[data].desk.account[0]
+    return sand._bindings[data].workspace.statistics[0]
 
 
 def foreseen(sand, data):
     """The velocity at the end of the step that the solver last found."""
-    numbers, *_ = sand._bindings[data].desk.holds
-    return numbers[: sand.model.nv]  # the first of `desk.Room`
+    return sand._bindings[data].workspace.arrays["velocity"]
 
 
 def state(sand, data):

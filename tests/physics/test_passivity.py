@@ -147,11 +147,11 @@ def test_random_steps_are_foreseen(seed):
         data.qfrc_applied[:] = drawn.rng.normal(scale=0.1, size=drawn.model.nv)
         before = data.qvel.copy()
         sand.step(data)
-        desk = sand._bindings[data].desk
-        account = desk.account[0]
+        workspace = sand._bindings[data].workspace
+        account = workspace.statistics[0]
         if not (sand._bindings[data].contacts["depth"] > 0).any() or account["residual"] > 1e-10:
             continue
-        found = desk.holds[0][: drawn.model.nv]
+        found = workspace.arrays["velocity"]
         speed = max(9.81 * drawn.timestep, abs(data.qvel).max(), abs(data.qvel - before).max())
         # Light chains: what a residual of 1e-11 of the momentum at hand is for the lightest.
         assert abs(data.qvel - found).max() <= 1e-7 * speed

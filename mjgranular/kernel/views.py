@@ -1,0 +1,113 @@
+"""Records of numbers and addresses that kernels read as numbers and as arrays: `w.nv`, `w.qvel[j]`.
+
+Such a record is passed between kernels as one word, its address, where each array would be seven.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import from_dtype, types
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    infer_getattr,
+    intrinsic,
+    lower_getattr_generic,
+    lower_setattr_generic,
+    models,
+    register_model,
+)
+from numba.np.arrayobj import populate_array
+
+_WORD = ir.IntType(64)
+
+
+class Views(types.Type):
+    """A record of words: numbers (int64), then addresses of arrays.
+
+    Attributes:
+        dtype: of the record in memory.
+        arrays: for each array the type of what is in it, and its shape in numbers and names of the
+            record's numbers.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        numbers: Sequence[str],
+        arrays: Mapping[str, tuple[Any, tuple[int | str, ...]]],
+    ) -> None:
+        super().__init__(name=f"Views({name})")
+        self.dtype = np.dtype([(field, np.int64) for field in (*numbers, *arrays)])
+        self.arrays = dict(arrays)
+
+    def kind(self, field: str) -> Any:
+        """The numba type of a field, None if there is none."""
+        if field in self.arrays:
+            dtype, shape = self.arrays[field]
+            return types.Array(from_dtype(np.dtype(dtype)), len(shape), "C")
+        return types.int64 if field in (self.dtype.names or ()) else None
+
+    def place(self, builder: Any, address: Any, field: str) -> Any:
+        """Emits the pointer to a field's word."""
+        offset = self.dtype.fields[field][1]  # pyright: ignore[reportOptionalSubscript]
+        return builder.inttoptr(builder.add(address, _WORD(offset)), _WORD.as_pointer())
+
+
+@register_model(Views)
+class _ViewsModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Views) -> None:
+        super().__init__(dmm, fe_type, _WORD)
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = Views
+
+    def generic_resolve(self, views: Views, field: str) -> Any:
+        return views.kind(field)
+
+
+@lower_getattr_generic(Views)
+def _read(context: Any, builder: Any, views: Views, address: Any, field: str) -> Any:
+    def word(name: str) -> Any:
+        return builder.load(views.place(builder, address, name))
+
+    if field not in views.arrays:
+        return word(field)
+    dtype, sizes = views.arrays[field]
+    array = context.make_array(views.kind(field))(context, builder)
+    shape = [word(size) if isinstance(size, str) else _WORD(size) for size in sizes]
+    strides = [_WORD(np.dtype(dtype).itemsize)]
+    for size in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], size))
+    populate_array(
+        array,
+        data=builder.inttoptr(word(field), array.data.type),
+        shape=shape,
+        strides=strides,
+        itemsize=_WORD(np.dtype(dtype).itemsize),
+        meminfo=None,
+    )
+    return array._getvalue()
+
+
+@lower_setattr_generic(Views)
+def _write(context: Any, builder: Any, sig: Any, args: Any, field: str) -> Any:
+    builder.store(args[1], sig.args[0].place(builder, args[0], field))
+
+
+def views_at(views: Views) -> Any:
+    """Makes a kernel `at(address)`: the record there."""
+
+    @intrinsic
+    def at(typingctx: Any, address: Any) -> Any:
+        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            return args[0]
+
+        return views(types.int64), codegen
+
+    return at

@@ -1,0 +1,77 @@
+"""Arithmetic of dense vectors and matrices, in place: the linear algebra of the implicit scheme."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from mjgranular.kernel.compiled import compiled
+
+
+@partial(compiled, inline=True)
+def clear(a):
+    """Sets a = 0."""
+    for k in range(len(a)):
+        a[k] = 0.0
+
+
+@partial(compiled, inline=True)
+def copy(a, b):
+    """Sets a = b, as far as b goes."""
+    for k in range(len(b)):
+        a[k] = b[k]
+
+
+@partial(compiled, inline=True)
+def add_scaled(a, factor, b):
+    """Adds factor b to a."""
+    for k in range(len(a)):
+        a[k] += factor * b[k]
+
+
+@partial(compiled, inline=True)
+def inner(a, b):
+    """The product a . b."""
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
+
+
+@compiled
+def add_outer(m, factor, a, b):
+    """Adds factor a b^T to M."""
+    for i in range(len(a)):
+        if a[i] != 0.0:
+            add_scaled(m[i], factor * a[i], b)
+
+
+@compiled
+def solve(m, b, x):
+    """Solves M x = b; False if a pivot is nothing. Destroys M and b.
+
+    Unknowns are eliminated from the last to the first, from the leaves of the kinematic tree to its
+    root, where a matrix with the sparsity of the inertia stays as sparse as it is. Whole rows,
+    though most of a tree's matrix is zero: they are vectorized, lists of what is not zero are not,
+    and took twice the time from 6 to 23 degrees of freedom.
+    """
+    n = len(b)
+    for k in range(n - 1, -1, -1):
+        row = m[k]
+        pivot = row[k]
+        if not abs(pivot) > 0.0:
+            return False
+        scale = 1.0 / pivot
+        for i in range(k):
+            other = m[i]
+            factor = other[k] * scale
+            if factor != 0.0:
+                for j in range(k):
+                    other[j] -= factor * row[j]
+                b[i] -= factor * b[k]
+    for k in range(n):
+        row = m[k]
+        total = b[k]
+        for j in range(k):
+            total -= row[j] * x[j]
+        x[k] = total / row[k]
+    return True

@@ -1,0 +1,264 @@
+"""Where the implicit scheme works in one simulation: its arrays, and those of MuJoCo that it reads.
+
+A kernel sees all of them as fields of one record, `w`: `w.nv`, `w.velocity[j]`, `w.cdof[j]`. Fields
+of MuJoCo's structs have MuJoCo's names. The record is made once for each `MjData`, so that no step
+allocates.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, constraint_rows, is_sparse
+from mjgranular.kernel.memory import ints, longs
+from mjgranular.kernel.options import options_at
+from mjgranular.kernel.views import Views, views_at
+from mjgranular.law.kernel import LawKernel
+from mjgranular.scheme.layout import HEAD_DTYPE, block_count, block_size
+from mjgranular.scheme.scheme import Workspace
+
+STATISTICS_DTYPE = np.dtype(
+    [
+        ("steps", np.int64),  # with an element in the sand
+        ("evaluations", np.int64),  # of forces and derivatives, in all of them
+        ("most", np.int64),  # in one step
+        ("softened", np.int64),  # steps that made do with a softer rest
+        ("unfinished", np.int64),  # steps that left too much unbalanced
+        ("residual", np.float64),  # of the last, in parts of the momentum that it moves; or inf
+        ("worst", np.float64),  # of all
+    ]
+)
+
+EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT = range(4)
+"""What the integrator adds to the inertia: nothing, joint damping, the derivative of forces."""
+
+ROWS_KEPT = 64
+"""Constraint rows that are prepared once a step; more are worked out whenever they are read."""
+
+POLY = int(mujoco.mjNPOLY)
+"""Coefficients of damping beyond the linear one."""
+
+_F, _I, _L = np.float64, np.int32, np.int64
+
+_NUMBERS = (
+    "nbody", "nv", "njnt", "nC", "nD",
+    "nfriction",  # friction losses: of joints and tendons
+    "nlone",  # degrees of freedom of lone free bodies
+    "lanes",  # of a block of elements
+    "block_size",
+    "block_count",
+    "model",  # address of `mjModel`
+    "data",  # address of `mjData`
+    "within",  # 1 where forces are asked for within `mj_step`, among the passive ones
+    # Of the options of this step (`read_options`):
+    "integrator",  # one of the four above
+    "sparse",  # whether the constraints' Jacobian is
+    "descends",  # whether the engine's constraint solver ends no farther off than it begins
+    # Of the constraints of this step (`open_constraints`):
+    "nefc", "ncon", "nJ",
+)  # fmt: skip
+
+_OF_MODEL = {
+    "M_rownnz": (_I, ("nv",)),
+    "M_rowadr": (_I, ("nv",)),
+    "M_colind": (_I, ("nC",)),
+    "D_rownnz": (_I, ("nv",)),
+    "D_rowadr": (_I, ("nv",)),
+    "D_colind": (_I, ("nD",)),
+    "dof_bodyid": (_I, ("nv",)),
+    "dof_parentid": (_I, ("nv",)),
+    "dof_jntid": (_I, ("nv",)),
+    "dof_damping": (_F, ("nv",)),
+    "dof_dampingpoly": (_F, ("nv", POLY)),
+    "body_parentid": (_I, ("nbody",)),
+    "body_dofadr": (_I, ("nbody",)),
+    "body_dofnum": (_I, ("nbody",)),
+    "jnt_actuatorid": (_I, ("njnt",)),  # that damps it: -1 for none, less for several
+}
+_OF_DATA = {
+    "qvel": (_F, ("nv",)),
+    "cdof": (_F, ("nv", 6)),
+    "M": (_F, ("nC",)),
+    "qDeriv": (_F, ("nD",)),
+    "qfrc_smooth": (_F, ("nv",)),
+    "qfrc_constraint": (_F, ("nv",)),
+    "qfrc_bias": (_F, ("nv",)),
+    "qacc": (_F, ("nv",)),
+    "qacc_smooth": (_F, ("nv",)),
+    "qacc_warmstart": (_F, ("nv",)),
+    "subtree_com": (_F, ("nbody", 3)),
+    "xipos": (_F, ("nbody", 3)),
+}
+_OWN = {
+    "velocity": (_F, ("nv",)),  # v', sought: at the end of the step
+    "start": (_F, ("nv",)),  # v, at its beginning
+    "smooth": (_F, ("nv",)),  # h q: momentum of all forces but those of sand and constraints
+    "sand": (_F, ("nv",)),  # h J^T f
+    "constraint": (_F, ("nv",)),  # h q_c
+    "residual": (_F, ("nv",)),  # R
+    "change": (_F, ("nv",)),  # of the velocity, in a step of Newton's method
+    "rate": (_F, ("nv",)),  # (v' - v) / h
+    "trial": (_F, ("nv",)),  # for what is needed for a moment: this and the next two
+    "product": (_F, ("nv",)),
+    "solution": (_F, ("nv",)),
+    "weight": (_F, ("nv",)),  # 1 / diagonal of A
+    "inertia": (_F, ("nv", "nv")),  # A = M + C
+    "damping": (_F, ("nv", "nv")),  # C, what the integrator adds to the inertia
+    "jacobian": (_F, ("nv", "nv")),  # R', and what its elimination leaves
+    "motion": (_F, ("nbody", 6)),  # spatial velocities of bodies
+    "wrench": (_F, ("nbody", 6)),  # about the centre of the tree: moment, force
+    "carried": (_F, ("nbody", 6)),  # the same with those of the bodies that it carries
+    "stiffness": (_F, ("nbody", 36)),  # K_b, minus the derivative of the wrench by the motion
+    "wet": (_I, ("nbody",)),  # 1 if a body or one that it carries has an element in the sand
+    "rows": (_F, (ROWS_KEPT + 2, "nv")),  # J_i of constraints; one more row, and a mixture of rows
+    "damped_rows": (_F, (ROWS_KEPT + 2, "nv")),  # J_i (1 + M^-1 C)
+    "friction": (_F, ("nfriction", 2)),  # of friction losses: acceleration and multiplier
+    "dofs": (_I, ("nv",)),  # 0, 1, 2, ...
+    "lone_dofs": (_I, ("nlone",)),
+    "heads": (HEAD_DTYPE, ("block_count",)),  # of blocks: body, live lanes
+    "blocks": (_F, ("block_count", "block_size")),
+    "statistics": (STATISTICS_DTYPE, (1,)),
+    "offsets": (_L, (len(ROWS_DTYPE),)),  # of what describes the constraints, in `mjData`
+}
+# In MuJoCo's arena, which is laid out anew at every step; in the order of `offsets`.
+_OF_CONSTRAINTS = {
+    "contact": (CONTACT_DTYPE, ("ncon",)),
+    "efc_type": (_I, ("nefc",)),
+    "efc_id": (_I, ("nefc",)),
+    "efc_J_rownnz": (_I, ("nefc",)),
+    "efc_J_rowadr": (_I, ("nefc",)),
+    "efc_J_colind": (_I, ("nJ",)),
+    "efc_J": (_F, ("nJ",)),
+    "efc_frictionloss": (_F, ("nefc",)),
+    "efc_D": (_F, ("nefc",)),
+    "efc_aref": (_F, ("nefc",)),
+}
+
+_VIEWS = Views("Workspace", _NUMBERS, {**_OF_MODEL, **_OF_DATA, **_OWN, **_OF_CONSTRAINTS})
+_WORDS = len(_VIEWS.dtype)
+_FIRST_OF_CONSTRAINTS = _WORDS - len(_OF_CONSTRAINTS)
+workspace_at = views_at(_VIEWS)
+"""Kernel `workspace_at(address)`: the workspace whose record lies there."""
+
+
+def make_workspace(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    elements: np.ndarray,
+    kernel: LawKernel,
+    *,
+    within: bool,
+) -> Workspace:
+    """Makes the workspace of one simulation.
+
+    Args:
+        model: the model.
+        data: the simulation.
+        elements: of the law.
+        kernel: of the law.
+        within: whether forces are asked for within `mj_step`, among MuJoCo's passive ones.
+    """
+    lone = lone_free_dofs(model)
+    record = np.zeros(1, _VIEWS.dtype)
+    numbers = {name: getattr(model, name) for name in ("nbody", "nv", "njnt", "nC", "nD")}
+    numbers |= {
+        "nfriction": model.nv + model.ntendon,
+        "nlone": len(lone),
+        "lanes": kernel.lanes,
+        "block_size": block_size(kernel),
+        "block_count": block_count(kernel, elements),
+        "model": model._address,
+        "data": data._address,
+        "within": int(within),
+    }
+    own = {
+        name: np.zeros([numbers.get(str(size), size) for size in shape], dtype)
+        for name, (dtype, shape) in _OWN.items()
+    }
+    own["dofs"][:] = np.arange(model.nv)
+    own["lone_dofs"][:] = lone
+    own["offsets"][:] = constraint_rows()
+    arrays = own | {name: getattr(model, name) for name in _OF_MODEL}
+    arrays |= {name: getattr(data, name) for name in _OF_DATA}
+    for name, number in numbers.items():
+        record[name] = number
+    for name, array in arrays.items():
+        record[name] = array.ctypes.data
+    return Workspace(record, own, own["statistics"])
+
+
+def lone_free_dofs(model: mujoco.MjModel) -> np.ndarray:
+    """The degrees of freedom of all free bodies that carry no joint.
+
+    For these `implicitfast` takes the gyroscopic moment implicitly too, without symmetry (measured
+    with MuJoCo 3.17 and 4.0, masses that are fixed to the body included).
+    """
+    root_dofs = np.bincount(model.body_rootid[model.dof_bodyid], minlength=model.nbody)
+    free = model.jnt_type[model.dof_jntid] == mujoco.mjtJoint.mjJNT_FREE
+    return np.flatnonzero(free & (root_dofs[model.body_rootid[model.dof_bodyid]] == 6))
+
+
+_INTEGRATOR_IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICIT)
+_INTEGRATOR_FAST = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+_CG, _NEWTON = int(mujoco.mjtSolver.mjSOL_CG), int(mujoco.mjtSolver.mjSOL_NEWTON)
+_NO_DAMPING = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_DAMPER)
+_NO_WARMSTART = int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
+
+
+@compiled
+def read_options(table, w):
+    """Notes what the model's options are in this step.
+
+    MuJoCo's primal constraint solvers lower the cost at each of their steps, and the cost bounds
+    the distance to the solution: they end no farther off than they begin.
+
+    Args:
+        table: the simulation's (`kernel.memory`).
+        w: the workspace.
+    """
+    options = options_at(table)
+    w.sparse = is_sparse(w.model)
+    primal = options.solver == _CG or options.solver == _NEWTON
+    warm = options.disableflags & _NO_WARMSTART == 0
+    w.descends = np.int64(primal and options.noslip_iterations == 0 and warm)
+    if options.integrator == _INTEGRATOR_IMPLICIT:
+        w.integrator = IMPLICIT
+    elif options.integrator == _INTEGRATOR_FAST:
+        w.integrator = IMPLICIT_FAST
+    elif options.disableflags & _NO_DAMPING == 0 and has_damping(w):
+        w.integrator = EULER_DAMPED
+    else:
+        w.integrator = EULER
+
+
+@compiled
+def has_damping(w):
+    """Whether a joint is damped, by itself or by an actuator."""
+    for j in range(w.nv):
+        if w.dof_damping[j] > 0.0 or w.jnt_actuatorid[w.dof_jntid[j]] != -1:
+            return True
+        for k in range(POLY):
+            if w.dof_dampingpoly[j, k] != 0.0:
+                return True
+    return False
+
+
+@compiled
+def open_constraints(address, w):
+    """Reads where MuJoCo's constraints are in this step.
+
+    Args:
+        address: of the workspace's record.
+        w: the workspace.
+    """
+    words, offsets = longs(address, _WORDS), w.offsets
+    w.ncon = ints(w.data + offsets[1], 1)[0]
+    w.nefc = ints(w.data + offsets[0], 1)[0]
+    for k in range(2, len(offsets)):
+        words[_FIRST_OF_CONSTRAINTS + k - 2] = longs(w.data + offsets[k], 1)[0]
+    w.nJ = w.nefc * w.nv
+    if w.sparse and w.nefc > 0:
+        last = w.nefc - 1
+        w.nJ = w.efc_J_rowadr[last] + w.efc_J_rownnz[last]
