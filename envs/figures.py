@@ -17,10 +17,9 @@ from mjgranular.envs.ground import (
     SPEED,
     instances_of,
 )
-from mjgranular.law import get_law
 from mjgranular.law.validity import Measure
-from mjgranular.medium import get_medium
 from mjgranular.sand import SandSpec
+from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface import Plane
 
@@ -153,8 +152,9 @@ class _Limits:
     """Up to where the law of a sand holds in a model."""
 
     def __init__(self, model: mujoco.MjModel, sand: SandSpec) -> None:
-        law = get_law(sand.law, get_medium(sand.medium))
-        elements = law.elements(model, geoms_in_sand(model, sand), sand.resolution)
+        geoms = geoms_in_sand(model, sand)
+        _, law = material_of(model, geoms, sand)
+        elements = law.elements(model, geoms, sand.resolution)
         self._limits = law.validity
         self.width = float(elements["width"].min())
         self.tilt = (sand.surface or Plane()).tilt(model)

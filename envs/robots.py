@@ -59,7 +59,8 @@ def on_sand(
         environment: id of an environment whose class derives from `MujocoEnv`.
         sand: the sand; without a surface it is the level plane where the floor was. It replaces
             the floor without a word, and `instead_of` names other geoms. The default is medium sand
-            of Quikrete's, its resolution coarse and quick.
+            of Quikrete's, its resolution coarse and quick; with a law's name alone, the medium
+            follows from that.
         randomise: from where the sand of each episode is drawn; None for always the same. Dunes are
             for our own environments: Gymnasium's robots start at their own height.
         curriculum: gives the ranges for the next episode, called with the number of episodes begun.
@@ -76,6 +77,8 @@ def on_sand(
     """
     spec = _find(environment)
     fields: Any = {name: options.pop(name) for name in SAND_FIELDS if name in options}
+    if sand is ROBOT_SAND and isinstance(fields.get("law"), (str, type)):
+        fields.setdefault("medium", None)  # it follows from the law
     described = {
         **vars(combined(sand, fields)),
         "randomise": randomise,

@@ -102,6 +102,15 @@ class Sand:
         # The last data and the address of its table: what a loop over one simulation needs.
         self._recent = _NOBODY
 
+    def __repr__(self) -> str:
+        bodies = [repr(name) for name in self._names.bodies.values()]
+        several = f"{', '.join(bodies[:3])}{', ...' if len(bodies) > 3 else ''}"
+        return (
+            f"Sand(medium={self.medium.name!r}, law={self.law.name!r}, surface={self.surface!r}, "
+            f"scheme={self.scheme.name!r}, {len(self.elements)} elements on {len(bodies)} "
+            f"{'body' if len(bodies) == 1 else 'bodies'}: {several})"
+        )
+
     @property
     def model(self) -> mujoco.MjModel:
         """The model."""
