@@ -126,8 +126,8 @@ def test_a_refusal_names_the_media_that_would_do():
     assert str(pickle.loads(pickle.dumps(found.value))) == str(found.value)
     spec = mujoco.MjSpec.from_string(xml(ROBOT))
     add_sand(spec, medium="play_sand")
+    spec.plugins[0].config = {"medium": "play_sand", "law": "rft3d"}
     with pytest.raises(ValueError, match=r"config 'law'.*constants for it: quikrete_medium"):
-        spec.plugins[0].config = {"medium": "play_sand", "law": "rft3d"}
         spec.compile()
 
 
