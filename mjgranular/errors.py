@@ -143,6 +143,14 @@ class FloorWarning(GranularWarning):
     """Ground of the model's own carries bodies at or above the sand's surface."""
 
 
+class MissedStepWarning(GranularWarning):
+    """Time has gone on without the sand, which was to act in every step."""
+
+
+class RangeWarning(GranularWarning):
+    """A value that no sand or simulation has: a slip of units, most likely."""
+
+
 def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> None:
     """Warns with a `GranularWarning` that points at the user's line, the last outside this package.
 
