@@ -13,6 +13,7 @@ from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
 from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
@@ -76,6 +77,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     medium, law = material_of(model, geoms, spec)
     replaced = replace_geoms(model, spec.instead_of)
     warn_of_floors(model, geoms, surface)
+    warn_of_ranges(model, geoms, law, surface)
     elements = elements_of(model, geoms, law, spec.resolution)
     scheme = scheme.settle(model, len(elements))
     scheme.check(model)
