@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from mjgranular.engine.instances import sands_in
+from mjgranular.engine.readings import SandReadings
 from mjgranular.envs.ground import (
     BODY_FORCE,
     BODY_MOMENT,
@@ -15,12 +17,10 @@ from mjgranular.envs.ground import (
     FORCE,
     POWER,
     SPEED,
-    instances_of,
 )
-from mjgranular.law import get_law
 from mjgranular.law.validity import Measure
-from mjgranular.medium import get_medium
 from mjgranular.sand import SandSpec
+from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface import Plane
 
@@ -31,15 +31,18 @@ class Figures:
     Args:
         model: the model.
         sands: in it, in the order in which they were added.
+        readings: what is read where the model has no such sensors.
     """
 
-    def __init__(self, model: mujoco.MjModel, sands: Sequence[SandSpec]) -> None:
-        self.sands = names = instances_of(model)
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        sands: Sequence[SandSpec],
+        readings: SandReadings | None = None,
+    ) -> None:
+        self.sands = names = sands_in(model)
         # The sensors of a sand stand side by side: force, depth, power, speed.
-        self._blocks = [_address(model, f"{FORCE}/{name}") for name in names]
-        for name, begin in zip(names, self._blocks, strict=True):
-            for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):
-                assert _address(model, f"{measure}/{name}") == begin + offset
+        self._blocks = readings.together if readings else _blocks_of_sensors(model, names)
         gravity = float(np.linalg.norm(model.opt.gravity))
         limits = [_Limits(model, sand) for sand in sands]
         width = np.array([limit.width for limit in limits])
@@ -93,31 +96,36 @@ class Wrenches:
     """The sand's forces on bodies as MuJoCo's `cfrc_ext` has those of contacts.
 
     Args:
-        model: made by `put_on_sand` with `wrenches`.
+        model: the model.
+        bodies: ids of the bodies that meet the sand.
+        blocks: where the forces and moments of these bodies begin in what is read, for each sand.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    def __init__(self, model: mujoco.MjModel, bodies: Sequence[int], blocks: Sequence[int]) -> None:
+        self._blocks, self._count = blocks, len(bodies)
+        roots = model.body_rootid[list(bodies)]
+        # Slices where they will do: they are quicker, and this is done at every step.
+        self._bodies = _slice(bodies)
+        self._roots = slice(roots[0], roots[0] + 1) if (roots == roots[0]).all() else roots
+
+    @classmethod
+    def of_sensors(cls, model: mujoco.MjModel) -> Wrenches:
+        """Those that the sensors of a model measure, made by `put_on_sand` with `wrenches`."""
         sensors = {model.sensor(i).name: int(model.sensor_adr[i]) for i in range(model.nsensor)}
-        sands = instances_of(model)
+        sands = sands_in(model)
         bodies = [
             body
             for body in range(model.nbody)
             if f"{BODY_FORCE}{model.body(body).name}/{sands[0]}" in sensors
         ]
         # Of each sand the sensors stand side by side, body by body: force, moment.
-        self._blocks = [
-            sensors[f"{BODY_FORCE}{model.body(bodies[0]).name}/{sand}"] for sand in sands
-        ]
-        self._count = len(bodies)
-        for sand, begin in zip(sands, self._blocks, strict=True):
+        blocks = [sensors[f"{BODY_FORCE}{model.body(bodies[0]).name}/{sand}"] for sand in sands]
+        for sand, begin in zip(sands, blocks, strict=True):
             for row, body in enumerate(bodies):
                 name = model.body(body).name
                 assert sensors[f"{BODY_FORCE}{name}/{sand}"] == begin + 6 * row
                 assert sensors[f"{BODY_MOMENT}{name}/{sand}"] == begin + 6 * row + 3
-        roots = model.body_rootid[bodies]
-        # Slices where they will do: they are quicker, and this is done at every step.
-        self._bodies = _slice(bodies)
-        self._roots = slice(roots[0], roots[0] + 1) if (roots == roots[0]).all() else roots
+        return cls(model, bodies, blocks)
 
     def of(
         self, readings: np.ndarray, centres: np.ndarray, origins: np.ndarray, nbody: int
@@ -153,14 +161,24 @@ class _Limits:
     """Up to where the law of a sand holds in a model."""
 
     def __init__(self, model: mujoco.MjModel, sand: SandSpec) -> None:
-        law = get_law(sand.law, get_medium(sand.medium))
-        elements = law.elements(model, geoms_in_sand(model, sand), sand.resolution)
+        geoms = geoms_in_sand(model, sand)
+        _, law = material_of(model, geoms, sand)
+        elements = law.elements(model, geoms, sand.resolution)
         self._limits = law.validity
         self.width = float(elements["width"].min())
         self.tilt = (sand.surface or Plane()).tilt(model)
 
     def most(self, measure: Measure) -> float:
         return min((v.most for v in self._limits if v.measure == measure), default=math.inf)
+
+
+def _blocks_of_sensors(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
+    """Where the readings of each sand begin in `sensordata`."""
+    blocks = [_address(model, f"{FORCE}/{name}") for name in names]
+    for name, begin in zip(names, blocks, strict=True):
+        for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):
+            assert _address(model, f"{measure}/{name}") == begin + offset
+    return blocks
 
 
 def _address(model: mujoco.MjModel, name: str) -> int:

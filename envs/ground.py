@@ -27,12 +27,13 @@ def put_on_sand(
     spec: mujoco.MjSpec,
     sands: Sequence[SandSpec],
     *,
+    sensors: bool = True,
     wrenches: bool = False,
     tunable: bool = False,
     cut: float = 0.0,
     tile: float = 0.5,
 ) -> mujoco.MjModel:
-    """Takes the floor's contacts away and adds sand and sensors.
+    """Takes the floor's contacts away and adds sand, and sensors of it.
 
     What changes beside: RK4 becomes the implicit-fast integrator, because sand that holds at rest
     does not act within a step of RK4; a fluid that fills the world goes; the floor is drawn as
@@ -43,6 +44,7 @@ def put_on_sand(
         spec: the model to be; it is changed.
         sands: one or several, of which each has an instance `sand`, `sand_2`, ...; without a
             surface it is the level plane where the floor was.
+        sensors: whether the sand is to be measured by sensors of the model (`envs.figures`).
         wrenches: whether the force and the moment on each body are to be measured as well.
         tunable: whether instances are to be tuned while they run.
         cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
@@ -72,7 +74,8 @@ def put_on_sand(
         replaced = [*(floor.name for floor in floors), *names_in(sand.instead_of)]
         placed = combined(sand, {"surface": surface, "instead_of": replaced})
         names.append(add_sand(spec, placed, tunable=tunable).name)
-    _add_sensors(spec, names, sands[0], wrenches=wrenches)
+    if sensors:
+        _add_sensors(spec, names, sands[0], wrenches=wrenches)
     with quiet():
         return spec.compile()
 
@@ -83,13 +86,6 @@ def quiet() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
         yield
-
-
-def instances_of(model: mujoco.MjModel) -> list[str]:
-    """Names of the instances of sand that `put_on_sand` has added, in order."""
-    names = [model.sensor(number).name for number in range(model.nsensor)]
-    begin = DEPTH + "/"
-    return [name.removeprefix(begin) for name in names if name.startswith(begin)]
 
 
 def _keep_extent(spec: mujoco.MjSpec) -> None:

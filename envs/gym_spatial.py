@@ -33,7 +33,7 @@ class _Spatial(Robot):
     @cached_property
     def sand_wrenches(self) -> Wrenches:
         """Reader of the sand's force on each body."""
-        return Wrenches(self.model)
+        return Wrenches.of_sensors(self.model)
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
         reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a metre across

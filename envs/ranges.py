@@ -14,6 +14,7 @@ from mjgranular.engine import tune
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
+from mjgranular.sand.material import medium_for
 from mjgranular.sand.spec import SandSpec, combined
 
 SURFACES = ("plane", "dunes")
@@ -266,10 +267,17 @@ def sands_of(
             for name in (ranges and ranges.surfaces) or ("plane",):
                 surface = dunes if name == "dunes" else base.surface
                 sands.append(combined(base, {"medium": medium, "law": law, "surface": surface}))
-                own = get_medium(medium).default_law if law is None else law
+                if medium is None and law is not None:
+                    medium = medium_for(law)
+                own = law
+                if law is None and medium is not None:
+                    own = get_medium(medium).default_law
                 choices.append(Choice(_name(medium), _name(own), name))
     return sands, choices
 
 
 def _name(thing: Any) -> str:
+    """What `info` calls a medium or a law; None is one that follows from the bodies."""
+    if thing is None:
+        return "by the bodies"
     return thing if isinstance(thing, str) else str(getattr(thing, "name", thing))

@@ -12,6 +12,8 @@ import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
+from mjgranular.engine.instances import sands_in
+from mjgranular.engine.readings import SandReadings
 from mjgranular.envs.figures import Figures, Wrenches
 from mjgranular.envs.ground import put_on_sand, quiet
 from mjgranular.envs.ranges import (
@@ -26,6 +28,7 @@ from mjgranular.envs.ranges import (
 )
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
@@ -59,7 +62,8 @@ def on_sand(
         environment: id of an environment whose class derives from `MujocoEnv`.
         sand: the sand; without a surface it is the level plane where the floor was. It replaces
             the floor without a word, and `instead_of` names other geoms. The default is medium sand
-            of Quikrete's, its resolution coarse and quick.
+            of Quikrete's, its resolution coarse and quick; with a law's name alone, the medium
+            follows from that.
         randomise: from where the sand of each episode is drawn; None for always the same. Dunes are
             for our own environments: Gymnasium's robots start at their own height.
         curriculum: gives the ranges for the next episode, called with the number of episodes begun.
@@ -76,6 +80,8 @@ def on_sand(
     """
     spec = _find(environment)
     fields: Any = {name: options.pop(name) for name in SAND_FIELDS if name in options}
+    if sand is ROBOT_SAND and isinstance(fields.get("law"), (str, type)):
+        fields.setdefault("medium", None)  # it follows from the law
     described = {
         **vars(combined(sand, fields)),
         "randomise": randomise,
@@ -144,13 +150,16 @@ class OnSand(MujocoEnv):
         with quiet():
             spec = mujoco.MjSpec.from_file(self.fullpath)
             tunable = self._ranges is not None
-            model = put_on_sand(spec, self.sands, wrenches=True, tunable=tunable)
+            # Sensors would lengthen `sensordata`, which an environment may observe.
+            model = put_on_sand(spec, self.sands, sensors=False, tunable=tunable)
         screen = model.vis.global_
         screen.offwidth = max(screen.offwidth, self.width)
         screen.offheight = max(screen.offheight, self.height)
-        self._figures = Figures(model, self.sands)
+        bodies = sorted({int(model.geom_bodyid[g]) for g in geoms_in_sand(model, self.sands[0])})
+        self._readings = SandReadings(model, sands_in(model), len(bodies))
+        self._figures = Figures(model, self.sands, self._readings)
         self._strength = float(np.linalg.norm(model.opt.gravity))
-        self._wrenches = Wrenches(model)
+        self._wrenches = Wrenches(model, bodies, self._readings.each)
         return model, mujoco.MjData(model)
 
     def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:
@@ -180,7 +189,7 @@ class OnSand(MujocoEnv):
     def _add_wrenches(self) -> None:
         data = self.data
         data.cfrc_ext += self._wrenches.of(
-            data.sensordata[None], data.xipos[None], data.subtree_com[None], self.model.nbody
+            self._readings.read(data), data.xipos[None], data.subtree_com[None], self.model.nbody
         )[0]
 
     def step(self, action: Any) -> Any:
@@ -194,7 +203,7 @@ class OnSand(MujocoEnv):
         """The sand's figures now; see `Figures.read`."""
         drawn = self._drawn
         active, slope = np.array([drawn.number]), np.array([drawn.slope])
-        read = self._figures.read(self.data.sensordata[None], active, slope)
+        read = self._figures.read(self._readings.read(self.data), active, slope)
         if self._ranges is not None:
             strength, density = np.array([drawn.strength]), np.array([drawn.density])
             read |= told(self._choices, active, strength, density, slope)

@@ -80,24 +80,26 @@ class UnknownNameError(GranularError, KeyError):
         kind: what the name was meant to name ("medium", "law", "camera", ...).
         name: the name as given.
         known: the valid names.
+        hint: what else would do, if anything.
     """
 
-    def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: object, known: Iterable[str], hint: str = "") -> None:
         self.kind = kind
         self.name = name
         self.known = tuple(known)
+        self.hint = hint
         near = difflib.get_close_matches(str(name)[:_LONGEST_VALUE], self.known, cutoff=0.6)
         if near and len(self.known) > _SHORT_LIST:
             rest = f"did you mean {', '.join(near)}? There are {len(self.known)} in all"
         else:
             rest = f"there are: {listed(self.known)}"
-        super().__init__(f"no {kind} {shown(name)}; {rest}")
+        super().__init__(f"no {kind} {shown(name)}; {rest}{hint and '; '}{hint}")
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...]]]:
-        return type(self), (self.kind, self.name, self.known)
+    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str]]:
+        return type(self), (self.kind, self.name, self.known, self.hint)
 
 
 class UnstableError(GranularError, ArithmeticError):
@@ -139,6 +141,14 @@ class GranularWarning(UserWarning):
 
 class FloorWarning(GranularWarning):
     """Ground of the model's own carries bodies at or above the sand's surface."""
+
+
+class MissedStepWarning(GranularWarning):
+    """Time has gone on without the sand, which was to act in every step."""
+
+
+class RangeWarning(GranularWarning):
+    """A value that no sand or simulation has: a slip of units, most likely."""
 
 
 def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> None:

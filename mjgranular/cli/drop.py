@@ -91,7 +91,7 @@ def draw(folder: ResultFolder, result: DropResult) -> list[GranularError]:
     from mjgranular.picture.figures import draw_drop
 
     names = [body.body for body in result.bodies]
-    title = f"{result.drop.title}, {result.drop.medium}, {result.law} law, {result.timestep:g} s"
+    title = f"{result.drop.title}, {result.medium}, {result.law} law, {result.timestep:g} s"
     try:
         folder.write(
             FIGURE,
@@ -117,7 +117,7 @@ def film(folder: ResultFolder, result: DropResult, camera: str) -> list[Granular
 def show(result: DropResult) -> None:
     """Prints a run as a table."""
     table = Table(
-        title=f"{result.drop.title} on {result.drop.medium}: {result.law} law, {result.elements} "
+        title=f"{result.drop.title} on {result.medium}: {result.law} law, {result.elements} "
         f"elements, {result.t[-1]:g} s in steps of {result.timestep:g} s",
         title_justify="left",
     )

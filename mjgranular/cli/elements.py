@@ -113,7 +113,7 @@ class ElementsCommand(ChoiceOptions):
         return {
             "model": self.model.name,
             "law": sand.law.name,
-            "medium": self.medium,
+            "medium": self.medium or sand.medium.name,
             "kind": kind_of(sand),
             "elements": len(sand.elements),
             "area": _total(rows, "area"),

@@ -30,6 +30,8 @@ class IntrudeCommand(LawOptions):
     whether the law held. With --out DIR, writes table and figure there.
     """
 
+    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
+    """The sand, or a YAML file; `mjgranular media` lists what there is."""
     intruder: Literal["plate", "sphere", "cylinder", "capsule", "box"] = "plate"
     """Shape, if no model is given; a cylinder or capsule stands upright, a quarter as thick."""
     size: Annotated[float, tyro.conf.arg(metavar="M")] = 0.04

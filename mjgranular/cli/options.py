@@ -65,10 +65,8 @@ class LinkOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class LawOptions:
-    """The sand, and how finely a law cuts what meets it."""
+    """How sand resists, and how finely a law cuts what meets it."""
 
-    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
-    """The sand, or a YAML file; `mjgranular media` lists what there is."""
     law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
     resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -79,6 +77,9 @@ class LawOptions:
 class ChoiceOptions(LawOptions):
     """The sand, and what of a model meets it."""
 
+    medium: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """The sand, or a YAML file; `mjgranular media` lists what there is. Default: by law and bodies,
+    play_sand for slender links and quikrete_medium for all else."""
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Bodies that meet the sand. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()

@@ -21,6 +21,7 @@ from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.law import Law, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
+from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
 from mjgranular.scheme import Scheme, schemes
 from mjgranular.shape.select import names_in
@@ -93,7 +94,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
                 read[key] = reader(given[key])
     if "law" in given:
         with named("law"):
-            read["law"] = _read_law(given["law"], get_medium(read.get("medium", SandSpec.medium)))
+            read["law"] = _read_law(given["law"], read.get("medium"))
     draw, tunable = read.pop("draw", ()), read.pop("tunable", False)
     return Config(SandSpec(**read), draw, tunable)
 
@@ -199,12 +200,12 @@ def _part(text: str, register: Registry[Any], kind: str) -> tuple[str, Any, dict
     return words[0], cls, _options(words[1:], cls, f"{kind} {words[0]!r}")
 
 
-def _read_law(text: str, medium: Medium) -> Law:
+def _read_law(text: str, medium: Medium | None) -> Law:
     _, cls, given = _part(text, laws, "law")
     needed = {field.name for field in fields(cls) if field.default is MISSING}
     if needed <= given.keys():
         return cls(**given)
-    law = cls.from_medium(medium)
+    law = law_of(cls, medium or medium_for(cls))
     return cls(**{**{field.name: getattr(law, field.name) for field in fields(cls)}, **given})
 
 

@@ -35,7 +35,6 @@ from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.medium import media
 from mjgranular.names import name_of
 from mjgranular.sand.prepare import prepare
-from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Auto
 from mjgranular.shape.select import names_in
 from mjgranular.surface import Plane, Surface
@@ -266,7 +265,9 @@ def _medium_now(text: str) -> object:
         except OSError:
             return None
         return found.st_mtime_ns, found.st_size
-    return id(media.get(text or str(SandSpec.medium)))
+    if not text:  # it follows from law and bodies
+        return [id(medium) for medium in media.values()]
+    return id(media.get(text))
 
 
 def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:

@@ -142,6 +142,7 @@ class DropResult:
     Attributes:
         drop: what was asked for.
         xml: the model as it ran, with its bed of sand.
+        medium: name of the medium, or the file that it was read from.
         law: name of the law that acted.
         timestep: [s].
         elements: number of elements.
@@ -160,6 +161,7 @@ class DropResult:
 
     drop: Drop
     xml: str
+    medium: str
     law: str
     scheme: str
     timestep: float
@@ -180,7 +182,7 @@ class DropResult:
         return {
             "model": self.drop.title,
             "law": self.law,
-            "medium": self.drop.medium,
+            "medium": self.medium,
             "scheme": self.scheme,
             "timestep": self.timestep,
             "elements": self.elements,
@@ -391,6 +393,7 @@ def _result(
     return DropResult(
         drop=drop,
         xml=xml,
+        medium=drop.medium or sand.medium.name,
         law=sand.law.name,
         scheme=sand.scheme.name,
         timestep=float(model.opt.timestep),

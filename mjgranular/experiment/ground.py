@@ -22,7 +22,7 @@ class PlainSand:
     """A `SandSpec` in plain values, SI units and radians, as folders of results have it.
 
     `medium`, `law`, `scheme`, `bodies`, `geoms`, `groups`, `resolution` and `instead_of` are those
-    of `SandSpec`, by name; `()` stands for no choice.
+    of `SandSpec`, by name; None and `()` stand for no choice.
 
     Attributes:
         surface_height: world z of a level or sloping surface [m].
@@ -33,7 +33,7 @@ class PlainSand:
         keep_floor: whether ground of the model's own may carry it above the sand.
     """
 
-    medium: str = "play_sand"
+    medium: str | None = None
     law: str | None = None
     scheme: str = "auto"
     surface_height: float = 0.0

@@ -9,9 +9,11 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import program_address
-from mjgranular.law import Law, get_law, make_scene
+from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
-from mjgranular.medium import Medium, get_medium
+from mjgranular.medium import Medium
+from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
@@ -66,17 +68,17 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         UnknownNameError: a name or group that does not exist; lists those that do.
         InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
     """
-    medium = get_medium(spec.medium)
-    law = get_law(spec.law, medium)
     surface = surface_of(spec.surface)
     scheme = get_scheme(spec.scheme)
     if within:
         scheme = _scheme_within_step(scheme, model)
     scheme.check(model)
     geoms = geoms_in_sand(model, spec)
+    medium, law = material_of(model, geoms, spec)
     replaced = replace_geoms(model, spec.instead_of)
     warn_of_floors(model, geoms, surface)
-    elements = law.elements(model, geoms, spec.resolution)
+    warn_of_ranges(model, geoms, law, surface)
+    elements = elements_of(model, geoms, law, spec.resolution)
     scheme = scheme.settle(model, len(elements))
     scheme.check(model)
     scene = make_scene(law, medium, surface, model)

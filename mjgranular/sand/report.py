@@ -146,6 +146,8 @@ class Report:
         bodies: one report a body, in the order of the model.
         table: all elements, as arrays.
         names: of geoms and bodies by their ids.
+        medium: name of the medium.
+        law: name of the law.
         solver: what the implicit scheme has counted so far; None with the explicit one, or before
             the first step.
     """
@@ -154,6 +156,8 @@ class Report:
     bodies: tuple[BodyReport, ...]
     table: ElementTable
     names: Names
+    medium: str
+    law: str
     solver: Solver | None = None
 
     def __getitem__(self, body: str) -> BodyReport:
@@ -180,6 +184,8 @@ class Report:
         """Plain numbers and lists, as for JSON."""
         return {
             "time": self.time,
+            "medium": self.medium,
+            "law": self.law,
             "bodies": [_plain(body) for body in self.bodies],
             "elements": [_plain(element) for element in self.elements],
         }
@@ -246,7 +252,15 @@ def describe(
                 validity=tuple(Standing(limit, measures[limit.measure]) for limit in limits),
             )
         )
-    return Report(float(data.time), tuple(bodies), table, names, solver)
+    return Report(
+        time=float(data.time),
+        bodies=tuple(bodies),
+        table=table,
+        names=names,
+        medium=sand.medium.name,
+        law=sand.law.name,
+        solver=solver,
+    )
 
 
 def _element_table(

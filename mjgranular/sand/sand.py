@@ -18,8 +18,9 @@ from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.sand.binding import Binding, bind
+from mjgranular.sand.changes import Original, warn_of_missed_steps
 from mjgranular.sand.guard import finish_step, guarded_step
-from mjgranular.sand.prepare import prepare
+from mjgranular.sand.prepare import geoms_in_sand, prepare
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.sand.sharing import refuse_sand_of_the_model, registry_of
 from mjgranular.sand.spec import SandFields, SandSpec, combined
@@ -101,6 +102,18 @@ class Sand:
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
         # The last data and the address of its table: what a loop over one simulation needs.
         self._recent = _NOBODY
+        places = sand.surface.geoms(model)
+        self._original = Original(model, geoms_in_sand(model, self._spec), places)
+        self._last_timestep = 0.0  # of the last step, of whatever simulation [s]
+
+    def __repr__(self) -> str:
+        bodies = [repr(name) for name in self._names.bodies.values()]
+        several = f"{', '.join(bodies[:3])}{', ...' if len(bodies) > 3 else ''}"
+        return (
+            f"Sand(medium={self.medium.name!r}, law={self.law.name!r}, surface={self.surface!r}, "
+            f"scheme={self.scheme.name!r}, {len(self.elements)} elements on {len(bodies)} "
+            f"{'body' if len(bodies) == 1 else 'bodies'}: {several})"
+        )
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -159,8 +172,9 @@ class Sand:
         if recent() is not data:
             address = self._bind(data)
         model = self._model
+        self._last_timestep = timestep = self._options.timestep
         _step1(model, data)
-        failed = self._guarded(self._program, address, self._lead * self._options.timestep)
+        failed = self._guarded(self._program, address, self._lead * timestep)
         if failed != FINE:
             raise self._failure(data, failed)
         _step2(model, data)
@@ -183,7 +197,8 @@ class Sand:
         recent, address = self._recent
         if recent() is not data:
             address = self._bind(data)
-        failed = self._guarded(self._program, address, self._lead * self._options.timestep)
+        self._last_timestep = timestep = self._options.timestep
+        failed = self._guarded(self._program, address, self._lead * timestep)
         if failed != FINE:
             raise self._failure(data, failed, own=False)
 
@@ -199,9 +214,18 @@ class Sand:
             registry_of(data).remove(self, binding)
 
     def report(self, data: mujoco.MjData) -> Report:
-        """Reports the sand's action at the state in `data` (`qpos`, `qvel`), which stays."""
+        """Reports the sand's action at the state in `data` (`qpos`, `qvel`), which stays.
+
+        Warns with a `MissedStepWarning` as `check` does.
+
+        Raises:
+            InputError: the shape of a geom was changed after the sand was made of it; `check` looks
+                at more.
+        """
         model = self._model
         self._check_owner(data)
+        self._original.check_shapes(model)
+        self._warn_of_missed_steps(data)
         # Probes are kept for the next call; a list hands each to one thread at a time.
         try:
             probe, binding = self._probes.pop()
@@ -234,6 +258,30 @@ class Sand:
         )
         self._probes.append((probe, binding))
         return report
+
+    def check(self, data: mujoco.MjData | None = None) -> None:
+        """Looks whether the model is still the one that this sand was made of.
+
+        Masses and options may change between any two steps. What elements and selection are made
+        of may not: sizes, places and types of geoms, meshes, the tree of bodies and joints.
+
+        Warns with a `MissedStepWarning` if time has gone on in `data` without this sand, after it
+        had acted there: `mujoco.mj_step` was called, most likely, where `step` was meant.
+
+        Raises:
+            InputError: names what was changed; or options that the scheme cannot step.
+        """
+        self._original.check(self._model, geoms_in_sand(self._model, self._spec))
+        self._scheme.check(self._model)
+        if data is not None:
+            self._check_owner(data)
+            self._warn_of_missed_steps(data)
+
+    def _warn_of_missed_steps(self, data: mujoco.MjData) -> None:
+        bound = self._bindings.get(data)
+        if bound is not None:
+            timestep = max(self._last_timestep, self._options.timestep)
+            warn_of_missed_steps(data.time, bound.snapshot.time, timestep)
 
     def _solver(self, data: mujoco.MjData) -> Solver | None:
         """Counters of the scheme in this simulation."""

@@ -24,7 +24,9 @@ class SandSpec:
     checked where it meets it.
 
     Attributes:
-        medium: a medium, its name, or a YAML file (`medium.file`).
+        medium: a medium, its name, or a YAML file (`medium.file`); None for one that has constants
+            for the law or, where there is no law either, for the bodies: `play_sand` with the link
+            law if all are slender links, `quikrete_medium` with `rft3d` else (`sand.material`).
         law: how it resists: a law, its name, or None for the medium's own.
         surface: where it is; None for the plane z = 0.
         scheme: how forces become a step: a scheme or its name. "auto" takes `Implicit`, but
@@ -42,7 +44,7 @@ class SandSpec:
             drawn stays.
     """
 
-    medium: str | Path | Medium = "play_sand"
+    medium: str | Path | Medium | None = None
     law: str | Law | None = None
     surface: Surface | None = None
     scheme: str | Scheme = "auto"
@@ -56,7 +58,7 @@ class SandSpec:
 class SandFields(TypedDict, total=False):
     """The fields of `SandSpec` as keyword arguments, for editors and type checkers."""
 
-    medium: str | Path | Medium
+    medium: str | Path | Medium | None
     law: str | Law | None
     surface: Surface | None
     scheme: str | Scheme

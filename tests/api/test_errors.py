@@ -108,12 +108,12 @@ def test_unknown_model():
 
 def test_a_geom_that_is_no_rod():
     with pytest.raises(InputError, match=r"'ball' is a sphere.*capsules and cylinders"):
-        sand_on(world(BALL))
+        sand_on(world(BALL), medium="play_sand")
 
 
 def test_a_geom_without_a_name_is_told_by_its_number():
     with pytest.raises(InputError, match=r"number 0.*sphere"):
-        sand_on(world(BALL.replace("name='ball' ", "")))
+        sand_on(world(BALL.replace("name='ball' ", "")), medium="play_sand")
 
 
 @pytest.mark.parametrize("option", [{"bodies": "post"}, {"geoms": "post"}, {"bodies": "world"}])

@@ -256,7 +256,8 @@ def test_sand_beside_sand_of_the_models_own_is_refused() -> None:
 
 def test_what_is_written_survives_xml_copy_and_attach() -> None:
     spec = Link().spec()
-    add_sand(spec, law=LinkLaw(6.5, 0.1 + 0.2, 22, 1.1), surface=Plane(0.01), resolution=3)
+    law = LinkLaw(6.5, 0.1 + 0.2, 22, 1.1)
+    add_sand(spec, medium="play_sand", law=law, surface=Plane(0.01), resolution=3)
     model = spec.compile()
     text = spec.to_xml()
     again = mujoco.MjSpec.from_string(text, assets=_assets())
@@ -329,7 +330,6 @@ def test_a_name_that_is_taken_is_refused() -> None:
         ("law", "link eta_d", "eta_d=..."),
         ("law", "link eta_d=much", "a number"),
         ("law", "link eta_d=-1", "not negative"),
-        ("law", "rft3d", "link, rft2d"),
         ("law", "link_distributed pieces=2.5", "a whole number"),
         ("law", " ", "there are"),
         ("surface", "sea", "bed, height_field, plane"),

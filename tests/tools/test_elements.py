@@ -338,7 +338,8 @@ def test_groups_choose_alike_for_elements_and_drop(foot_file, tmp_path, capfd):
     foot_file.write_text(FOOT.replace('name="shin" type', 'name="shin" group="3" type'))
     counts = {}
     for groups in ("0", "3", "0 3"):
-        chosen = [str(foot_file), "--groups", *groups.split(), "--json"]
+        material = ["--medium", "quikrete_medium"]  # without it a shin alone is a link
+        chosen = [str(foot_file), "--groups", *groups.split(), "--json", *material]
         assert main(["elements", *chosen]) == 0
         printed = json.loads(capfd.readouterr().out)
         counts[groups] = printed["elements"]

@@ -1,0 +1,112 @@
+"""Changes of a model after a sand was made of it, and steps that were made without the sand."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError, MissedStepWarning, warn_user
+from mjgranular.shape.select import body_name
+from mjgranular.shape.sizes import geom_name
+
+_SHAPES = ("geom_type", "geom_size", "geom_pos", "geom_quat")
+_GEOMS = (*_SHAPES, "geom_bodyid", "geom_dataid")
+_BODIES = ("body_pos", "body_quat", "body_parentid", "body_jntnum", "body_dofadr", "body_dofnum")
+_JOINTS = ("jnt_type", "jnt_pos", "jnt_axis", "jnt_bodyid")
+_MESHES = ("mesh_vert", "mesh_face", "mesh_vertadr", "mesh_faceadr")
+
+
+class Original:
+    """What a sand was made of, as it was then.
+
+    Masses, options, actuators and heights of a height field are no part of it: they are read at
+    each step. Nor is where the root of a tree stands in the model, which its elements do not know.
+
+    Args:
+        model: the model.
+        geoms: ids of the geoms that meet the sand.
+        places: ids of the geoms that are the sand.
+    """
+
+    def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], places: Sequence[int]) -> None:
+        self._geoms = np.array(sorted({*geoms, *places}), int)
+        bodies = {int(model.geom_bodyid[geom]) for geom in geoms}
+        inner = {body for body in bodies if model.body_parentid[body] != 0}
+        self._bodies = np.array(sorted(inner | {int(model.geom_bodyid[g]) for g in places}), int)
+        self._met = list(geoms)
+        self._arrays = {name: getattr(model, name)[self._geoms].copy() for name in _GEOMS}
+        self._arrays |= {name: getattr(model, name)[self._bodies].copy() for name in _BODIES}
+        self._rest = self._digests(model)
+
+    def check_shapes(self, model: mujoco.MjModel) -> None:
+        """Looks at the geoms alone, which takes microseconds.
+
+        Raises:
+            InputError: names what was changed.
+        """
+        for name in _SHAPES:
+            self._compare(model, name, self._geoms)
+
+    def check(self, model: mujoco.MjModel, geoms: Sequence[int]) -> None:
+        """Looks at all.
+
+        Args:
+            model: the model.
+            geoms: ids of the geoms that the sand's choice means now.
+
+        Raises:
+            InputError: names what was changed.
+        """
+        for name in _GEOMS:
+            self._compare(model, name, self._geoms)
+        for name in _BODIES:
+            self._compare(model, name, self._bodies)
+        now = self._digests(model)
+        changed = [name for name, digest in self._rest.items() if now[name] != digest]
+        if changed:
+            raise _changed(changed[0])
+        if list(geoms) != self._met:
+            geom = min(set(geoms) ^ set(self._met))
+            raise _changed(f"whether geom {geom_name(model, geom)} meets the sand")
+
+    def _compare(self, model: mujoco.MjModel, name: str, rows: np.ndarray) -> None:
+        then, now = self._arrays[name], getattr(model, name)[rows]
+        if not np.array_equal(then, now):
+            row = int(np.argwhere(then != now)[0][0])
+            kind = name.partition("_")[0]
+            number = int(rows[row])
+            whose = geom_name(model, number) if kind == "geom" else body_name(model, number)
+            raise _changed(f"{name} of {kind} {whose} ({then[row]} then, {now[row]} now)")
+
+    def _digests(self, model: mujoco.MjModel) -> dict[str, bytes]:
+        meshes = (model.geom_type[self._geoms] == mujoco.mjtGeom.mjGEOM_MESH).any()
+        names = (*_JOINTS, *(_MESHES if meshes else ()))
+        return {
+            name: hashlib.blake2b(np.ascontiguousarray(getattr(model, name))).digest()
+            for name in names
+        }
+
+
+def warn_of_missed_steps(time: float, last: float | None, timestep: float) -> None:
+    """Warns where time has gone on without the sand.
+
+    Args:
+        time: of the simulation [s].
+        last: when the sand last acted [s]; None for never.
+        timestep: of that step [s].
+    """
+    if last is not None and time > last + 1.5 * timestep:
+        warn_user(
+            f"time is {time:.6g} s, but this sand last acted in the step from {last:.6g} s: was "
+            "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside mj_step)",
+            MissedStepWarning,
+        )
+
+
+def _changed(what: str) -> InputError:
+    return InputError(
+        f"{what} was changed after Sand was made, whose elements are those of before: make another"
+    )

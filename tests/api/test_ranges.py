@@ -1,0 +1,62 @@
+"""Slips of units are named, through every interface; what people really use is not."""
+
+import warnings
+
+import mujoco
+import pytest
+
+from mjgranular import Plane, Rft3dLaw, Sand, add_sand, media
+from mjgranular.cli import main
+from mjgranular.errors import RangeWarning
+
+SLIP = Rft3dLaw(density=1.55, internal_friction=0.67, surface_friction=0.4)
+
+
+def xml(timestep=2e-3, z=0.1):
+    return (
+        f'<mujoco><option timestep="{timestep}"/><worldbody><body pos="0 0 {z}"><freejoint/>'
+        '<geom type="box" size=".1 .05 .03"/></body></worldbody></mujoco>'
+    )
+
+
+CASES = [
+    (xml(), {"law": SLIP}, r"density of 1\.55 .*1\.55 g/cm\^3 is 1550 kg/m\^3"),
+    (xml(timestep=1), {}, r"time step is 1 s.*1 ms is 0\.001 s"),
+    (xml(z=-5), {}, r"starts 4\.8\d m and more under"),
+    (xml(), {"surface": Plane(height=30)}, r"starts 29\.\d m and more under"),
+]
+
+
+@pytest.mark.parametrize(("text", "options", "said"), CASES)
+def test_a_slip_is_named_in_python_and_in_mjcf(text, options, said):
+    with pytest.warns(RangeWarning, match=said):
+        Sand(mujoco.MjModel.from_xml_string(text), scheme="explicit", **options)
+    spec = mujoco.MjSpec.from_string(text)
+    add_sand(spec, scheme="explicit", **options)
+    with pytest.warns(RangeWarning, match=said):
+        mujoco.MjData(spec.compile())
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        (xml(timestep=1), ["--timestep", "0.5"], "0.5 ms is 0.0005 s"),
+        (xml(z=-5), [], "starts 4.8"),
+        (xml(), ["--surface-height", "30"], "lengths are in metres"),
+    ],
+)
+def test_a_slip_is_named_on_the_command_line(tmp_path, capsys, text, options, said):
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    main(["drop", str(path), *options, "--scheme", "explicit", "--duration", "0.01"])
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_what_people_use_is_no_slip():
+    model = mujoco.MjModel.from_xml_string(xml(timestep=0.02, z=-0.5))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in media:
+            if name != "play_sand":
+                Sand(model, medium=name, scheme="explicit")
+        Sand(model, surface=Plane(height=0.4), scheme="explicit")
