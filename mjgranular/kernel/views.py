@@ -5,7 +5,7 @@ Such a record is passed between kernels as one word, its address, where each arr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,10 +26,11 @@ _WORD = ir.IntType(64)
 
 
 class Views(types.Type):
-    """A record of words: numbers (int64), then addresses of arrays.
+    """A record of words: numbers, then addresses of arrays.
 
     Attributes:
         dtype: of the record in memory.
+        numbers: the types of its numbers.
         arrays: for each array the type of what is in it, and its shape in numbers and names of the
             record's numbers.
     """
@@ -37,11 +38,12 @@ class Views(types.Type):
     def __init__(
         self,
         name: str,
-        numbers: Sequence[str],
+        numbers: Mapping[str, Any],
         arrays: Mapping[str, tuple[Any, tuple[int | str, ...]]],
     ) -> None:
         super().__init__(name=f"Views({name})")
-        self.dtype = np.dtype([(field, np.int64) for field in (*numbers, *arrays)])
+        self.dtype = np.dtype([*numbers.items(), *((field, np.int64) for field in arrays)])
+        self.numbers = {field: from_dtype(np.dtype(dtype)) for field, dtype in numbers.items()}
         self.arrays = dict(arrays)
 
     def kind(self, field: str) -> Any:
@@ -49,12 +51,14 @@ class Views(types.Type):
         if field in self.arrays:
             dtype, shape = self.arrays[field]
             return types.Array(from_dtype(np.dtype(dtype)), len(shape), "C")
-        return types.int64 if field in (self.dtype.names or ()) else None
+        return self.numbers.get(field)
 
     def place(self, builder: Any, address: Any, field: str) -> Any:
-        """Emits the pointer to a field's word."""
+        """Emits the pointer to a number or an address."""
         offset = self.dtype.fields[field][1]  # pyright: ignore[reportOptionalSubscript]
-        return builder.inttoptr(builder.add(address, _WORD(offset)), _WORD.as_pointer())
+        is_real = self.numbers.get(field) == types.float64
+        word = ir.DoubleType() if is_real else _WORD
+        return builder.inttoptr(builder.add(address, _WORD(offset)), word.as_pointer())
 
 
 @register_model(Views)

@@ -32,7 +32,7 @@ read_six = column(6, 1).read
 
 
 @compiled
-def prepare_inertia(w, h):
+def prepare_inertia(w):
     """Sets A = M + C.
 
     With Euler C is h times the derivative of joints' damping; with the implicit integrators -h
@@ -47,28 +47,28 @@ def prepare_inertia(w, h):
             j = w.M_colind[k]
             inertia[i, j] = inertia[j, i] = w.M[k]
     if w.integrator == EULER_DAMPED:
-        read_joint_damping(w, h)
+        read_joint_damping(w)
     elif w.integrator == IMPLICIT:
         smooth_derivative(w.model, w.data, 1)
-        read_derivative(w, w.dofs, h)
+        read_derivative(w, w.dofs)
     elif w.integrator != EULER:
         # implicitfast leaves out the derivative of the bias, and reads the lower half of what is
         # left; but of lone free bodies it takes all.
         smooth_derivative(w.model, w.data, 0)
-        read_derivative(w, w.dofs, h)
+        read_derivative(w, w.dofs)
         for i in range(nv):
             for j in range(i):
                 w.damping[j, i] = w.damping[i, j]
         if w.nlone > 0:
             smooth_derivative(w.model, w.data, 1)
-            read_derivative(w, w.lone_dofs, h)
+            read_derivative(w, w.lone_dofs)
     for i in range(nv):
         add_scaled(inertia[i], 1.0, w.damping[i])
         w.weight[i] = 1.0 / inertia[i, i]
 
 
 @compiled
-def read_joint_damping(w, h):
+def read_joint_damping(w):
     """Sets C to h times the derivative of the damping of joints, that of their actuators included.
 
     Damping of a joint at the speed v is (b + p_1 |v| + p_2 v^2) v.
@@ -84,15 +84,15 @@ def read_joint_damping(w, h):
         for k in range(POLY):
             power *= abs(w.qvel[j])
             slope += (k + 2) * poly[k] * power
-        w.damping[j, j] = h * slope
+        w.damping[j, j] = w.h * slope
 
 
 @compiled
-def read_derivative(w, dofs, h):
+def read_derivative(w, dofs):
     """Sets rows of C to -h times the derivative of the smooth forces that MuJoCo has found."""
     for i in dofs:
         for k in range(w.D_rowadr[i], w.D_rowadr[i] + w.D_rownnz[i]):
-            w.damping[i, w.D_colind[k]] = -h * w.qDeriv[k]
+            w.damping[i, w.D_colind[k]] = -w.h * w.qDeriv[k]
 
 
 @compiled
@@ -123,12 +123,11 @@ def size_of(w, momentum):
 
 
 @compiled
-def balance(w, h, update):
+def balance(w, update):
     """Sets the residual at the velocity `w.velocity`, and all of its Jacobian but the sand's part.
 
     Args:
         w: the workspace, with the sand's wrenches on bodies.
-        h: time step [s].
         update: of friction multipliers: `FRESH`, `NEXT`, `SAME`.
 
     Returns:
@@ -140,14 +139,14 @@ def balance(w, h, update):
     for i in range(w.nv):
         copy(w.jacobian[i], inertia[i])
         residual[i] = inner(inertia[i], change)
-    mismatch = add_constraints(w, h, update)
+    mismatch = add_constraints(w, update)
     for j in range(w.nv):
         residual[j] -= w.smooth[j] + w.constraint[j] + w.sand[j]
     return size_of(w, residual), mismatch
 
 
 @compiled
-def sum_wrenches(w, h):
+def sum_wrenches(w):
     """Sets h J^T f: what acts on a body acts on all joints below it.
 
     Wrenches about the centre of one tree can be summed.
@@ -160,11 +159,11 @@ def sum_wrenches(w, h):
             add_scaled(carried[w.body_parentid[b]], 1.0, carried[b])
     for j in range(w.nv):
         b = w.dof_bodyid[j]
-        w.sand[j] = h * inner(w.cdof[j], carried[b]) if wet[b] != 0 else 0.0
+        w.sand[j] = w.h * inner(w.cdof[j], carried[b]) if wet[b] != 0 else 0.0
 
 
 @compiled
-def add_stiffness(w, h):
+def add_stiffness(w):
     """Adds h sum_b J_b^T K_b J_b to the Jacobian, as composite inertias are found."""
     stiffness, wet, jacobian, cdof = w.stiffness, w.wet, w.jacobian, w.cdof
     for b in range(w.nbody - 1, 0, -1):
@@ -179,7 +178,7 @@ def add_stiffness(w, h):
         clear(down)
         clear(across)
         for n in range(6):
-            u = h * c[n]
+            u = w.h * c[n]
             if u == 0.0:  # half of them and more: slides, and all that moves in a plane
                 continue
             for m in range(6):

@@ -6,10 +6,10 @@ They are soft: the force of a row J_i is a function of the acceleration along it
 
 where a is the acceleration in front of the integrator's own damping C = A - M,
 
-    M a = A (v' - v) / h,    J_i a = J_i (1 + M^-1 C) (v' - v) / h.
+    M a = A (v' - v) / h,    a = K (v' - v) / h,    K = 1 + M^-1 C.
 
-Equalities, friction losses, limits, and contacts with pyramidal and elliptic cones, as in the
-engine's documentation.
+So they add (sum_i D_i J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses,
+limits, and contacts with pyramidal and elliptic cones, as in the engine's documentation.
 """
 
 from __future__ import annotations
@@ -23,76 +23,57 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import solve_inertia
 from mjgranular.kernel.memory import scratch
 from mjgranular.scheme.blocks import NEXT, SAME
-from mjgranular.scheme.dense import add_outer, add_scaled, clear, copy, inner
-from mjgranular.scheme.workspace import EULER, ROWS_KEPT
+from mjgranular.scheme.dense import add_outer, add_scaled, clear, inner
+from mjgranular.scheme.workspace import EULER
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)  # and of a joint, one below
 _ELLIPTIC = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC)
-# In `w.rows`: for a row that is not kept, and for a sum of rows.
-_SPARE, _SUM = np.int64(ROWS_KEPT), np.int64(ROWS_KEPT + 1)
 numbers_of_contact = scratch(6)
 
 
 @compiled
-def prepare_rows(w):
-    """Reads the constraints' rows, those that are kept."""
-    for i in range(min(w.nefc, ROWS_KEPT)):
-        read_row(w, i, i)
+def prepare_constraints(w):
+    """Finds the rows of K that constraints touch."""
+    if w.integrator == EULER or w.nefc == 0:
+        return
+    for j in range(w.nv):
+        w.touched[j] = 0
+    for i in range(w.nefc):
+        row = row_at(w, i)
+        for j in range(w.nv):
+            w.touched[j] |= row[j] != 0.0
+    unit, product = w.trial, w.product
+    clear(unit)
+    for j in range(w.nv):
+        clear(w.undamped[j])
+        if w.touched[j] != 0:
+            unit[j] = w.undamped[j, j] = 1.0
+            solve_inertia(w.model, w.data, product.ctypes.data, unit.ctypes.data, 1)
+            unit[j] = 0.0
+            for k in range(w.nv):
+                if product[k] != 0.0:
+                    add_scaled(w.undamped[j], product[k], w.damping[k])
 
 
 @compiled
-def read_row(w, i, k):
-    """Writes J_i and J_i (1 + M^-1 C) to `w.rows[k]` and `w.damped_rows[k]`."""
-    nv = w.nv
-    row, damped = w.rows[k], w.damped_rows[k]
-    if w.sparse:
-        clear(row)
-        start = w.efc_J_rowadr[i]
-        for place in range(start, start + w.efc_J_rownnz[i]):
-            row[w.efc_J_colind[place]] = w.efc_J[place]
-    else:
-        copy(row, w.efc_J[i * nv : i * nv + nv])
-    copy(damped, row)
-    if w.integrator != EULER:
-        product = w.product
-        solve_inertia(w.model, w.data, product.ctypes.data, row.ctypes.data, 1)
-        for j in range(nv):
-            if product[j] != 0.0:
-                add_scaled(damped, product[j], w.damping[j])
+def row_at(w, i):
+    """J_i. Where the rows are sparse it is written to `w.row`, and lasts until the next one."""
+    if not w.sparse:
+        return w.efc_J[i * w.nv : (i + 1) * w.nv]
+    row, start = w.row, w.efc_J_rowadr[i]
+    clear(row)
+    for k in range(start, start + w.efc_J_rownnz[i]):
+        row[w.efc_J_colind[k]] = w.efc_J[k]
+    return row
 
 
 @compiled
-def kept_row(w, i):
-    """The index in `w.rows` and `w.damped_rows` where row i of the constraints is."""
-    if i < ROWS_KEPT:
-        return i
-    read_row(w, i, _SPARE)
-    return _SPARE
-
-
-@compiled
-def along_row(w, i):
-    """The acceleration along a row, less its reference: x_i."""
-    return inner(w.damped_rows[kept_row(w, i)], w.rate) - w.efc_aref[i]
-
-
-@compiled
-def add_row(w, k, force, stiffness, h):
-    """Adds the force along a kept row to h q_c, and its stiffness, minus its derivative, to R'."""
-    if force != 0.0:
-        add_scaled(w.constraint, h * force, w.rows[k])
-    if stiffness != 0.0:
-        add_outer(w.jacobian, stiffness, w.rows[k], w.damped_rows[k])
-
-
-@compiled
-def add_constraints(w, h, update):
-    """Sets h q_c at the velocity `w.velocity`, and adds its derivative to R'.
+def add_constraints(w, update):
+    """Sets h q_c at the velocity `w.velocity`, and adds its derivative to the Jacobian.
 
     Args:
         w: the workspace.
-        h: time step [s].
         update: of friction multipliers: `FRESH`, `NEXT`, `SAME`.
 
     Returns:
@@ -100,29 +81,51 @@ def add_constraints(w, h, update):
     """
     clear(w.constraint)
     mismatch = 0.0
-    losses = 0
+    if w.nefc == 0:
+        return mismatch
     for j in range(w.nv):
-        w.rate[j] = (w.velocity[j] - w.start[j]) / h
+        clear(w.springs[j])
+        w.rate[j] = (w.velocity[j] - w.start[j]) / w.h
+    for j in range(w.nv):
+        w.acceleration[j] = w.rate[j] if w.integrator == EULER else inner(w.undamped[j], w.rate)
+    losses = 0
     i = np.int64(0)  # a literal would be compiled for on its own
     while i < w.nefc:
         kind = w.efc_type[i]
         if kind == _ELLIPTIC:
             contact = w.contact[w.efc_id[i]]
-            add_cone(w, i, contact, h)
+            add_cone(w, i, contact)
             i += contact.dim
             continue
-        x, mass = along_row(w, i), w.efc_D[i]
-        force, stiffness = -mass * x, mass
+        x, mass = inner(row_at(w, i), w.acceleration) - w.efc_aref[i], w.efc_D[i]
+        force, spring = -mass * x, mass
         if kind != _EQUALITY and kind <= _FRICTION:
             last, limit = w.friction[losses], w.efc_frictionloss[i]
-            force, stiffness, own = friction_loss(last, x, limit, mass, update)
+            force, spring, own = friction_loss(last, x, limit, mass, update)
             mismatch = max(mismatch, own)
             losses += 1
         elif kind != _EQUALITY and x >= 0.0:
-            force, stiffness = 0.0, 0.0
-        add_row(w, kept_row(w, i), force, stiffness, h)
+            force, spring = 0.0, 0.0
+        add_row(w, row_at(w, i), force, spring)
         i += 1
+    for i in range(w.nv):
+        springs, jacobian = w.springs[i], w.jacobian[i]
+        if w.integrator == EULER:
+            add_scaled(jacobian, 1.0, springs)
+        else:
+            for k in range(w.nv):
+                if springs[k] != 0.0:
+                    add_scaled(jacobian, springs[k], w.undamped[k])
     return mismatch
+
+
+@compiled
+def add_row(w, row, force, spring):
+    """Adds a force along a row, and minus its derivative by the acceleration there."""
+    if force != 0.0:
+        add_scaled(w.constraint, w.h * force, row)
+    if spring != 0.0:
+        add_outer(w.springs, spring, row, row)
 
 
 @compiled
@@ -141,7 +144,7 @@ def friction_loss(last, x, limit, mass, update):
         update: `FRESH`, `NEXT`, `SAME`.
 
     Returns:
-        (force, stiffness, square of the difference of p and the one of x itself).
+        (force, minus its derivative, square of the difference of p and the one of x itself).
     """
     edge = limit / mass
     size = max(abs(x), edge)
@@ -159,8 +162,8 @@ def friction_loss(last, x, limit, mass, update):
 
 
 @compiled
-def add_cone(w, first, contact, h):
-    """A contact with an elliptic cone, rows `first` to `first + dim`.
+def add_cone(w, first, contact):
+    """Adds a contact with an elliptic cone, rows `first` to `first + dim`.
 
     In coordinates scaled by friction, U = (mu x_0, friction_k x_k), N the first of them and T the
     size of the others: above the cone (N >= mu T) nothing; below its polar (mu N + T <= 0) all
@@ -173,7 +176,7 @@ def add_cone(w, first, contact, h):
     x, away, along = numbers_of_contact(), numbers_of_contact(), numbers_of_contact()
     t = 0.0
     for k in range(dim):
-        x[k] = along_row(w, first + k)
+        x[k] = inner(row_at(w, first + k), w.acceleration) - w.efc_aref[first + k]
         if k > 0:
             t += (x[k] * contact.friction[k - 1]) ** 2
     n, t = mu * x[0], math.sqrt(t)
@@ -182,7 +185,7 @@ def add_cone(w, first, contact, h):
     if mu * n + t <= 0.0:
         for k in range(dim):
             mass = w.efc_D[first + k]
-            add_row(w, kept_row(w, first + k), -mass * x[k], mass, h)
+            add_row(w, row_at(w, first + k), -mass * x[k], mass)
         return
     spring = w.efc_D[first] / (mu * mu * (1.0 + mu * mu))
     distance = n - mu * t
@@ -192,19 +195,16 @@ def add_cone(w, first, contact, h):
         friction = contact.friction[k - 1] ** 2
         along[k] = friction * x[k] / t
         away[k] = -mu * along[k]
-        add_row(w, kept_row(w, first + k), 0.0, bend * friction, h)
-    sum_rows(w, first, dim, away)
-    add_row(w, _SUM, -spring * distance, spring, h)
-    sum_rows(w, first, dim, along)
-    add_row(w, _SUM, 0.0, -bend, h)
+        add_row(w, row_at(w, first + k), 0.0, bend * friction)
+    add_row(w, sum_of_rows(w, first, dim, away), -spring * distance, spring)
+    add_row(w, sum_of_rows(w, first, dim, along), 0.0, -bend)
 
 
 @compiled
-def sum_rows(w, first, dim, factors):
-    """Writes a sum of multiples of so many rows to `w.rows` and `w.damped_rows`."""
-    clear(w.rows[_SUM])
-    clear(w.damped_rows[_SUM])
+def sum_of_rows(w, first, dim, factors):
+    """A sum of multiples of so many rows, in `w.trial`."""
+    total = w.trial
+    clear(total)
     for k in range(dim):
-        row = kept_row(w, first + k)
-        add_scaled(w.rows[_SUM], factors[k], w.rows[row])
-        add_scaled(w.damped_rows[_SUM], factors[k], w.damped_rows[row])
+        add_scaled(total, factors[k], row_at(w, first + k))
+    return total

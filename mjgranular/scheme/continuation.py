@@ -52,7 +52,7 @@ _STEPS_NEAR, _STEPS, _STEPS_COARSE = (np.int64(n) for n in (8, 40, 6))
 
 @cache
 def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
-    """Makes the kernel `find_velocity(table, w, count, h, scale)` for a law and a surface.
+    """Makes the kernel `find_velocity(table, w)` for a law and a surface.
 
     Args:
         kernel: of the law.
@@ -62,30 +62,27 @@ def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
     newton = newton_kernel(kernel, scene_dtype)
 
     @compiled
-    def find_velocity(table, w, count, h, scale):
+    def find_velocity(table, w):
         """Solves for the velocity at the end of the step, `w.velocity`.
 
         Args:
             table: of addresses.
             w: the workspace, with the velocity at the start of the step.
-            count: of blocks of elements in the sand.
-            h: time step [s].
-            scale: size of the momentum at hand.
 
         Returns:
-            (evaluations, residual in parts of `scale`, whether it made do with a softer rest).
+            (evaluations, residual in parts of `w.scale`, whether it made do with a softer rest).
         """
         velocity = w.velocity
-        fine = softness(w, count, velocity)
-        coarse = speed_without_sand(w, count, h)
-        goal = goal_of(fine) * scale
+        fine = softness(w, velocity)
+        coarse = speed_without_sand(w)
+        goal = goal_of(fine) * w.scale
         done = 0
-        if fastest(w, count) < _SLOW * coarse:
+        if fastest(w) < _SLOW * coarse:
             # At rest what was is what will be.
             search = Search(FRESH, fine, fine, goal, _STEPS_NEAR, _TURNED)
-            done, error = newton(table, w, count, h, search)
+            done, error = newton(table, w, search)
             if error <= goal:
-                return done, error / scale, False
+                return done, error / w.scale, False
 
         # In motion the last acceleration, which is part of MuJoCo's state, is a good guess. What is
         # slower than the step may change is not taken to slide.
@@ -93,37 +90,37 @@ def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
         for j in range(w.nv):
             known = known and math.isfinite(w.qacc_warmstart[j])
         for j in range(w.nv):
-            velocity[j] = w.start[j] + (h * w.qacc_warmstart[j] if known else 0.0)
+            velocity[j] = w.start[j] + (w.h * w.qacc_warmstart[j] if known else 0.0)
         loose = max(coarse, fine)
         search = Search(FRESH, loose, fine, goal, _STEPS, math.inf)
-        more, error = newton(table, w, count, h, search)
+        more, error = newton(table, w, search)
         done += more
-        if goal < error <= _LOST * scale:
+        if goal < error <= _LOST * w.scale:
             # What begins to move in this step is rounded more than its velocity before can say.
-            moved = softness(w, count, velocity)
+            moved = softness(w, velocity)
             if moved > _BEGUN * fine:
                 fine = moved
-                goal = goal_of(fine) * scale
+                goal = goal_of(fine) * w.scale
                 loose = max(coarse, fine)
                 search = Search(SAME, fine, fine, goal, _STEPS_COARSE, math.inf)
-                more, error = newton(table, w, count, h, search)
+                more, error = newton(table, w, search)
                 done += more
-        if error <= _LOST * scale:
-            return done, error / scale, False
+        if error <= _LOST * w.scale:
+            return done, error / w.scale, False
 
         # Lost: from the coarse softness to the fine one. What holds keeps its multiplier.
         copy(velocity, w.start)
         eps = loose
         update = FRESH
         while eps > fine and done < most:
-            search = Search(update, eps, eps, _COARSE * scale, _STEPS_COARSE, math.inf)
-            more, _ = newton(table, w, count, h, search)
+            search = Search(update, eps, eps, _COARSE * w.scale, _STEPS_COARSE, math.inf)
+            more, _ = newton(table, w, search)
             done += more
             update = SAME
             eps = max(_FINER * eps, fine)
         search = Search(update, eps, eps, goal, _STEPS, math.inf)
-        more, error = newton(table, w, count, h, search)
-        return done + more, error / scale, eps > fine
+        more, error = newton(table, w, search)
+        return done + more, error / w.scale, eps > fine
 
     return find_velocity
 
@@ -135,14 +132,14 @@ def goal_of(eps):
 
 
 @compiled
-def softness(w, count, velocity):
+def softness(w, velocity):
     """The fine softness at a velocity of the joints [m/s].
 
     With it grow the velocities of joints that cancel in that of a body: the rounding of its rest.
     """
     largest = 0.0
     last = -1
-    for i in range(count):
+    for i in range(w.count):
         body = w.heads[i].body
         if body == last:
             continue
@@ -161,13 +158,13 @@ def softness(w, count, velocity):
 
 
 @compiled
-def speed_without_sand(w, count, h):
+def speed_without_sand(w):
     """How fast an element at rest would be at most after a step without sand [m/s]."""
     for j in range(w.nv):
-        w.trial[j] = h * w.qacc_smooth[j]
+        w.trial[j] = w.h * w.qacc_smooth[j]
     find_motions(w, w.trial)
     most = 0.0
-    for i in range(count):
+    for i in range(w.count):
         motion = w.motion[w.heads[i].body]
         turning, moving = read_vector(motion, 0), read_vector(motion, 3)
         for lane in range(w.lanes):
@@ -177,10 +174,10 @@ def speed_without_sand(w, count, h):
 
 
 @compiled
-def fastest(w, count):
+def fastest(w):
     """The greatest speed of an element at the start of the step [m/s]."""
     most = 0.0
-    for i in range(count):
+    for i in range(w.count):
         for lane in range(w.lanes):
             most = max(most, norm(lane_vector(w, w.blocks[i], VELOCITY, lane)))
     return most

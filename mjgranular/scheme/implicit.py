@@ -57,7 +57,7 @@ from mjgranular.kernel.vector import cross, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.blocks import block_kernels
-from mjgranular.scheme.constraints import prepare_rows
+from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.continuation import lane_vector, solver_kernel
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.layout import FORCE, INDEX
@@ -154,19 +154,20 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         withdraw_wrenches(table)
         for slot in range(len(bodies)):
             clear(bodies[slot].wrench)
-        count = immerse(table, w)
-        if count > 0:
+        w.h = lead
+        w.count = immerse(table, w)
+        if w.count > 0:
             find_smooth_forces(w)
             open_constraints(table[WORKSPACE], w)
-            prepare_inertia(w, lead)
-            prepare_rows(w)
-            mark_wet(w, count)
-            scale = begin(w, lead)
-            done, error, softened = find_velocity(table, w, count, lead, scale)
-            warm_start(w, lead)
-            share = passive_share(w, error, scale, lead)
+            prepare_inertia(w)
+            prepare_constraints(w)
+            mark_wet(w)
+            begin(w)
+            done, error, softened = find_velocity(table, w)
+            warm_start(w)
+            share = passive_share(w, error)
             write_wrenches(w, bodies, share)
-            write_contacts(table, w, count, share)
+            write_contacts(table, w, share)
             statistics = w.statistics[0]
             statistics.steps += 1
             statistics.evaluations += done
@@ -193,12 +194,12 @@ def find_smooth_forces(w):
 
 
 @compiled
-def mark_wet(w, count):
+def mark_wet(w):
     """Marks the bodies that have an element in the sand, and those that carry them."""
     wet = w.wet
     for body in range(w.nbody):
         wet[body] = 0
-    for i in range(count):
+    for i in range(w.count):
         body = w.heads[i].body
         while body > 0 and wet[body] == 0:
             wet[body] = 1
@@ -206,23 +207,19 @@ def mark_wet(w, count):
 
 
 @compiled
-def begin(w, h):
-    """Reads v and h q; v' begins with v.
-
-    Returns:
-        The size of the momentum at hand, of velocities and forces.
-    """
+def begin(w):
+    """Reads v and h q; v' begins with v. The momentum at hand is that of both."""
     scale = 0.0
     for j in range(w.nv):
         w.start[j] = w.velocity[j] = w.qvel[j]
-        w.smooth[j] = h * w.qfrc_smooth[j]
+        w.smooth[j] = w.h * w.qfrc_smooth[j]
         light = math.sqrt(w.weight[j])
         scale += abs(w.smooth[j]) * light + abs(w.qvel[j]) / light
-    return max(scale, _NOTHING)
+    w.scale = max(scale, _NOTHING)
 
 
 @compiled
-def warm_start(w, h):
+def warm_start(w):
     """Has the engine's constraint solver begin at the acceleration that has been foreseen.
 
     By itself it stops when it is within some 1e-6 of it, which is little where things move, but at
@@ -234,7 +231,7 @@ def warm_start(w, h):
         return
     rate, damped, answer = w.rate, w.product, w.solution
     for j in range(w.nv):
-        rate[j] = (w.velocity[j] - w.start[j]) / h
+        rate[j] = (w.velocity[j] - w.start[j]) / w.h
     copy(w.qacc_warmstart, rate)
     if w.integrator != EULER:
         for i in range(w.nv):
@@ -258,10 +255,10 @@ def write_wrenches(w, bodies, share):
 
 
 @compiled
-def write_contacts(table, w, count, share):
+def write_contacts(table, w, share):
     """Writes the forces on elements to their contacts."""
     contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-    for i in range(count):
+    for i in range(w.count):
         block = w.blocks[i]
         for lane in range(w.heads[i].live):
             contact = contacts[bits_of(block[INDEX * w.lanes + lane])]

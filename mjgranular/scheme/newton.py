@@ -58,7 +58,7 @@ Attributes:
 
 @cache
 def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Makes the kernel `newton(table, w, count, h, search)` for a law and a surface.
+    """Makes the kernel `newton(table, w, search)` for a law and a surface.
 
     Args:
         kernel: of the law.
@@ -69,14 +69,12 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     scene_records = records(scene_dtype)
 
     @compiled
-    def evaluate(table, w, count, h, eps, update, loose):
-        """Sets residual and Jacobian at `w.velocity`.
+    def evaluate(table, w, eps, update, loose):
+        """Sets residual and Jacobian at `w.velocity`, and the forces on elements in their blocks.
 
         Args:
             table: of addresses.
             w: the workspace.
-            count: of blocks of elements in the sand; these are left with the forces on them.
-            h: time step [s].
             eps: softness [m/s].
             update: of multipliers: `NEXT`, those after a step of Newton's method to this velocity;
                 `FRESH` and `SAME` as for a `Search`.
@@ -93,18 +91,18 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             clear(w.wrench[b])
             clear(w.stiffness[b])
         mismatch = 0.0
-        for i in range(count):
+        for i in range(w.count):
             block, body = w.blocks[i], w.heads[i].body
             move(block, motion_of(w, body), update, eps, loose)
             respond(block, law, g, eps)
             mismatch = max(mismatch, add(block, w.wrench[body], w.stiffness[body]))
-        sum_wrenches(w, h)
-        error, of_losses = balance(w, h, update)
-        add_stiffness(w, h)
+        sum_wrenches(w)
+        error, of_losses = balance(w, update)
+        add_stiffness(w)
         return error, max(mismatch, of_losses)
 
     @compiled
-    def follow_all(w, count, h, eps):
+    def follow_all(w, eps):
         """Sets the residual at `w.velocity` with forces that follow it by their derivative.
 
         The forces of `evaluate` at the velocity before are changed to these.
@@ -116,14 +114,14 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         for b in range(w.nbody):
             clear(w.wrench[b])
         turn = 0.0
-        for i in range(count):
+        for i in range(w.count):
             body = w.heads[i].body
             turn = max(turn, follow(w.blocks[i], motion_of(w, body), w.wrench[body], eps))
-        sum_wrenches(w, h)
-        return balance(w, h, NEXT)[0], turn
+        sum_wrenches(w)
+        return balance(w, NEXT)[0], turn
 
     @compiled
-    def newton(table, w, count, h, search):
+    def newton(table, w, search):
         """Newton's method from `w.velocity`, which ends where it got to.
 
         Steps are taken whole: multipliers that turn are how it finds out what holds and what
@@ -139,15 +137,13 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         Args:
             table: of addresses.
             w: the workspace.
-            count: of blocks of elements in the sand.
-            h: time step [s].
             search: how to go.
 
         Returns:
             (evaluations, residual; infinite where it says nothing yet).
         """
         velocity, change, eps = w.velocity, w.change, search.eps
-        error, mismatch = evaluate(table, w, count, h, eps, search.update, search.loose)
+        error, mismatch = evaluate(table, w, eps, search.update, search.loose)
         done = 1
         stuck = 0
         while (
@@ -161,10 +157,10 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             add_scaled(velocity, -1.0, change)
             turn = inner(change, change) / (inner(velocity, velocity) + _NOTHING)
             if misfit(turn, mismatch) <= _NEARLY:
-                left, turn = follow_all(w, count, h, eps)
+                left, turn = follow_all(w, eps)
                 if left <= search.goal and misfit(turn, mismatch) <= _MISFIT:
                     return done, left
-            found, mismatch = evaluate(table, w, count, h, eps, NEXT, 0.0)
+            found, mismatch = evaluate(table, w, eps, NEXT, 0.0)
             done += 1
             back = 0.5
             while (
@@ -175,7 +171,7 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             ):
                 add_scaled(velocity, back, change)
                 back *= 0.5
-                found, mismatch = evaluate(table, w, count, h, eps, NEXT, 0.0)
+                found, mismatch = evaluate(table, w, eps, NEXT, 0.0)
                 done += 1
             stuck += mismatch < _STRAIGHT and not found < 0.5 * error
             error = found

@@ -25,7 +25,7 @@ _ROUNDING = 1e-15  # of a share
 
 
 @compiled
-def passive_share(w, error, scale, h):
+def passive_share(w, error):
     """The share of the sand's momentum that gives no energy; 1 if the whole gives none.
 
     First by the velocity found and its residual, whose size is measured with the diagonal of the
@@ -42,32 +42,30 @@ def passive_share(w, error, scale, h):
 
     Args:
         w: the workspace, with the velocity that was found.
-        error: size of its residual, in parts of `scale`.
-        scale: size of the momentum at hand.
-        h: time step [s].
+        error: size of its residual, in parts of `w.scale`.
     """
     if (w.descends != 0 or w.nefc == 0) and error < _TRUSTED:
         work = inner(w.sand, w.velocity)
-        if work + 1e3 * error * scale * size_of(w, w.sand) <= _NO_ENERGY:
+        if work + 1e3 * error * w.scale * size_of(w, w.sand) <= _NO_ENERGY:
             return 1.0
-        if expected_work(w, h) <= _NO_ENERGY:
+        if expected_work(w) <= _NO_ENERGY:
             return 1.0
-    whole = work_of_share(w, h, 1.0)
+    whole = work_of_share(w, 1.0)
     if whole <= _NO_ENERGY:
         return 1.0
-    none = work_of_share(w, h, 0.0)
+    none = work_of_share(w, 0.0)
     if none >= 0.0:
         return 0.0
     less = max(whole / (whole - none), _ROUNDING)
     while less < 1.0:
-        if work_of_share(w, h, 1.0 - less) <= 0.0:
+        if work_of_share(w, 1.0 - less) <= 0.0:
             return 1.0 - less
         less *= 2.0
     return 0.0
 
 
 @compiled
-def expected_work(w, h):
+def expected_work(w):
     """The sand's work with the velocity that the step will end with, at most [J].
 
     That is the velocity found, less what would make up for the residual if the sand's forces stay
@@ -75,7 +73,7 @@ def expected_work(w, h):
     finds that it has nothing to do, is not known: both are looked at. Destroys residual and
     Jacobian.
     """
-    balance(w, h, SAME)
+    balance(w, SAME)
     copy(w.product, w.residual)
     work = work_without(w, w.jacobian, w.residual)
     if w.nefc > 0:
@@ -95,14 +93,14 @@ def work_without(w, matrix, momentum):
 
 
 @compiled
-def work_of_share(w, h, share):
+def work_of_share(w, share):
     """The sand's momentum times the velocity that a share of it leads to [J].
 
     Leaves the engine's state as it was, but for what its step computes anew.
     """
     trial, change, constrained = w.trial, w.solution, w.nefc > 0
     for j in range(w.nv):
-        w.qfrc_smooth[j] = (w.smooth[j] + share * w.sand[j]) / h
+        w.qfrc_smooth[j] = (w.smooth[j] + share * w.sand[j]) / w.h
     if constrained:
         solve_inertia(w.model, w.data, w.qacc_smooth.ctypes.data, w.qfrc_smooth.ctypes.data, 1)
         copy(w.product, w.qacc_warmstart)
@@ -112,11 +110,11 @@ def work_of_share(w, h, share):
     # solver has stopped short.
     if constrained and w.integrator == EULER:
         for j in range(w.nv):
-            change[j] = h * w.qacc[j]
+            change[j] = w.h * w.qacc[j]
     else:
         for j in range(w.nv):
             force = w.qfrc_smooth[j] + w.qfrc_constraint[j] if constrained else w.qfrc_smooth[j]
-            trial[j] = h * force
+            trial[j] = w.h * force
         for i in range(w.nv):
             copy(w.jacobian[i], w.inertia[i])
         if not solve(w.jacobian, trial, change):

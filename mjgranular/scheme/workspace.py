@@ -7,6 +7,8 @@ allocates.
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -34,63 +36,55 @@ STATISTICS_DTYPE = np.dtype(
 EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT = range(4)
 """What the integrator adds to the inertia: nothing, joint damping, the derivative of forces."""
 
-ROWS_KEPT = 64
-"""Constraint rows that are prepared once a step; more are worked out whenever they are read."""
-
 POLY = int(mujoco.mjNPOLY)
 """Coefficients of damping beyond the linear one."""
 
 _F, _I, _L = np.float64, np.int32, np.int64
 
-_NUMBERS = (
+_INTEGERS = (
     "nbody", "nv", "njnt", "nC", "nD",
     "nfriction",  # friction losses: of joints and tendons
     "nlone",  # degrees of freedom of lone free bodies
-    "lanes",  # of a block of elements
-    "block_size",
-    "block_count",
-    "model",  # address of `mjModel`
-    "data",  # address of `mjData`
+    "lanes", "block_size", "block_count",  # of blocks of elements
+    "model", "data",  # addresses of `mjModel` and `mjData`
     "within",  # 1 where forces are asked for within `mj_step`, among the passive ones
-    # Of the options of this step (`read_options`):
-    "integrator",  # one of the four above
-    "sparse",  # whether the constraints' Jacobian is
-    "descends",  # whether the engine's constraint solver ends no farther off than it begins
-    # Of the constraints of this step (`open_constraints`):
-    "nefc", "ncon", "nJ",
+    # Of this step's options (`read_options`): one of the four above; whether the constraints'
+    # Jacobian is sparse; whether their solver ends no farther off than it begins.
+    "integrator", "sparse", "descends",
+    "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
+    "count",  # of blocks that are filled in this step
 )  # fmt: skip
+_REALS = (
+    "h",  # time step [s]
+    "scale",  # size of the momentum at hand
+)
 
-_OF_MODEL = {
-    "M_rownnz": (_I, ("nv",)),
-    "M_rowadr": (_I, ("nv",)),
-    "M_colind": (_I, ("nC",)),
-    "D_rownnz": (_I, ("nv",)),
-    "D_rowadr": (_I, ("nv",)),
-    "D_colind": (_I, ("nD",)),
-    "dof_bodyid": (_I, ("nv",)),
-    "dof_parentid": (_I, ("nv",)),
-    "dof_jntid": (_I, ("nv",)),
-    "dof_damping": (_F, ("nv",)),
-    "dof_dampingpoly": (_F, ("nv", POLY)),
-    "body_parentid": (_I, ("nbody",)),
-    "body_dofadr": (_I, ("nbody",)),
-    "body_dofnum": (_I, ("nbody",)),
-    "jnt_actuatorid": (_I, ("njnt",)),  # that damps it: -1 for none, less for several
-}
-_OF_DATA = {
-    "qvel": (_F, ("nv",)),
-    "cdof": (_F, ("nv", 6)),
-    "M": (_F, ("nC",)),
-    "qDeriv": (_F, ("nD",)),
-    "qfrc_smooth": (_F, ("nv",)),
-    "qfrc_constraint": (_F, ("nv",)),
-    "qfrc_bias": (_F, ("nv",)),
-    "qacc": (_F, ("nv",)),
-    "qacc_smooth": (_F, ("nv",)),
-    "qacc_warmstart": (_F, ("nv",)),
-    "subtree_com": (_F, ("nbody", 3)),
-    "xipos": (_F, ("nbody", 3)),
-}
+
+def _by_name(groups: dict[Any, tuple[str, ...]]) -> dict[str, Any]:
+    return {name: kind for kind, names in groups.items() for name in names}
+
+
+_OF_MODEL = _by_name({
+    (_I, ("nv",)): (
+        "M_rownnz", "M_rowadr", "D_rownnz", "D_rowadr", "dof_bodyid", "dof_parentid", "dof_jntid",
+    ),
+    (_I, ("nC",)): ("M_colind",),
+    (_I, ("nD",)): ("D_colind",),
+    (_I, ("nbody",)): ("body_parentid", "body_dofadr", "body_dofnum"),
+    (_I, ("njnt",)): ("jnt_actuatorid",),  # that damps it: -1 for none, less for several
+    (_F, ("nv",)): ("dof_damping",),
+    (_F, ("nv", POLY)): ("dof_dampingpoly",),
+})  # fmt: skip
+_OF_DATA = _by_name({
+    (_F, ("nv",)): (
+        "qvel", "qfrc_smooth", "qfrc_constraint", "qfrc_bias",
+        "qacc", "qacc_smooth", "qacc_warmstart",
+    ),
+    (_F, ("nv", 6)): ("cdof",),
+    (_F, ("nC",)): ("M",),
+    (_F, ("nD",)): ("qDeriv",),
+    (_F, ("nbody", 3)): ("subtree_com", "xipos"),
+})  # fmt: skip
 _OWN = {
     "velocity": (_F, ("nv",)),  # v', sought: at the end of the step
     "start": (_F, ("nv",)),  # v, at its beginning
@@ -100,20 +94,23 @@ _OWN = {
     "residual": (_F, ("nv",)),  # R
     "change": (_F, ("nv",)),  # of the velocity, in a step of Newton's method
     "rate": (_F, ("nv",)),  # (v' - v) / h
-    "trial": (_F, ("nv",)),  # for what is needed for a moment: this and the next two
+    "acceleration": (_F, ("nv",)),  # a = K (v' - v) / h, that of the constraints
+    "trial": (_F, ("nv",)),  # for what is needed for a moment: these four
     "product": (_F, ("nv",)),
     "solution": (_F, ("nv",)),
+    "row": (_F, ("nv",)),
     "weight": (_F, ("nv",)),  # 1 / diagonal of A
     "inertia": (_F, ("nv", "nv")),  # A = M + C
     "damping": (_F, ("nv", "nv")),  # C, what the integrator adds to the inertia
     "jacobian": (_F, ("nv", "nv")),  # R', and what its elimination leaves
+    "undamped": (_F, ("nv", "nv")),  # K = 1 + M^-1 C; rows that constraints touch
+    "touched": (_I, ("nv",)),  # 1 if a constraint touches the degree of freedom
+    "springs": (_F, ("nv", "nv")),  # stiffness of constraints
     "motion": (_F, ("nbody", 6)),  # spatial velocities of bodies
     "wrench": (_F, ("nbody", 6)),  # about the centre of the tree: moment, force
     "carried": (_F, ("nbody", 6)),  # the same with those of the bodies that it carries
     "stiffness": (_F, ("nbody", 36)),  # K_b, minus the derivative of the wrench by the motion
     "wet": (_I, ("nbody",)),  # 1 if a body or one that it carries has an element in the sand
-    "rows": (_F, (ROWS_KEPT + 2, "nv")),  # J_i of constraints; one more row, and a mixture of rows
-    "damped_rows": (_F, (ROWS_KEPT + 2, "nv")),  # J_i (1 + M^-1 C)
     "friction": (_F, ("nfriction", 2)),  # of friction losses: acceleration and multiplier
     "dofs": (_I, ("nv",)),  # 0, 1, 2, ...
     "lone_dofs": (_I, ("nlone",)),
@@ -136,7 +133,11 @@ _OF_CONSTRAINTS = {
     "efc_aref": (_F, ("nefc",)),
 }
 
-_VIEWS = Views("Workspace", _NUMBERS, {**_OF_MODEL, **_OF_DATA, **_OWN, **_OF_CONSTRAINTS})
+_VIEWS = Views(
+    "Workspace",
+    dict.fromkeys(_INTEGERS, _L) | dict.fromkeys(_REALS, _F),
+    {**_OF_MODEL, **_OF_DATA, **_OWN, **_OF_CONSTRAINTS},
+)
 _WORDS = len(_VIEWS.dtype)
 _FIRST_OF_CONSTRAINTS = _WORDS - len(_OF_CONSTRAINTS)
 workspace_at = views_at(_VIEWS)
@@ -151,15 +152,7 @@ def make_workspace(
     *,
     within: bool,
 ) -> Workspace:
-    """Makes the workspace of one simulation.
-
-    Args:
-        model: the model.
-        data: the simulation.
-        elements: of the law.
-        kernel: of the law.
-        within: whether forces are asked for within `mj_step`, among MuJoCo's passive ones.
-    """
+    """Makes the workspace of one simulation, as `Scheme.workspace` says."""
     lone = lone_free_dofs(model)
     record = np.zeros(1, _VIEWS.dtype)
     numbers = {name: getattr(model, name) for name in ("nbody", "nv", "njnt", "nC", "nD")}
