@@ -135,7 +135,7 @@ def make_image(
     room = np.zeros(_MOST_RELOCATIONS, RELOCATION_DTYPE)
     texts = refusals(scheme)
     share, (_, laid, slots, tunings, room, texts) = _allocate(
-        [np.ones(1, SHARE_DTYPE), kernel.lay(elements), slots, tunings, room, texts]
+        [np.ones(1, SHARE_DTYPE), kernel.pack(elements), slots, tunings, room, texts]
     )
     with _freed_if_it_fails(share):
         binding = bind(model, data, elements, laid, scene, scheme, kernel, within=True)

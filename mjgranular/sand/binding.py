@@ -51,7 +51,7 @@ def bind(
         model: the model.
         data: the simulation.
         elements: of the law.
-        laid: the same as the program reads them (`LawKernel.lay`).
+        laid: the same as the program reads them (`LawKernel.pack`).
         scene: parameters of law and surface.
         scheme: how forces become a step.
         kernel: of the law.

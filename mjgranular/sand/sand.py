@@ -128,7 +128,7 @@ class Sand:
         self._scheme.check(model)
         self._scene = make_scene(self._law, self._medium, self._surface, model)
         self._kernel = self._law.kernel(self._surface)
-        self._laid = self._kernel.lay(self._elements)
+        self._laid = self._kernel.pack(self._elements)
         program = self._scheme.program(self._kernel, self._scene.dtype)
         self._program = program_address(program, STEP)
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")

@@ -16,6 +16,7 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import actuator_damping, smooth_derivative
 from mjgranular.kernel.memory import floats, ints, scratch
+from mjgranular.kernel.motion import read_motion
 from mjgranular.scheme import desk as d
 
 _JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
@@ -218,11 +219,7 @@ def body_motions(desk, room, velocity):
 @partial(compiled, inline=True)
 def motion_of(motion, body):
     """The spatial velocity of one body, of those that `body_motions` has found."""
-    b = 6 * body
-    return (
-        motion[b], motion[b + 1], motion[b + 2],
-        motion[b + 3], motion[b + 4], motion[b + 5],
-    )  # fmt: skip
+    return read_motion(motion, 6 * body)
 
 
 @compiled

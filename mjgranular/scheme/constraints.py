@@ -18,7 +18,7 @@ from mjgranular.kernel.engine import CONTACT_DTYPE, ROWS_DTYPE, solve_inertia
 from mjgranular.kernel.memory import floats, ints, longs, records
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import clear, copy, norm
-from mjgranular.scheme.blocks import NEXT, SAME
+from mjgranular.scheme.forces import NEXT, SAME
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)  # and of a joint, one below
@@ -181,7 +181,7 @@ def hold(kept, first, x, limit, mass, grips):
     """Friction with a limit, -limit x / max(|x|, limit / mass), and minus its derivative.
 
     From one side of rest to the other Newton's method could leap for ever, as it could with the
-    sand's: the grip q = -x / max(|x|, limit / mass) is unknown beside x (`law.kernel.next_grip`;
+    sand's: the grip q = -x / max(|x|, limit / mass) is unknown beside x (`law.multiplier`;
     for this function M. Hintermueller, G. Stadler, SIAM J. Sci. Comput. 28 (2006)).
 
     Args:

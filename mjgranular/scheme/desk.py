@@ -34,7 +34,7 @@ account_records = records(ACCOUNT_DTYPE)
 # where the sand is asked for its forces among MuJoCo's passive ones: what comes after them in the
 # step is not there yet. INTEGRATOR, SPARSE and WARM follow from the model's options, and are read
 # at each step (`read_options`); WARM where the engine's constraint solver ends no farther off than
-# it begins. A block of elements (`scheme.blocks`) has so many LANES and numbers; there is room for
+# it begins. A block of elements (`scheme.layout`) has so many LANES and numbers; there is room for
 # so many blocks, and for the holds of so many friction losses.
 (
     NBODY, NV, MODEL, DATA, INTEGRATOR, SPARSE, LONE_COUNT, WITHIN, WARM, LANES, BLOCK_SIZE,

@@ -13,7 +13,7 @@ body add to the derivative is one 6 x 6 matrix, as if it were inertia.
 
 Rest is made soft over a speed eps far below anything visible: a static force grows to its limit
 over speeds of that size. What part of the limit is called on, the element's grip, is unknown beside
-the velocity, and Newton's method finds both (`law.kernel.next_grip`). It starts from the velocity
+the velocity, and Newton's method finds both (`law.multiplier`). It starts from the velocity
 that MuJoCo's last acceleration leads to. Nothing of our own is carried from step to step: the force
 is a function of MuJoCo's state, so that what is copied, saved or reset goes on alike, to the last
 bit.
@@ -48,6 +48,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.records import body_records
+from mjgranular.kernel.vector import dot, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import (
@@ -57,8 +58,8 @@ from mjgranular.scheme.balance import (
     motion_of,
     prepare_inertia,
 )
-from mjgranular.scheme.blocks import FRESH, SAME, block_kernels
 from mjgranular.scheme.constraints import prepare_rows
+from mjgranular.scheme.forces import FRESH, SAME, block_kernels
 from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
 from mjgranular.scheme.layout import ARM, head_records
 from mjgranular.scheme.newton import Way, newton_kernel
@@ -316,6 +317,6 @@ def begin(desk, room, count, h):
         w = motion_of(motion, heads[i].body)
         arm = d.vectors_at(desk, i, ARM)
         for lane in range(lanes):
-            vx, vy, vz = velocity_at(w, arm[lane], arm[lanes + lane], arm[2 * lanes + lane])
-            coarse = max(coarse, vx * vx + vy * vy + vz * vz)
+            v = velocity_at(w, vector(arm[lane], arm[lanes + lane], arm[2 * lanes + lane]))
+            coarse = max(coarse, dot(v, v))
     return math.sqrt(coarse), softness(desk, count, qvel), size

@@ -1,7 +1,7 @@
 """Newton's method for the balance of momentum: elements, bodies and constraints at a velocity.
 
 Unknown are the velocity at the end of the step and the elements' grips, which are eliminated
-element by element (`law.kernel.next_grip`), so that nv equations are left.
+element by element (`law.multiplier`), so that nv equations are left.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from mjgranular.scheme.balance import (
     sum_wrenches,
     weigh,
 )
-from mjgranular.scheme.blocks import NEXT, block_kernels
 from mjgranular.scheme.constraints import leave
+from mjgranular.scheme.forces import NEXT, block_kernels
 from mjgranular.scheme.layout import head_records
 from mjgranular.scheme.wrenches import gravity_of
 

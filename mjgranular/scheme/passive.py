@@ -13,8 +13,8 @@ from mjgranular.kernel.engine import forward_constraint, solve_inertia
 from mjgranular.kernel.memory import floats, ints
 from mjgranular.scheme import desk as d
 from mjgranular.scheme.balance import copy, norm, solve, weigh
-from mjgranular.scheme.blocks import SAME
 from mjgranular.scheme.constraints import leave, rows_of
+from mjgranular.scheme.forces import SAME
 
 NO_ENERGY = 1e-14  # [J]; chosen
 _TRUSTED = 1e-8  # a residual that still says something about the energy
