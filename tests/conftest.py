@@ -30,17 +30,27 @@ hypothesis.settings.register_profile("mjgranular", derandomize=True, deadline=No
 hypothesis.settings.load_profile("mjgranular")
 
 
-@pytest.fixture(scope="session")
-def reference() -> ModuleType:
-    """The paper's link, independent of mjgranular: `reference.py`."""
+def _load(name: str) -> ModuleType:
     # `tests` is not on sys.path (import mode importlib), so the file is loaded by its place.
-    spec = importlib.util.spec_from_file_location("reference", FOLDER / "reference.py")
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look themselves up
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def reference() -> ModuleType:
+    """The paper's link, independent of mjgranular: `reference.py`."""
+    return _load("reference")
+
+
+@pytest.fixture(scope="session")
+def kernels() -> ModuleType:
+    """Kernels of laws, called from Python: `kernels.py`."""
+    return _load("kernels")
 
 
 @pytest.fixture(scope="session")

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.block import HEADER_DTYPE
+from mjgranular.engine.handles import block_finder
 from mjgranular.engine.instances import NAME, instance_of
 from mjgranular.engine.layout import find_layout
 from mjgranular.engine.measures import MEASURES
-from mjgranular.engine.handles import block_finder
 from mjgranular.engine.sensor import DEPTH, FORCE, MOMENT, POWER, SPEED, measure_sand
 from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.memory import BODY_COUNT, floats, records, table_at

@@ -3,8 +3,9 @@
 A loop over lanes becomes vector instructions only if the compiler finds it worth its while, and
 short ones it does not. What is plain arithmetic is therefore written with values of the type
 `Lanes`: `+`, `-`, `*`, `/`, `abs` and comparisons of them, and with numbers, which stand for as
-many alike. Where a branch would be there is `choose`. A function without branches serves both,
-numbers and lanes. Each lane is IEEE arithmetic, the same on every processor.
+many alike. Where a branch would be there is `choose`; `all_of` makes one branch for all lanes. A
+function of these serves numbers and lanes. Each lane is IEEE arithmetic, the same on every
+processor.
 """
 
 from __future__ import annotations
@@ -12,8 +13,6 @@ from __future__ import annotations
 import itertools
 import operator
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
 from mjgranular.kernel.machine import intrinsic
-from mjgranular.kernel.memory import numbers_of
 
 LINE = 64
 """Bytes in a line of the cache, and in the widest vector. Rows that lie across two lines take up to
@@ -171,56 +169,41 @@ def count_of(typingctx: Any, mask: Any) -> Any:
     return types.int64(mask), codegen
 
 
-@dataclass(frozen=True)
-class Rows:
-    """Rows of numbers, one for each lane, that lie one behind the other in an array of floats.
+@intrinsic
+def total_of(typingctx: Any, numbers: Any) -> Any:
+    """Adds up lanes: the first half and the second, and so on. A number is its own sum."""
+    if isinstance(numbers, types.Float):
+        return numbers(numbers), lambda context, builder, sig, args: args[0]
+    if not isinstance(numbers, Lanes):
+        return None
 
-    Attributes:
-        read: kernel `read(array, first)`: a tuple of so many rows, from index `first` on.
-        write: kernel `write(array, first, rows)`.
-    """
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        (value,) = args
+        size = numbers.count
+        while size > 1:
+            size //= 2
+            kind = ir.VectorType(ir.IntType(32), size)
+            halves = (ir.Constant(kind, list(range(at, at + size))) for at in (0, size))
+            low, high = (builder.shuffle_vector(value, value, half) for half in halves)
+            value = builder.fadd(low, high)
+        return builder.extract_element(value, ir.IntType(32)(0))
 
-    read: Any
-    write: Any
+    return types.float64(numbers), codegen
 
 
-@cache
-def rows(count: int, lanes: int) -> Rows:
-    """Makes the kernels for so many rows of so many lanes."""
+@intrinsic
+def all_of(typingctx: Any, condition: Any) -> Any:
+    """Whether it is so in all lanes."""
+    if isinstance(condition, types.Boolean):
+        return types.boolean(condition), lambda context, builder, sig, args: args[0]
+    if not isinstance(condition, Mask):
+        return None
 
-    def places(context: Any, builder: Any, array: Any, args: Any) -> list[Any]:
-        vector = ir.VectorType(_DOUBLE, lanes)
-        data = numbers_of(context, builder, array, args, count * lanes - 1)
-        indices = (builder.add(args[1], args[1].type(k * lanes)) for k in range(count))
-        return [
-            builder.bitcast(builder.gep(data, [index]), vector.as_pointer()) for index in indices
-        ]
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = ir.IntType(condition.count)
+        return builder.icmp_unsigned("==", builder.bitcast(args[0], kind), kind(-1))
 
-    @intrinsic
-    def read(typingctx: Any, array: Any, first: Any) -> Any:
-        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            numbers = [
-                builder.load(place, align=8) for place in places(context, builder, array, args)
-            ]
-            return context.make_tuple(builder, sig.return_type, numbers)
-
-        return types.UniTuple(Lanes(lanes), count)(array, types.int64), codegen
-
-    @intrinsic
-    def write(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
-        if len(numbers) != count:
-            return None
-
-        def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            for k, place in enumerate(places(context, builder, array, args)):
-                value = builder.extract_value(args[2], k)
-                value = spread(context, builder, sig.args[2][k], value, Lanes(lanes))
-                builder.store(value, place, align=8)
-            return context.get_dummy_value()
-
-        return types.void(array, types.int64, numbers), codegen
-
-    return Rows(read, write)
+    return types.boolean(condition), codegen
 
 
 def aligned(numbers: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ which gets no NumPy arrays but only the `mjData*`, fills the same table.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -131,60 +130,6 @@ def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> 
         for index in (args[1], builder.add(args[1], args[1].type(last))):
             cgutils.do_boundscheck(context, builder, index, size)
     return opened.data
-
-
-@dataclass(frozen=True)
-class Column:
-    """A tuple of numbers that lie in an array of floats at equal distances.
-
-    Attributes:
-        read: kernel `read(array, first)`: the numbers, from index `first` on.
-        write: kernel `write(array, first, numbers)`.
-        add: kernel `add(array, first, numbers)`.
-    """
-
-    read: Any
-    write: Any
-    add: Any
-
-
-@cache
-def column(count: int, stride: int) -> Column:
-    """Makes the kernels for so many numbers and such a distance."""
-
-    def places(context: Any, builder: Any, array: Any, args: Any) -> list[Any]:
-        data = numbers_of(context, builder, array, args, (count - 1) * stride)
-        indices = (builder.add(args[1], args[1].type(k * stride)) for k in range(count))
-        return [builder.gep(data, [index]) for index in indices]
-
-    @intrinsic
-    def read(typingctx: Any, array: Any, first: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            numbers = [builder.load(place) for place in places(context, builder, array, args)]
-            return context.make_tuple(builder, signature.return_type, numbers)
-
-        return types.UniTuple(types.float64, count)(array, types.int64), codegen
-
-    @intrinsic
-    def put(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            for k, place in enumerate(places(context, builder, array, args)):
-                builder.store(builder.extract_value(args[2], k), place)
-            return context.get_dummy_value()
-
-        return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
-
-    @intrinsic
-    def add(typingctx: Any, array: Any, first: Any, numbers: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            for k, place in enumerate(places(context, builder, array, args)):
-                more = builder.extract_value(args[2], k)
-                builder.store(builder.fadd(builder.load(place), more), place)
-            return context.get_dummy_value()
-
-        return types.void(array, types.int64, types.UniTuple(types.float64, count)), codegen
-
-    return Column(read, put, add)
 
 
 @cache

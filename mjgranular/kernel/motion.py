@@ -6,10 +6,20 @@ mass of the kinematic tree, world axes; sums of them need no Jacobian.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from functools import partial
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import CDOF, DOF_PARENT, NV, WARMSTART, ints, row_of
+from mjgranular.kernel.vector import cross, read_vector, vector, write_vector
+
+Motion = namedtuple("Motion", ["angular", "linear"])
+Motion.__doc__ = """A spatial velocity.
+
+Attributes:
+    angular: velocity [rad/s], a vector.
+    linear: velocity of the point that coincides with the tree's centre of mass [m/s], a vector.
+"""
 
 
 @compiled
@@ -23,9 +33,6 @@ def velocity_change(table, last_dof, lead):
         table: the simulation's.
         last_dof: the last degree of freedom in the body's chain, -1 if it has none.
         lead: time [s].
-
-    Returns:
-        As `motion_along`.
     """
     return motion_along(table, last_dof, table[WARMSTART], lead)
 
@@ -39,40 +46,39 @@ def motion_along(table, last_dof, rates, scale):
         last_dof: the last degree of freedom in the body's chain, -1 if it has none.
         rates: address of nv numbers.
         scale: what they are multiplied by.
-
-    Returns:
-        (wx, wy, wz, vx, vy, vz): angular velocity [rad/s], and linear velocity [m/s] of the point
-        that coincides with the tree's centre of mass.
     """
     parent = ints(table[DOF_PARENT], table[NV])
-    wx, wy, wz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    angular, linear = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
     dof = last_dof
     while dof >= 0:
         gain = scale * row_of(rates, dof, 1)[0]
         axis = row_of(table[CDOF], dof, 6)
-        wx += gain * axis[0]
-        wy += gain * axis[1]
-        wz += gain * axis[2]
-        vx += gain * axis[3]
-        vy += gain * axis[4]
-        vz += gain * axis[5]
+        angular += gain * read_vector(axis, 0)
+        linear += gain * read_vector(axis, 3)
         dof = parent[dof]
-    return wx, wy, wz, vx, vy, vz
+    return Motion(angular, linear)
 
 
 @partial(compiled, inline=True)
-def velocity_at(motion, x, y, z):
-    """Linear velocity [m/s] at (x, y, z) from the centre of a spatial velocity."""
-    wx, wy, wz, vx, vy, vz = motion
-    return vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
+def velocity_at(motion, arm):
+    """Linear velocity [m/s] at a point, from its place relative to the centre [m]."""
+    return motion.linear + cross(motion.angular, arm)
 
 
-@compiled
-def add_force(wrench, fx, fy, fz, x, y, z):
-    """Adds a force [N] that acts at (x, y, z) from the centre of mass [m] to a body's wrench."""
-    wrench[0] += fx
-    wrench[1] += fy
-    wrench[2] += fz
-    wrench[3] += y * fz - z * fy
-    wrench[4] += z * fx - x * fz
-    wrench[5] += x * fy - y * fx
+@partial(compiled, inline=True)
+def read_motion(array, first):
+    """The spatial velocity of six numbers of an array, from index `first` on."""
+    return Motion(read_vector(array, first), read_vector(array, first + 3))
+
+
+@partial(compiled, inline=True)
+def write_motion(array, first, motion):
+    """Writes a spatial velocity, or a force and a moment, to an array, from index `first` on."""
+    write_vector(array, first, motion.angular)
+    write_vector(array, first + 3, motion.linear)
+
+
+@partial(compiled, inline=True)
+def still():
+    """No motion."""
+    return Motion(vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))

@@ -24,6 +24,14 @@ from mjgranular.kernel.lanes import Lanes, lanes_among, spread
 from mjgranular.kernel.machine import intrinsic, overload
 
 
+class Vector:
+    """Three numbers, in a declaration of fields (`kernel.fields`)."""
+
+
+class Matrix:
+    """Three vectors, row by row, in a declaration of fields."""
+
+
 class VectorType(types.Type):
     """Three components of one type."""
 
@@ -73,6 +81,7 @@ def _is_scalar(kind: Any) -> bool:
 _INLINE = {"forceinline": True, "error_model": "numpy"}
 
 
+@overload(operator.iadd, jit_options=_INLINE)
 @overload(operator.add, jit_options=_INLINE)
 def _add(a, b):
     if isinstance(a, VectorType) and isinstance(b, VectorType):
@@ -139,6 +148,12 @@ def norm(a):
 def outer(a, b):
     """Outer product: the matrix a b^T."""
     return vector(a.x * b, a.y * b, a.z * b)
+
+
+@partial(compiled, inline=True)
+def diagonal(a):
+    """The matrix with a number on its diagonal."""
+    return vector(vector(a, 0.0, 0.0), vector(0.0, a, 0.0), vector(0.0, 0.0, a))
 
 
 @partial(compiled, inline=True)

@@ -6,59 +6,53 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel, grip_of_all, in_world
+from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
+from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium
-from mjgranular.shape.blobs import blob_records, blobs_from_model, support
+from mjgranular.shape.blobs import blobs_from_model, support
 from mjgranular.surface import Surface
 
 _KEYS = ("constant", "stiffness", "exponent", "linear", "quadratic")
 DEPTH_VELOCITY_DTYPE = np.dtype([(key, np.float64) for key in _KEYS])
 
 
-@compiled
-def depth_velocity_resist(blob, law, g, v, d):
-    """Resistance of an immersed blob to a velocity (see `law.kernel`)."""
-    limit = blob[5]
-    vx, vy, vz = v
-    dx, dy, dz = d
-    drag = law.linear + law.quadratic * math.sqrt(dx * dx + dy * dy + dz * dz)
-    speed = math.sqrt(vx * vx + vy * vy + vz * vz)
-    static = 0.0
-    if speed > 0.0:
-        static = limit / speed
-    return -drag * dx - static * vx, -drag * dy - static * vy, -drag * dz - static * vz
+class Blob(NamedTuple):
+    """A body as a whole, body frame (`shape.blobs`)."""
+
+    center: Vector
+    axes: Matrix
+    radii: Vector
+    halves: Vector
+    disc: float
 
 
-@compiled
+class BlobSample(NamedTuple):
+    """A blob in the sand."""
+
+    depth: float
+    length: float
+    point: Vector
+    limit: float  # of static resistance [N]
+
+
+@partial(compiled, inline=True)
 def depth_velocity_respond(blob, law, g, v, p, eps):
-    """Resistance and its derivative, rest made soft (see `law.kernel`)."""
-    vx, vy, vz = v
-    square = vx * vx + vy * vy + vz * vz
-    scale = 1.0 / math.sqrt(square + eps * eps)
-    hold = scale * blob[5]
+    """Resistance and its derivatives (see `LawKernel.respond`)."""
+    speed = norm(v)
+    drag = law.linear + law.quadratic * speed
     # d(A |v| v)/dv = A (|v| + v v / |v|)
-    speed = math.sqrt(square)
-    turn = law.quadratic / speed if speed > 0.0 else 0.0
-    gain = hold + law.linear + law.quadratic * speed
-    bx, by, bz = scale * vx - p[0], scale * vy - p[1], scale * vz - p[2]
-    hold *= scale
-    ux, uy, uz = turn * vx - hold * p[0], turn * vy - hold * p[1], turn * vz - hold * p[2]
-    return (
-        -gain * vx, -gain * vy, -gain * vz,
-        gain + ux * vx, ux * vy, ux * vz,
-        uy * vx, gain + uy * vy, uy * vz,
-        uz * vx, uz * vy, gain + uz * vz,
-        bx * bx + by * by + bz * bz,
-    )  # fmt: skip
+    share = law.quadratic / speed if speed > 0.0 else 0.0
+    by_v = diagonal(-drag) - outer(share * v, v)
+    return -blob.limit * p, diagonal(-blob.limit), -drag * v, by_v
 
 
 @cache
@@ -66,32 +60,18 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
     """The law's kernels for surfaces with that `probe`."""
 
     @partial(compiled, inline=True)
-    def depth_velocity_immerse(blob, pose, law, surface, g):
-        x, y, z = in_world(pose, blob.center[0], blob.center[1], blob.center[2])
-        px, py, pz = pose.position[0] + x, pose.position[1] + y, pose.position[2] + z
+    def depth_velocity_sample(blob, pose, law, surface, g):
+        center = pose.position + pose.rotation @ blob.center
         # The normal above the centre says which point is deepest; its depth is what counts.
-        _, zx, zy, zz = probe(surface, px, py, pz)
-        r = pose.rotation
-        reach = support(
-            blob,
-            r[0] * zx + r[3] * zy + r[6] * zz,
-            r[1] * zx + r[4] * zy + r[7] * zz,
-            r[2] * zx + r[5] * zy + r[8] * zz,
-        )
-        depth, zx, zy, zz = probe(surface, px - reach * zx, py - reach * zy, pz - reach * zz)
+        _, normal = probe(surface, center)
+        reach = support(blob, transposed(pose.rotation) @ normal)
+        depth, _ = probe(surface, center - reach * normal)
         limit = 0.0
         if depth > 0.0:
             limit = law.constant + law.stiffness * depth**law.exponent
-        return depth, 0.0, px, py, pz, limit
+        return BlobSample(depth, 0.0, center, limit)
 
-    return LawKernel(
-        blob_records,
-        depth_velocity_immerse,
-        depth_velocity_resist,
-        depth_velocity_respond,
-        grip_of_all,
-        numbers=1,
-    )
+    return LawKernel(Blob, BlobSample, depth_velocity_sample, depth_velocity_respond)
 
 
 @register_law

@@ -1,197 +1,112 @@
 """What a law computes at every step, and where it is told to compute it.
 
-A law is four scalar kernels over its elements. `immerse` looks at where an element is: depth, the
-point where force acts, and whatever of the geometry the forces need, as numbers. `resist` gives the
-force at a velocity, for a scheme that takes forces as they come. `respond` gives the force and its
-derivative with rest made soft over a small speed, for a scheme that solves for the velocity at the
-end of the step; `grip` is what that scheme keeps of static resistance on the way. The loops over
+A law is two functions of an element. `sample` looks at where it is: depth, the point where force
+acts, and what else the force needs. `respond` gives the force and its derivatives. The loops over
 elements belong to the schemes.
 """
 
 from __future__ import annotations
 
-import math
 from collections import namedtuple
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.fields import packed
+from mjgranular.kernel.lanes import aligned
+from mjgranular.kernel.vector import transposed
+from mjgranular.law.multiplier import ONE_LIMIT, Multiplier
 
 Pose = namedtuple("Pose", ["position", "rotation", "com", "tree", "motion"])
 Pose.__doc__ = """Where a body is and how it moves, world axes.
 
 Attributes:
-    position: of the body's frame [m], 3 numbers.
-    rotation: of the body's frame, 9 numbers, row by row.
+    position: of the body's frame [m], a vector.
+    rotation: of the body's frame, a matrix: `rotation @ v` is in the world.
     com: centre of mass of the body [m].
     tree: centre of mass of its kinematic tree [m], the centre of `motion`.
-    motion: spatial velocity, angular [rad/s] before linear [m/s].
+    motion: spatial velocity (`kernel.motion.Motion`).
 """
 
+Level = namedtuple("Level", ["normal", "depth"])
+Level.__doc__ = """A plane of sand in the frame of a body.
 
-@compiled
-def no_level(surface, pose):
-    """Of a surface that is no plane, or for a law that does not skim."""
-    return 0.0
-
-
-@compiled
-def look_closer(element, level):
-    """Where nothing but `immerse` can tell whether an element is in the sand."""
-    return math.inf
-
-
-@dataclass(frozen=True)
-class Sheets:
-    """A law's elements side by side under a surface that is a plane, and kernels for all of a few.
-
-    A sheet holds `LawKernel.lanes` elements of one body, in the order of the elements; it is rows
-    of numbers, one number for each lane. Lanes left over at a body's end hold elements on which no
-    force acts. A *block* is rows of what is known of the elements at an instant.
-
-    Attributes:
-        lay: function `lay(elements)`: the sheets, shape (number of sheets, rows, lanes), body by
-            body. It stands in the table in place of the elements.
-        rows: of a sheet.
-        skim: kernel `skim(sheet, level, depths)`: writes the depths of the deepest points [m], from
-            what `LawKernel.level` gave; how many of them are not negative or zero.
-        immerse: function `immerse(first)` that makes a kernel
-            `immerse(sheet, pose, level, up, law, g, block)`: writes the numbers that
-            `LawKernel.immerse` gives to the block, from index `first` on; `up` is the plane's
-            normal in the world. Where an element is dry no force may come of them.
-        resist: function `resist(first, velocity, drag, force)` that makes a kernel
-            `resist(block, law, g)`: what `LawKernel.resist` gives, from and to the rows of the
-            block that begin at these indices.
-    """
-
-    lay: Any
-    rows: int
-    skim: Any
-    immerse: Any
-    resist: Any
-
-
-@partial(compiled, inline=True)
-def stray_of_all(immersed, v, c, eps):
-    """How far a change of velocity leads, beside the speed (see `LawKernel.stray`)."""
-    far = c[0] * c[0] + c[1] * c[1] + c[2] * c[2]
-    return far / (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + eps * eps)
+Attributes:
+    normal: of the plane, a vector.
+    depth: of the frame's origin [m].
+"""
 
 
 @dataclass(frozen=True)
 class LawKernel:
-    """The scalar kernels of a law under one kind of surface.
+    """The kernels of a law under one kind of surface.
 
     Attributes:
-        elements: kernel `elements(address, size)`: the law's elements at an address
-            (`kernel.memory.records`), with fields `body` and `slot`, ordered by body.
-        immerse: kernel `immerse(element, pose, law, surface, g)`; a tuple of numbers: depth of the
-            element's deepest point [m] (not positive: dry, and the rest is not read), immersed
-            length of a rod [m] or 0, the point where force acts [m] (x, y, z), and `numbers` of its
-            geometry.
-        resist: kernel `resist(immersed, law, g, v, d)`: the force [N] (x, y, z) on the element
-            that `immerse` described, from the velocity of its point [m/s] for what depends on the
-            direction of motion (`v`) and for what grows with speed (`d`, which may lead).
-        respond: kernel `respond(immersed, law, g, v, p, eps)`, with what `immerse` gave. Static
-            resistance, which jumps where the motion turns round, is a function of the element's
-            *grip* p = v / sqrt(v^2 + eps^2), which is unknown beside v (see `next_grip`). It gives
-            the force at `v` [N] (3), as it is where the linearized equation for p holds; minus its
-            derivative by velocity, row by row (9) [N s/m]; and the bend, the square of the
-            difference between `p` and the velocity's own grip. Where that is nothing both are the
-            law's.
-        grip: kernel `grip(immersed, v, p, c, eps)`: the grip after a step of Newton's method that
-            changes the velocity `v` by `c`; `grip_of_all` where one limit holds against motion in
-            all directions.
-        numbers: how many `immerse` gives of the geometry, behind the point.
-        stray: kernel `stray(immersed, v, c, eps)`: the square of a change `c` of the velocity `v`,
-            in parts of the speeds over which the force turns; `stray_of_all` where it turns with
-            the velocity as a whole.
-        lanes: how many elements of a body `respond` and `grip` are asked for side by side. More
-            than one pays where a body has many elements and both kernels, with all that they
-            call, are `compiled(..., inline=True)` and pure arithmetic: then they are done in the
-            lanes of the processor's vector unit, all branches for all elements.
-        simple: kernel `simple(immersed, p)`: whether `respond_simple` would do. Both or none.
-        respond_simple: a quicker `respond`, for blocks of elements that are all simple.
-        level: kernel `level(surface, pose)`: what `skim` needs to know of the surface, once a body;
-            a surface's own `level`, if it has one.
-        skim: kernel `skim(element, level)`: the depth of the element's deepest point [m] at a
-            fraction of the cost of `immerse`, which is asked where it is positive. For laws that
-            cut bodies into many elements, most of which are above the sand.
-        sheets: the same for several elements at once; then `level` has to be there, and `immerse`,
-            `resist` and `skim` are not asked.
+        element: `NamedTuple` of what the kernels read of an element: fields of the law's elements,
+            declared as in `kernel.fields`.
+        samples: `NamedTuple` of what is known of an element in the sand: `depth` of its deepest
+            point [m], immersed `length` of a rod [m] or 0, `point` where force acts [m], and what
+            else `respond` reads.
+        sample: kernel `sample(element, pose, law, surface, g)`: one of `samples`. Where the depth
+            is not positive the element is dry, and the rest is not read.
+        respond: kernel `respond(sample, law, g, v, p, eps)`: static resistance F(p) [N] for the
+            friction multiplier `p` (`law.multiplier`), which grows in proportion to the size of
+            `p`, and its derivative by `p`; and drag [N] for the velocity `v` of the point [m/s],
+            and its derivative by `v`. Where `eps` is 0 the forces alone are used, and are the
+            law's own; else rest is soft over that speed, and jumps of the law are ramps.
+        multiplier: what kind of multiplier it is.
+        lanes: how many elements of a body `respond` is asked for side by side. More than one pays
+            where a body has many elements and the kernel, with all that it calls, is
+            `compiled(..., inline=True)` and pure arithmetic: then it is done in the lanes of the
+            processor's vector unit, all branches for all elements.
+        probe: of the surface, if that is an endless plane; then `cull` is asked first.
+        cull: kernel `cull(element, level)`: depth of the element's deepest point [m] under a plane
+            (`Level`), at a fraction of the cost of `sample`. For laws that cut bodies into many
+            elements, most of which are above the sand.
+        side_by_side: whether `cull` and `sample` take all lanes at once, as `kernel.lanes`.
+        complexity: kernel `complexity(sample, law, p, eps)`: 0 where no force comes of the
+            element, 1 where `respond_simple` would do, else 2.
+        respond_simple: a quicker `respond`, for lanes that are all simple.
     """
 
-    elements: Any
-    immerse: Any
-    resist: Any
+    element: type
+    samples: type
+    sample: Any
     respond: Any
-    grip: Any
-    numbers: int
-    stray: Any = stray_of_all
+    multiplier: Multiplier = ONE_LIMIT
     lanes: int = 1
-    simple: Any = None
+    probe: Any = None
+    cull: Any = None
+    side_by_side: bool = False
+    complexity: Any = None
     respond_simple: Any = None
-    level: Any = no_level
-    skim: Any = look_closer
-    sheets: Sheets | None = None
 
-    def lay(self, elements: np.ndarray) -> np.ndarray:
-        """The elements as a program reads them: sheets, or the records that they are."""
-        return elements if self.sheets is None else self.sheets.lay(elements)
+    def pack(self, elements: np.ndarray) -> np.ndarray:
+        """The elements as a program reads them, shape (tiles, numbers of an element, lanes).
 
-
-_HERE = (0.0, 0.0, 0.0)
-WORLD = Pose(_HERE, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), _HERE, _HERE, (0.0,) * 6)
-"""Of the world itself."""
-
-
-@partial(compiled, inline=True)
-def in_world(pose, x, y, z):
-    """World coordinates of a direction in the frame of a body."""
-    r = pose.rotation
-    return (
-        r[0] * x + r[1] * y + r[2] * z,
-        r[3] * x + r[4] * y + r[5] * z,
-        r[6] * x + r[7] * y + r[8] * z,
-    )
+        A tile is up to `lanes` elements of one body side by side. Lanes that are left over at a
+        body's end hold its last element once more.
+        """
+        numbers = packed(elements, self.element)
+        tiles = [np.zeros((0, numbers.shape[1], self.lanes))]
+        for count in np.bincount(elements["slot"]):
+            mine, numbers = numbers[:count], numbers[count:]
+            mine = np.concatenate([mine, np.repeat(mine[-1:], -count % self.lanes, axis=0)])
+            shape = (-1, self.lanes, numbers.shape[1])
+            tiles.append(mine.reshape(shape).transpose(0, 2, 1))
+        return aligned(np.concatenate(tiles))
 
 
-@partial(compiled, inline=True)
-def next_grip(v, p, c, eps):
-    """The part of a limit that is called on, p = v / sqrt(v^2 + eps^2), after a Newton step.
+@cache
+def level_kernel(probe: Any) -> Any:
+    """Makes a kernel `level(surface, pose)`: a plane in the frame of a body (`Level`)."""
 
-    Friction with a limit, -limit v / sqrt(v^2 + eps^2), has next to no derivative along the motion
-    where the limit is reached, and Newton's method for v leaps from there. So v and p are both
-    unknown, and `sqrt(v^2 + eps^2) p = v` is linearized: equal at the solution, stiff on the way
-    (the primal-dual method of Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999), for the same
-    function in image processing).
+    @compiled
+    def level(surface, pose):
+        depth, normal = probe(surface, pose.position)
+        return Level(transposed(pose.rotation) @ normal, depth)
 
-    Args:
-        v: velocity before the step [m/s], 3 numbers.
-        p: grip before the step, 3 numbers.
-        c: change of the velocity [m/s], 3 numbers.
-        eps: softness [m/s], the speed at which friction has grown to 0.7 of its limit.
-
-    Returns:
-        Three numbers, the size of which is not more than 1.
-    """
-    size = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + eps * eps)
-    scale = 1.0 / size
-    growth = (v[0] * c[0] + v[1] * c[1] + v[2] * c[2]) * scale
-    x = (v[0] + c[0] - growth * p[0]) * scale
-    y = (v[1] + c[1] - growth * p[1]) * scale
-    z = (v[2] + c[2] - growth * p[2]) * scale
-    total = x * x + y * y + z * z
-    if total > 1.0:
-        scale = 1.0 / math.sqrt(total)
-        x, y, z = scale * x, scale * y, scale * z
-    return x, y, z
-
-
-@partial(compiled, inline=True)
-def grip_of_all(immersed, v, p, c, eps):
-    """`next_grip` for a law with one limit against motion in all directions."""
-    return next_grip(v, p, c, eps)
+    return level

@@ -161,4 +161,4 @@ class DistributedLinkLaw(_LinkForm):
 
     def kernel(self, surface: Surface) -> LawKernel:
         place = type(surface)
-        return link_kernel(type(self).limits, place.probe, place.level, lanes=4)
+        return link_kernel(type(self).limits, place.probe, place.is_plane, lanes=4)

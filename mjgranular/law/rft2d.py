@@ -12,6 +12,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import exponential, logarithm
+from mjgranular.kernel.vector import vector
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium, get_medium
@@ -30,79 +31,8 @@ _ATANH_LEAST, _TANH_LEAST = math.atanh(0.973746396532650), math.tanh(1.609108081
 
 
 @partial(compiled, inline=True)
-def planar_response(law, sin_b, cos_b, sin_g, cos_g):
-    """(alpha_x, alpha_z) of Li et al. [N/cm^3] for tilt b and attack g.
-
-    The Fourier terms of 2b and g, written in products of their sines and cosines.
-    """
-    cos_2b, sin_2b = cos_b * cos_b - sin_b * sin_b, 2.0 * sin_b * cos_b
-    s, c = sin_2b * cos_g, cos_2b * sin_g
-    alpha_z = law.A00 + law.A10 * cos_2b + law.B11 * (s + c) + law.B01 * sin_g + law.Bm11 * (c - s)
-    s, c = sin_2b * sin_g, cos_2b * cos_g
-    alpha_x = law.C11 * (c - s) + law.C01 * cos_g + law.Cm11 * (c + s) + law.D10 * sin_2b
-    return alpha_x, alpha_z
-
-
-@partial(compiled, inline=True)
-def in_plane_share(v):
-    """Treers et al.: scale of the in-plane response with the in-plane part of the velocity."""
-    bend = min(1.61146827229181 * v - 0.973746396532650, 0.9999999)
-    atanh = 0.5 * logarithm((1.0 + bend) / (1.0 - bend))
-    return (1.99392673405210 / 5.81083560370960) * (atanh + _ATANH_LEAST)
-
-
-@partial(compiled, inline=True)
-def sideways_share(v):
-    """Treers et al.: scale of the sideways response with the sideways part of the velocity."""
-    tanh = 1.0 - 2.0 / (1.0 + exponential(2.0 * (3.62263982880971 * v - 1.60910808139526)))
-    return (0.440850096954369 / 0.832324700111401) * (tanh + _TANH_LEAST)
-
-
-@partial(compiled, inline=True)
-def rft2d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
-    """Resistance for an area and a depth of one [N/m^3].
-
-    The plane is that of the element's normal n and the vertical z, as in Treers et al. 2021, with
-    e along the horizontal part of n; a horizontal element has none and takes the plane of its
-    motion. The velocity splits into its part in the plane, which is resisted as in two dimensions,
-    and its part sideways, which meets the resistance of a plate drawn along itself.
-    """
-    n_up = nx * zx + ny * zy + nz * zz
-    v_up = vx * zx + vy * zy + vz * zz
-    ex, ey, ez = nx - n_up * zx, ny - n_up * zy, nz - n_up * zz
-    size = math.sqrt(ex * ex + ey * ey + ez * ez)
-    along = size
-    if size < _LEVEL:
-        ex, ey, ez = vx - v_up * zx, vy - v_up * zy, vz - v_up * zz
-        along = math.sqrt(ex * ex + ey * ey + ez * ez)
-        size = 0.0
-    scale = 1.0 / along if along > 0.0 else 0.0
-    ex, ey, ez = scale * ex, scale * ey, scale * ez
-    v_e = vx * ex + vy * ey + vz * ez
-    sx, sy, sz = vx - v_up * zx - v_e * ex, vy - v_up * zy - v_e * ey, vz - v_up * zz - v_e * ez
-    sideways = math.sqrt(sx * sx + sy * sy + sz * sz)
-    in_plane = math.sqrt(v_e * v_e + v_up * v_up)
-
-    fx, fy, fz = 0.0, 0.0, 0.0
-    if in_plane > 1e-12:
-        # In (e, z): n = (sin b, -cos b), v = (cos g, -sin g), response (-alpha_x, alpha_z).
-        scale = 1.0 / in_plane
-        alpha_x, alpha_z = planar_response(law, size, -n_up, -v_up * scale, v_e * scale)
-        gain = law.scale * in_plane_share(in_plane)
-        fx = gain * (alpha_z * zx - alpha_x * ex)
-        fy = gain * (alpha_z * zy - alpha_x * ey)
-        fz = gain * (alpha_z * zz - alpha_x * ez)
-    if sideways > 1e-12:
-        gain = law.scale * law.side * sideways_share(sideways) / sideways
-        fx -= gain * sx
-        fy -= gain * sy
-        fz -= gain * sz
-    return fx, fy, fz
-
-
-@partial(compiled, inline=True)
 def in_plane_slope(v):
-    """`in_plane_share`, and its derivative."""
+    """Treers et al.: scale of the in-plane response with that part of the velocity; its slope."""
     bend = min(1.61146827229181 * v - 0.973746396532650, 0.9999999)
     more = 1.0 + bend
     inverse = 1.0 / (more * (1.0 - bend))
@@ -113,15 +43,44 @@ def in_plane_slope(v):
 
 @partial(compiled, inline=True)
 def sideways_slope(v):
-    """`sideways_share`, and its derivative."""
+    """Treers et al.: scale of the sideways response with that part of the velocity; its slope."""
     tanh = 1.0 - 2.0 / (1.0 + exponential(2.0 * (3.62263982880971 * v - 1.60910808139526)))
     gain = 0.440850096954369 / 0.832324700111401
     return gain * (tanh + _TANH_LEAST), gain * 3.62263982880971 * (1.0 - tanh * tanh)
 
 
 @partial(compiled, inline=True)
+def planar_response(law, sin_b, cos_b, sin_g, cos_g):
+    """Li et al. for tilt b and attack g: alpha_z and alpha_x [N/cm^3], each with its derivatives.
+
+    The Fourier terms of 2b and g, written in products of their sines and cosines.
+
+    Returns:
+        alpha_z, its derivatives by g and by b; alpha_x, its derivatives.
+    """
+    cos_2b, sin_2b = cos_b * cos_b - sin_b * sin_b, 2.0 * sin_b * cos_b
+    s, c = sin_2b * cos_g, cos_2b * sin_g
+    sin_p, sin_m = s + c, c - s  # of 2b + g and of -2b + g
+    s, c = sin_2b * sin_g, cos_2b * cos_g
+    cos_p, cos_m = c - s, c + s
+    up = law.A00 + law.A10 * cos_2b + law.B11 * sin_p + law.B01 * sin_g + law.Bm11 * sin_m
+    up_g = law.B11 * cos_p + law.B01 * cos_g + law.Bm11 * cos_m
+    up_b = 2.0 * (law.B11 * cos_p - law.Bm11 * cos_m - law.A10 * sin_2b)
+    back = law.C11 * cos_p + law.C01 * cos_g + law.Cm11 * cos_m + law.D10 * sin_2b
+    back_g = -(law.C11 * sin_p + law.C01 * sin_g + law.Cm11 * sin_m)
+    back_b = 2.0 * (law.Cm11 * sin_m - law.C11 * sin_p + law.D10 * cos_2b)
+    return up, up_g, up_b, back, back_g, back_b
+
+
+@partial(compiled, inline=True)
 def rft2d_slope(law, g, rise, down, lead):
-    """The same as factors of n, v and z, with their derivatives by the cosines: see `RftLaw.slope`.
+    """Resistance for an area and a depth of one, by the cosines: see `RftLaw.slope`.
+
+    The plane is that of the element's normal n and the vertical z, as in Treers et al. 2021, with
+    e along the horizontal part of n; a horizontal element has none and takes the plane of its
+    motion. The velocity splits into its part in the plane, which is resisted as in two dimensions,
+    and its part sideways, which meets the resistance of a plate drawn along itself. In the plane
+    (e, z) are n = (sin b, -cos b), v = (cos g, -sin g) and the response (-alpha_x, alpha_z).
 
     First the factors of e, v and z and their derivatives by v_e, by v.z and by the tilt b; then
     e = (n - down z) / sin b. A name ends in the number by which is derived: e for v_e, r for v.z,
@@ -136,17 +95,7 @@ def rft2d_slope(law, g, rise, down, lead):
     sideways = math.sqrt(max(1.0 - square, _SLIGHT * _SLIGHT))
     inverse = 1.0 / max(in_plane, 1e-12)
     cos_g, sin_g = v_e * inverse, -rise * inverse
-    cos_2b, sin_2b = cos_b * cos_b - sin_b * sin_b, 2.0 * sin_b * cos_b
-    s, c = sin_2b * cos_g, cos_2b * sin_g
-    sin_p, sin_m = s + c, c - s  # of 2b + g and of -2b + g
-    s, c = sin_2b * sin_g, cos_2b * cos_g
-    cos_p, cos_m = c - s, c + s
-    up = law.A00 + law.A10 * cos_2b + law.B11 * sin_p + law.B01 * sin_g + law.Bm11 * sin_m
-    up_g = law.B11 * cos_p + law.B01 * cos_g + law.Bm11 * cos_m
-    up_b = 2.0 * (law.B11 * cos_p - law.Bm11 * cos_m - law.A10 * sin_2b)
-    back = law.C11 * cos_p + law.C01 * cos_g + law.Cm11 * cos_m + law.D10 * sin_2b
-    back_g = -(law.C11 * sin_p + law.C01 * sin_g + law.Cm11 * sin_m)
-    back_b = 2.0 * (law.Cm11 * sin_m - law.C11 * sin_p + law.D10 * cos_2b)
+    up, up_g, up_b, back, back_g, back_b = planar_response(law, sin_b, cos_b, sin_g, cos_g)
 
     # In the plane: its share k; and k times the attack's derivatives.
     k, k_v = in_plane_slope(in_plane)
@@ -177,7 +126,8 @@ def rft2d_slope(law, g, rise, down, lead):
         n_l, u_l, z_l, n_r, u_r, z_r, n_d = 0.0, 0.0, 0.0, 0.0, 0.0, flat - turn, 0.0
         u_d = -2.0 * down * (law.C11 + law.Cm11)
         z_d = 2.0 * down * (law.A10 + (law.C11 + law.Cm11 - law.B11 - law.Bm11) * rise)
-    return law.scale, n, u, z, n_r, u_r, z_r, n_d, u_d, z_d, n_l, u_l, z_l
+    by_rise, by_down, by_lead = vector(n_r, u_r, z_r), vector(n_d, u_d, z_d), vector(n_l, u_l, z_l)
+    return law.scale, vector(n, u, z), by_rise, by_down, by_lead
 
 
 @register_law
@@ -212,7 +162,6 @@ class Rft2dLaw(RftLaw):
         "Science 339, 1408 (2013); out of the plane: L. K. Treers, C. Cao, H. S. Stuart, IEEE "
         "Robotics and Automation Letters 6 (2021), doi 10.1109/LRA.2021.3057052"
     )
-    stress: ClassVar[Any] = rft2d_stress
     slope: ClassVar[Any] = rft2d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("scale",)
 

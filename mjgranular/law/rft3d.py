@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.vector import vector
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
@@ -34,18 +35,6 @@ C3 = (-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532, 0.06790
 RFT3D_DTYPE = np.dtype(
     [(name, np.float64) for name in ("stiffness", "friction", "inertia", "rise")]
 )
-
-
-@partial(compiled, inline=True)
-def polynomial(c, x1, x2, x3):
-    """One of the three generic response functions."""
-    return (
-        c[0]
-        + x1 * (c[1] + x1 * (c[4] + x1 * c[10] + x2 * c[14] + x3 * c[17]) + x2 * c[7] + x3 * c[9])
-        + x2 * (c[2] + x2 * (c[5] + x2 * c[11] + x1 * c[13] + x3 * c[16]) + x3 * c[8])
-        + x3 * (c[3] + x3 * (c[6] + x3 * c[12] + x2 * c[15] + x1 * c[18]))
-        + c[19] * x1 * x2 * x3
-    )
 
 
 @partial(compiled, inline=True)
@@ -85,56 +74,17 @@ def polynomial_slope(c, x1, x2, x3, x22, x33, x23):
 
 
 @partial(compiled, inline=True)
-def generic_response(nx, ny, nz, vx, vy, vz, zx, zy, zz):
-    """The generic response a for a plate: `f1 m + f2 v - f3 z`.
-
-    In the paper's local frame (r, theta, z), m = (sin b cos psi, sin b sin psi, -cos b) and
-    v = (cos g, 0, -sin g), so the angles never need to be taken: x1 = -v.z, x2 = -m.z, x3 = m.v.
-    The fit describes plates, with tilt b between -90 and 90 degrees: of a plate's two normals m is
-    the one that points down.
-    """
-    down = nx * zx + ny * zy + nz * zz
-    flip = -1.0 if down > 0.0 else 1.0
-    x1 = -(vx * zx + vy * zy + vz * zz)
-    x2 = abs(down)
-    x3 = flip * (nx * vx + ny * vy + nz * vz)
-    f1 = flip * polynomial(C1, x1, x2, x3)
-    f2 = polynomial(C2, x1, x2, x3)
-    f3 = polynomial(C3, x1, x2, x3)
-    return f1 * nx + f2 * vx - f3 * zx, f1 * ny + f2 * vy - f3 * zy, f1 * nz + f2 * vz - f3 * zz
-
-
-@partial(compiled, inline=True)
-def rft3d_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
-    """Resistance for an area and a depth of one [N/m^3]."""
-    ax, ay, az = generic_response(nx, ny, nz, vx, vy, vz, zx, zy, zz)
-    along = ax * nx + ay * ny + az * nz
-    tx, ty, tz = ax - along * nx, ay - along * ny, az - along * nz
-    normal = abs(along)
-    tangential = math.sqrt(tx * tx + ty * ty + tz * tz)
-    share = 1.0
-    if tangential > law.friction * normal:
-        share = law.friction * normal / tangential
-    # In one of 1,500 directions the fit would push the facet on. There the tangential part is cut
-    # down to where the power is zero, so that the law is dissipative without a jump.
-    against = max(normal * (nx * vx + ny * vy + nz * vz), 0.0)
-    along_v = tx * vx + ty * vy + tz * vz
-    if share * along_v > against:
-        share = against / along_v
-    k = law.stiffness * g
-    return (
-        k * (share * tx - normal * nx),
-        k * (share * ty - normal * ny),
-        k * (share * tz - normal * nz),
-    )
-
-
-@partial(compiled, inline=True)
 def rft3d_slope(law, g, rise, down, lead):
-    """The same as factors of n, v and z, with their derivatives by the cosines: see `RftLaw.slope`.
+    """Resistance for an area and a depth of one, by the cosines: see `RftLaw.slope`.
 
-    In the downward normal m = +-n, as in `generic_response`: a = f1 m + f2 v - f3 z, with the
-    tangential part t = f2 v - f3 z - tau m.
+    In the paper's local frame (r, theta, z) the generic response for a plate is f1 m + f2 v - f3 z
+    with m = (sin b cos psi, sin b sin psi, -cos b) and v = (cos g, 0, -sin g), so that the angles
+    need not be taken: x1 = -v.z, x2 = -m.z, x3 = m.v. The fit describes plates, with tilt b between
+    -90 and 90 degrees: of a plate's two normals m = +-n is the one that points down. The tangential
+    part of the response is t = f2 v - f3 z - tau m.
+
+    In one of 1,500 directions the fit would push the facet on. There the tangential part is cut
+    down to where the power is zero, so that the law is dissipative without a jump.
     """
     flip = -1.0 if down > 0.0 else 1.0
     x1, x2, x3 = -rise, abs(down), flip * lead
@@ -180,21 +130,22 @@ def rft3d_slope(law, g, rise, down, lead):
     if cut:
         s_3 += w * tau + inverse * flip * d
     side = flip * share
-    turn = -flip
     return (
         law.stiffness * g,
-        -normal - side * tau,
-        share * p,
-        -share * q,
-        n_1 + flip * (s_1 * tau + share * t_1),
-        -(s_1 * p + share * p_1),
-        s_1 * q + share * q_1,
-        flip * n_2 + s_2 * tau + share * t_2,
-        turn * (s_2 * p + share * p_2),
-        flip * (s_2 * q + share * q_2),
-        turn * n_3 - (s_3 * tau + share * t_3),
-        flip * (s_3 * p + share * p_3),
-        turn * (s_3 * q + share * q_3),
+        vector(-normal - side * tau, share * p, -share * q),
+        vector(
+            n_1 + flip * (s_1 * tau + share * t_1), -(s_1 * p + share * p_1), s_1 * q + share * q_1
+        ),
+        vector(
+            flip * n_2 + s_2 * tau + share * t_2,
+            -flip * (s_2 * p + share * p_2),
+            flip * (s_2 * q + share * q_2),
+        ),
+        vector(
+            -flip * n_3 - (s_3 * tau + share * t_3),
+            flip * (s_3 * p + share * p_3),
+            -flip * (s_3 * q + share * q_3),
+        ),
     )
 
 
@@ -231,7 +182,6 @@ class Rft3dLaw(RftLaw):
         "doi 10.1073/pnas.2214017120; inertial term and surface correction: S. Agarwal, A. Karsai, "
         "D. I. Goldman, K. Kamrin, Sci. Adv. 7 eabe0631 (2021)"
     )
-    stress: ClassVar[Any] = rft3d_stress
     slope: ClassVar[Any] = rft3d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("stiffness",)
 

@@ -17,8 +17,9 @@ from mjgranular.kernel.memory import (
     row_of,
     table_at,
 )
-from mjgranular.kernel.motion import motion_along, velocity_at
+from mjgranular.kernel.motion import Motion, motion_along, read_motion, velocity_at
 from mjgranular.kernel.records import body_records
+from mjgranular.kernel.vector import dot, read_vector
 from mjgranular.sand.sand import Sand
 
 
@@ -44,17 +45,13 @@ def add_work(address, velocity, work, h):
     total = floats(work, len(bodies))
     for slot in range(len(bodies)):
         body = bodies[slot]
-        begin = row_of(table[CVEL], body.body, 6)
-        wx, wy, wz, vx, vy, vz = motion_along(table, body.last_dof, velocity, 1.0)
-        wx, wy, wz = wx + begin[0], wy + begin[1], wz + begin[2]
-        vx, vy, vz = vx + begin[3], vy + begin[4], vz + begin[5]
+        begin = read_motion(row_of(table[CVEL], body.body, 6), 0)
+        end = motion_along(table, body.last_dof, velocity, 1.0)
+        both = Motion(begin.angular + end.angular, begin.linear + end.linear)
         com, tree = row_of(table[XIPOS], body.body, 3), row_of(table[SUBTREE_COM], body.root, 3)
-        vx, vy, vz = velocity_at(
-            (wx, wy, wz, vx, vy, vz), com[0] - tree[0], com[1] - tree[1], com[2] - tree[2]
-        )
-        force = body.wrench
-        power = force[0] * vx + force[1] * vy + force[2] * vz
-        power += force[3] * wx + force[4] * wy + force[5] * wz
+        at_com = velocity_at(both, read_vector(com, 0) - read_vector(tree, 0))
+        force, moment = read_vector(body.wrench, 0), read_vector(body.wrench, 3)
+        power = dot(force, at_com) + dot(moment, both.angular)
         total[slot] += 0.5 * h * power
     return len(bodies)
 

@@ -19,7 +19,8 @@ import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import actuator_damping, smooth_derivative
-from mjgranular.kernel.memory import column, scratch
+from mjgranular.kernel.memory import scratch
+from mjgranular.kernel.motion import read_motion
 from mjgranular.scheme.constraints import add_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.workspace import EULER, EULER_DAMPED, IMPLICIT, POLY
@@ -28,7 +29,6 @@ _JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
 
 poly_numbers = scratch(POLY)
 six_numbers = scratch(6)
-read_six = column(6, 1).read
 
 
 @compiled
@@ -109,8 +109,8 @@ def find_motions(w, velocity):
 
 @partial(compiled, inline=True)
 def motion_of(w, body):
-    """The spatial velocity of a body, of those that `find_motions` has found: six numbers."""
-    return read_six(w.motion[body], 0)
+    """The spatial velocity of a body, of those that `find_motions` has found."""
+    return read_motion(w.motion[body], 0)
 
 
 @compiled

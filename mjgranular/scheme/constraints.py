@@ -22,8 +22,8 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import solve_inertia
 from mjgranular.kernel.memory import scratch
-from mjgranular.scheme.blocks import NEXT, SAME
 from mjgranular.scheme.dense import add_outer, add_scaled, clear, inner
+from mjgranular.scheme.forces import NEXT, SAME
 from mjgranular.scheme.workspace import EULER
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)

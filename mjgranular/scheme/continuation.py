@@ -22,8 +22,8 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import cross, norm, read_vector, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import find_motions
-from mjgranular.scheme.blocks import FRESH, SAME
 from mjgranular.scheme.dense import copy
+from mjgranular.scheme.forces import FRESH, SAME
 from mjgranular.scheme.layout import ARM, VELOCITY
 from mjgranular.scheme.newton import Search, newton_kernel
 

@@ -20,29 +20,34 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.elementary import bits_of
+from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
     CONTACTS,
     ELEMENT_COUNT,
-    ELEMENTS,
     SCENE,
     records,
+    scratch,
     table_at,
 )
-from mjgranular.kernel.motion import add_force, velocity_at, velocity_change
-from mjgranular.kernel.records import body_records, contact_records
-from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
-from mjgranular.scheme.sheets import forces_on_sheets
-from mjgranular.scheme.status import BAD_STATE, FINE, check_options
-from mjgranular.scheme.wrenches import (
-    add_wrenches,
-    gravity_of,
-    is_bad,
-    place_of,
-    pose_at,
+from mjgranular.kernel.motion import (
+    read_motion,
+    still,
+    velocity_at,
+    velocity_change,
+    write_motion,
 )
+from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.kernel.vector import Vector, cross, write_vector
+from mjgranular.law.kernel import LawKernel
+from mjgranular.scheme.forces import add_total, force_kernel
+from mjgranular.scheme.layout import ARM, FORCE, INDEX, LED, VELOCITY, WEIGHT, block_size
+from mjgranular.scheme.sampling import sampling_kernel
+from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
+from mjgranular.scheme.status import BAD_STATE, FINE, check_options
+from mjgranular.scheme.wrenches import add_wrenches, gravity_of, is_bad, pose_at
 
 
 @dataclass(frozen=True)
@@ -86,19 +91,37 @@ class Explicit(Scheme):
 schemes.add(Explicit.name, Explicit)
 
 
-@compiled
-def lead_velocity(table, body, lead):
-    """Notes the change of a body's velocity within `lead` in its record."""
-    wx, wy, wz, vx, vy, vz = velocity_change(table, body.last_dof, lead)
-    change = body.change
-    change[0], change[1], change[2] = wx, wy, wz
-    change[3], change[4], change[5] = vx, vy, vz
-
-
 @cache
 def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
-    forces = forces_of(kernel, scene_dtype)
+    lanes, size = kernel.lanes, block_size(kernel)
+    force_on, scene_records, room = force_kernel(kernel), records(scene_dtype), scratch(size)
+    vectors, points = rows(Vector, lanes), column(Vector, lanes)
+    read_all, write_all, read = vectors.read, vectors.write, points.read
+    read_weight = rows(float, lanes).read
+
+    @partial(compiled, inline=True)
+    def act(table, workspace, body, place, tile, number, live, is_first, lead):
+        """Adds the forces on a tile to its body's wrench, and writes them to contacts."""
+        if is_first:  # most bodies of a robot are above the sand
+            write_motion(body.change, 0, velocity_change(table, body.last_dof, lead))
+        # Drag takes the velocity ahead, static resistance the direction of the velocity now: led as
+        # well, it creeps five times faster under load.
+        arm = read_all(tile, ARM * lanes)
+        led = velocity_at(read_motion(body.change, 0), arm)
+        write_all(tile, LED * lanes, read_all(tile, VELOCITY * lanes) + led)
+        force_on(tile, scene_records(table[SCENE], 1)[0].law, gravity_of(table))
+        pose = pose_at(place)
+        force = read_weight(tile, WEIGHT * lanes) * read_all(tile, FORCE * lanes)
+        add_total(body.wrench, 0, force)
+        add_total(body.wrench, 3, cross(arm + (pose.tree - pose.com), force))
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        for lane in range(lanes):
+            if tile[WEIGHT * lanes + lane] > 0.0:
+                contact = contacts[bits_of(tile[INDEX * lanes + lane])]
+                write_vector(contact.force, 0, read(tile, FORCE * lanes + lane))
+
+    sample_all = sampling_kernel(kernel, scene_dtype, act, compact=False)
 
     @compiled
     def program(address, lead):
@@ -108,73 +131,14 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         status = check_options(table)
         if status != FINE:
             return status
-        forces(table, lead)
+        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        for slot in range(len(bodies)):
+            write_motion(bodies[slot].wrench, 0, still())
+        tile = room()
+        sample_all(table, 0, tile.ctypes.data, 0, lead)
         return add_wrenches(table)
 
     return program
-
-
-def forces_of(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Makes a kernel `forces(table, lead)`: wrenches of bodies, contacts of elements."""
-    if kernel.sheets is not None:
-        return forces_on_sheets(kernel, scene_dtype)
-    element_records, immerse, resist = kernel.elements, kernel.immerse, kernel.resist
-    level, skim = kernel.level, kernel.skim
-    scene_records = records(scene_dtype)
-
-    @partial(compiled, inline=True)
-    def forces(table, lead):
-        elements = element_records(table[ELEMENTS], table[ELEMENT_COUNT])
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        surface = scene[0].surface
-        g = gravity_of(table)
-        first = 0
-        for slot in range(len(bodies)):
-            body = bodies[slot]
-            for k in range(6):
-                body.wrench[k] = 0.0
-            place = place_of(table, body)
-            around = level(surface, pose_at(place))
-            dry = True
-            for i in range(first, body.end):
-                element, contact = elements[i], contacts[i]
-                depth = skim(element, around)
-                if depth <= 0.0:
-                    contact.depth = depth
-                    continue
-                immersed = immerse(element, pose_at(place), law, surface, g)
-                contact.depth = immersed[0]
-                if immersed[0] <= 0.0:
-                    continue
-                pose = pose_at(place)  # anew: numbers kept from above would cost more
-                if dry:  # most bodies of a robot are above the sand
-                    dry = False
-                    lead_velocity(table, body, lead)
-                change = body.change
-                tx, ty, tz = pose.tree
-                contact.length = immersed[1]
-                x, y, z = immersed[2], immersed[3], immersed[4]
-                vx, vy, vz = velocity_at(pose.motion, x - tx, y - ty, z - tz)
-                # Drag takes the velocity ahead, static resistance the direction of the velocity
-                # now: led as well, it creeps five times faster under load.
-                cx, cy, cz = velocity_at(
-                    (change[0], change[1], change[2], change[3], change[4], change[5]),
-                    x - tx,
-                    y - ty,
-                    z - tz,
-                )
-                fx, fy, fz = resist(immersed, law, g, (vx, vy, vz), (vx + cx, vy + cy, vz + cz))
-                contact.point[0], contact.point[1], contact.point[2] = x, y, z
-                contact.velocity[0], contact.velocity[1], contact.velocity[2] = vx, vy, vz
-                contact.force[0], contact.force[1], contact.force[2] = fx, fy, fz
-                ix, iy, iz = pose.com
-                add_force(body.wrench, fx, fy, fz, x - ix, y - iy, z - iz)
-            first = body.end
-
-    return forces
 
 
 def largest_step(rate: float) -> float:

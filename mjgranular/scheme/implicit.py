@@ -56,10 +56,10 @@ from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.kernel.vector import cross, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
-from mjgranular.scheme.blocks import block_kernels
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.continuation import lane_vector, solver_kernel
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
+from mjgranular.scheme.forces import block_kernels
 from mjgranular.scheme.layout import FORCE, INDEX
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes

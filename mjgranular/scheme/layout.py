@@ -1,31 +1,41 @@
-"""What lies where in a block of elements (`scheme.blocks`)."""
+"""What lies where in a tile: up to `lanes` elements of one body side by side.
+
+A tile is rows of numbers, one number for each lane. Loops over lanes are of a fixed length and of
+arithmetic alone, and the compiler makes vector instructions of them; lanes that are left over hold
+the last element once more, with no weight. A law with one lane has tiles of one element.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from mjgranular.kernel.fields import size_of
 from mjgranular.kernel.memory import records
 from mjgranular.law.kernel import LawKernel
 
-# Rows of a block: from the centre of the tree to where force acts [m]; velocity last looked at
-# [m/s] and the grip there; what `respond` gave for these (force, minus its derivative, bend:
-# `law.kernel`); 1, or nothing for a lane left over; number of the element, an
-# integer's bits; wrench about the centre
-# of the tree, moment first, and minus its derivative by the body's motion, row by row; and what
-# `immerse` gave.
-ARM, VELOCITY, GRIP, FORCE, SLOPE, BEND, WEIGHT, INDEX = 0, 3, 6, 9, 12, 21, 22, 23
-WRENCH, STIFFNESS, IMMERSED = 24, 30, 66
-STRAY = STIFFNESS  # which is summed by the time that is needed
+# First rows: from the centre of the tree to where force acts [m]; velocity last looked at [m/s] and
+# the multiplier there; the `Response` to these (force first); 1, or nothing for a lane left over;
+# number of the element, an integer's bits; velocity for drag, of the explicit scheme; the sample.
+ARM, VELOCITY, MULTIPLIER, FORCE, WEIGHT, INDEX, LED, SAMPLE = 0, 3, 6, 9, 22, 23, 24, 27
+SLOPE, MISMATCH = FORCE + 3, FORCE + 12
+TURN = MISMATCH  # which is not needed any more
+POINT = SAMPLE + 2
 
 HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
 head_records = records(HEAD_DTYPE)
 
 
+def element_row(kernel: LawKernel) -> int:
+    """First row of the elements themselves, where they are put together side by side."""
+    return SAMPLE + size_of(kernel.samples)
+
+
 def block_size(kernel: LawKernel) -> int:
-    """How many numbers a block has."""
-    return (IMMERSED + 5 + kernel.numbers) * kernel.lanes
+    """How many numbers a tile has."""
+    elements = size_of(kernel.element) if kernel.side_by_side else 0
+    return (element_row(kernel) + elements) * kernel.lanes
 
 
 def block_count(kernel: LawKernel, elements: np.ndarray) -> int:
-    """The most blocks that elements (field `slot`) may fill."""
+    """The most tiles that elements (field `slot`) may fill."""
     return sum(-(-int(n) // kernel.lanes) for n in np.bincount(elements["slot"]))

@@ -26,8 +26,8 @@ from mjgranular.scheme.balance import (
     motion_of,
     sum_wrenches,
 )
-from mjgranular.scheme.blocks import NEXT, block_kernels
 from mjgranular.scheme.dense import add_scaled, clear, inner, solve
+from mjgranular.scheme.forces import NEXT, block_kernels
 from mjgranular.scheme.wrenches import gravity_of
 
 # Square of the difference of a multiplier and its velocity's: where the force may be taken for the

@@ -15,8 +15,8 @@ import math
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import forward_constraint, solve_inertia
 from mjgranular.scheme.balance import balance, size_of
-from mjgranular.scheme.blocks import SAME
 from mjgranular.scheme.dense import add_scaled, copy, inner, solve
+from mjgranular.scheme.forces import SAME
 from mjgranular.scheme.workspace import EULER
 
 _NO_ENERGY = 1e-14  # [J]; chosen

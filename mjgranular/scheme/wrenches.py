@@ -23,8 +23,10 @@ from mjgranular.kernel.memory import (
     ints,
     table_at,
 )
+from mjgranular.kernel.motion import read_motion
 from mjgranular.kernel.options import NO_GRAVITY, options_at
 from mjgranular.kernel.records import body_records
+from mjgranular.kernel.vector import read_matrix, read_vector
 from mjgranular.law.kernel import Pose
 
 
@@ -53,19 +55,12 @@ def pose_at(place):
     In a loop over elements it is best called for each of them: then what an element has no need of
     is not read, and nothing has to be kept while the law is asked.
     """
-    p, m, com, tree = (
-        floats(place[0], 3),
-        floats(place[1], 9),
-        floats(place[2], 3),
-        floats(place[3], 3),
-    )
-    v = floats(place[4], 6)
     return Pose(
-        (p[0], p[1], p[2]),
-        (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]),
-        (com[0], com[1], com[2]),
-        (tree[0], tree[1], tree[2]),
-        (v[0], v[1], v[2], v[3], v[4], v[5]),
+        read_vector(floats(place[0], 3), 0),
+        read_matrix(floats(place[1], 9), 0),
+        read_vector(floats(place[2], 3), 0),
+        read_vector(floats(place[3], 3), 0),
+        read_motion(floats(place[4], 6), 0),
     )
 
 

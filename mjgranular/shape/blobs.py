@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import records
+from mjgranular.kernel.vector import norm, transposed, vector
 from mjgranular.shape.sizes import check_size, geom_name, geom_width, half_extents
 
 BLOB_DTYPE = np.dtype(
@@ -26,7 +26,6 @@ BLOB_DTYPE = np.dtype(
         ("width", np.float64),  # of the geom, for Froude numbers [m]
     ]
 )
-blob_records = records(BLOB_DTYPE)
 
 _GEOM = mujoco.mjtGeom
 
@@ -88,13 +87,11 @@ def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
 
 
 @compiled
-def support(blob, x, y, z):
-    """Reach of a blob from its centre in a direction given in the body frame [m]."""
-    a = blob.axes
-    gx = a[0] * x + a[3] * y + a[6] * z
-    gy = a[1] * x + a[4] * y + a[7] * z
-    gz = a[2] * x + a[5] * y + a[8] * z
-    rx, ry, rz = blob.radii[0] * gx, blob.radii[1] * gy, blob.radii[2] * gz
-    reach = math.sqrt(rx * rx + ry * ry + rz * rz) + blob.disc * math.sqrt(gx * gx + gy * gy)
-    halves = blob.halves
-    return reach + halves[0] * abs(gx) + halves[1] * abs(gy) + halves[2] * abs(gz)
+def support(blob, along):
+    """Reach of a blob from its centre in a direction, a vector in the body frame [m]."""
+    u = transposed(blob.axes) @ along
+    r, h = blob.radii, blob.halves
+    reach = norm(vector(r.x * u.x, r.y * u.y, r.z * u.z)) + blob.disc * math.sqrt(
+        u.x * u.x + u.y * u.y
+    )
+    return reach + h.x * abs(u.x) + h.y * abs(u.y) + h.z * abs(u.z)

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, warn_user
-from mjgranular.kernel.memory import records
 from mjgranular.shape import tessellation
 from mjgranular.shape.sizes import (
     check_count,
@@ -38,7 +37,6 @@ FACET_DTYPE = np.dtype(
         ("width", np.float64),  # of the geom, for Froude numbers [m]
     ]
 )
-facet_records = records(FACET_DTYPE)
 
 RESOLUTION = 12
 """Rings from pole to pole of a round geom; other parts of a skin in a measured proportion. The

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.kernel.memory import records
 from mjgranular.shape.sizes import check_count, check_resolution, check_size, geom_name
 
 ROD_DTYPE = np.dtype(
@@ -22,8 +21,6 @@ ROD_DTYPE = np.dtype(
         ("width", np.float64),  # diameter [m]
     ]
 )
-
-rod_records = records(ROD_DTYPE)
 
 MOST_PIECES = 10_000
 """Of one rod. Chosen: far more than accuracy asks for."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.vector import dot, read_vector
 from mjgranular.shape.sizes import check_extents
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 from mjgranular.surface.surface import Surface
@@ -33,19 +34,19 @@ _ROOM = 1.1
 
 
 @compiled
-def bed_probe(bed, x, y, z):
+def bed_probe(bed, point):
     """Depth below the upper face [m]; beside or under the bed, minus the distance to it."""
-    rx, ry, rz = x - bed.top[0], y - bed.top[1], z - bed.top[2]
-    nx, ny, nz = bed.normal[0], bed.normal[1], bed.normal[2]
-    along = abs(rx * bed.along[0] + ry * bed.along[1] + rz * bed.along[2]) - bed.half_along
-    across = abs(rx * bed.across[0] + ry * bed.across[1] + rz * bed.across[2]) - bed.half_across
+    from_top = point - read_vector(bed.top, 0)
+    normal = read_vector(bed.normal, 0)
+    along = abs(dot(from_top, read_vector(bed.along, 0))) - bed.half_along
+    across = abs(dot(from_top, read_vector(bed.across, 0))) - bed.half_across
     beside = max(along, across)
+    depth = -dot(normal, from_top)
     if beside > 0.0:
-        return -beside, nx, ny, nz
-    depth = -(nx * rx + ny * ry + nz * rz)
-    if depth > _ROOM * bed.thickness:
-        return _ROOM * bed.thickness - depth, nx, ny, nz
-    return depth, nx, ny, nz
+        depth = -beside
+    elif depth > _ROOM * bed.thickness:
+        depth = _ROOM * bed.thickness - depth
+    return depth, normal
 
 
 @dataclass(frozen=True)

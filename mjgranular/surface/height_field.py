@@ -13,6 +13,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import records
+from mjgranular.kernel.vector import read_matrix, read_vector, transposed, vector
 from mjgranular.shape.sizes import check_extents
 from mjgranular.surface.place import find_geom, tilt_of, world_pose
 from mjgranular.surface.surface import Surface
@@ -34,22 +35,19 @@ _heights = records(np.dtype(np.float32))
 
 
 @compiled
-def height_field_probe(field, x, y, z):
+def height_field_probe(field, point):
     """Depth along the normal of the bilinear surface above or below the point; the normal."""
-    rx, ry, rz = x - field.position[0], y - field.position[1], z - field.position[2]
-    a = field.axes
-    lx = a[0] * rx + a[3] * ry + a[6] * rz
-    ly = a[1] * rx + a[4] * ry + a[7] * rz
-    lz = a[2] * rx + a[5] * ry + a[8] * rz
+    axes = read_matrix(field.axes, 0)
+    place = transposed(axes) @ (point - read_vector(field.position, 0))
     # NaN is not within: what passes gives indices of the field and no others.
-    if not (abs(lx) <= field.half_x and abs(ly) <= field.half_y):
-        beside = max(abs(lx) - field.half_x, abs(ly) - field.half_y)
-        return (-beside if beside > 0.0 else math.nan), a[2], a[5], a[8]
+    if not (abs(place.x) <= field.half_x and abs(place.y) <= field.half_y):
+        beside = max(abs(place.x) - field.half_x, abs(place.y) - field.half_y)
+        return (-beside if beside > 0.0 else math.nan), axes @ vector(0.0, 0.0, 1.0)
     heights = _heights(field.data, field.rows * field.columns)
     step_x = 2.0 * field.half_x / (field.columns - 1)
     step_y = 2.0 * field.half_y / (field.rows - 1)
-    u = (lx + field.half_x) / step_x
-    v = (ly + field.half_y) / step_y
+    u = (place.x + field.half_x) / step_x
+    v = (place.y + field.half_y) / step_y
     column = min(int(u), field.columns - 2)
     row = min(int(v), field.rows - 2)
     u -= column
@@ -62,11 +60,8 @@ def height_field_probe(field, x, y, z):
     slope_x = ((1 - v) * (h10 - h00) + v * (h11 - h01)) / step_x
     slope_y = ((1 - u) * (h01 - h00) + u * (h11 - h10)) / step_y
     scale = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    sx, sy = -slope_x * scale, -slope_y * scale
-    nx = a[0] * sx + a[1] * sy + a[2] * scale
-    ny = a[3] * sx + a[4] * sy + a[5] * scale
-    nz = a[6] * sx + a[7] * sy + a[8] * scale
-    return (height - lz) * scale, nx, ny, nz
+    normal = axes @ vector(-slope_x * scale, -slope_y * scale, scale)
+    return (height - place.z) * scale, normal
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import mujoco
@@ -12,29 +13,17 @@ import numpy as np
 
 from mjgranular.errors import InputError, shown
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.vector import dot, read_vector
 from mjgranular.surface.surface import Surface
 
 PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])
 
 
-@compiled
-def plane_probe(plane, x, y, z):
+@partial(compiled, inline=True)
+def plane_probe(plane, point):
     """Depth of a point below the plane along its normal [m], negative above it; the normal."""
-    nx, ny, nz = plane.normal[0], plane.normal[1], plane.normal[2]
-    return plane.offset - (nx * x + ny * y + nz * z), nx, ny, nz
-
-
-@compiled
-def plane_level(plane, pose):
-    """The plane in the frame of a body: its normal there, and the depth of the origin [m]."""
-    nx, ny, nz = plane.normal[0], plane.normal[1], plane.normal[2]
-    p, r = pose.position, pose.rotation
-    return (
-        r[0] * nx + r[3] * ny + r[6] * nz,
-        r[1] * nx + r[4] * ny + r[7] * nz,
-        r[2] * nx + r[5] * ny + r[8] * nz,
-        plane.offset - (nx * p[0] + ny * p[1] + nz * p[2]),
-    )
+    normal = read_vector(plane.normal, 0)
+    return plane.offset - dot(normal, point), normal
 
 
 @dataclass(frozen=True)
@@ -52,7 +41,7 @@ class Plane(Surface):
     """
 
     probe: ClassVar[Any] = plane_probe
-    level: ClassVar[Any] = plane_level
+    is_plane: ClassVar[bool] = True
 
     height: float = 0.0
     slope: float = 0.0

@@ -16,16 +16,15 @@ class Surface(ABC):
     """Surface of the sand. A final surface is a frozen dataclass.
 
     Attributes:
-        probe: kernel `probe(record, x, y, z) -> (depth, nx, ny, nz)`: depth of a point below the
-            surface along its normal [m], negative above the sand, and the unit normal out of the
-            sand; world frame.
-        level: kernel `level(record, pose) -> (nx, ny, nz, depth)` of a surface that is one endless
-            plane: its normal in the frame of a body (`law.kernel.Pose`), and the depth of that
-            frame's origin [m]; None of other surfaces.
+        probe: kernel `probe(record, point) -> (depth, normal)`, of vectors (`kernel.vector`): depth
+            of a point below the surface along its normal [m], negative above the sand, and the unit
+            normal out of the sand; world frame.
+        is_plane: whether it is one endless plane, and its `probe` nothing but arithmetic
+            (`kernel.lanes`): then laws of many elements tell dry ones at a fraction of the price.
     """
 
     probe: ClassVar[Any]
-    level: ClassVar[Any] = None
+    is_plane: ClassVar[bool] = False
 
     @abstractmethod
     def record(self, model: mujoco.MjModel) -> np.ndarray:

@@ -267,9 +267,9 @@ def test_bytes_that_are_no_text(tmp_path):
 
 
 @compiled
-def syrup_stress(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
+def syrup_stress(law, g, n, u, z):
     """Against the motion, the same for every face."""
-    return -law.strength * vx, -law.strength * vy, -law.strength * vz
+    return -law.strength * u
 
 
 @dataclasses.dataclass(frozen=True)

@@ -239,8 +239,8 @@ FAULTY = """
 import sys
 import numpy as np
 from mjgranular.kernel.compiled import compiled, entry
-from mjgranular.kernel.lanes import rows
-from mjgranular.kernel.memory import column, floats, summed
+from mjgranular.kernel.fields import column, rows
+from mjgranular.kernel.memory import floats, summed
 
 read_column, read_rows, add_up = column(2, 3).read, rows(2, 2).read, summed(4)
 
@@ -294,11 +294,12 @@ from mjgranular import Plane
 from mjgranular.engine import add_sand
 from mjgranular.engine.config import surfaces
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.vector import vector
 from mjgranular.surface import Surface
 
 @compiled
-def probe(record, x, y, z):
-    return record.normal[np.int64(3 + 0 * x)] - z, 0.0, 0.0, 1.0
+def probe(record, point):
+    return record.normal[np.int64(3 + 0 * point.x)] - point.z, vector(0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Faulty(Surface):

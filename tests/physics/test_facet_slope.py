@@ -15,7 +15,8 @@ import pytest
 
 from mjgranular import Plane, Rft2dLaw, Rft3dLaw, media
 from mjgranular.law import rft3d
-from mjgranular.law.facet_kernel import facet_kernel
+from mjgranular.law.facet import facet_kernel
+from mjgranular.law.rft import stress_of
 
 REAL = np.longdouble
 FINE = np.finfo(REAL).eps < 1e-17
@@ -110,7 +111,7 @@ def stress_2d(law, n, u, z):
 
 @dataclass
 class Facet:
-    """A facet in the sand; see `facet_kernel` for its numbers."""
+    """A facet in the sand; see `law.facet.FacetSample` for its numbers."""
 
     normal: np.ndarray
     up: np.ndarray
@@ -121,10 +122,10 @@ class Facet:
 
     def immersed(self):
         mean = positive_part(REAL(self.depth), *map(REAL, self.rises))[3]
-        return (
+        return np.array([
             1.0, 0.0, 0.0, 0.0, 0.0, *self.normal, *self.up, *self.spread[0], *self.spread[1],
             self.depth, *self.rises, float(mean), AREA, self.push,
-        )  # fmt: skip
+        ])  # fmt: skip
 
     def rates(self, u):
         """c, a and b, on the ramp what is taken in their place."""
@@ -200,9 +201,12 @@ def derivative(function, v, speed):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_against_polygons_and_differences(name):
+def test_against_polygons_and_differences(kernels, name):
     law = LAWS[name]
-    kernel, record = law.kernel(Plane()), law.parameters(media["quikrete_medium"])[0]
+    kernel, record = (
+        kernels.Kernels(law.kernel(Plane())),
+        law.parameters(media["quikrete_medium"])[0],
+    )
     stress = stress_2d if name == "rft2d" else stress_3d
     rng = np.random.default_rng(3)
     leading, wet = Counter(), Counter()
@@ -212,7 +216,7 @@ def test_against_polygons_and_differences(name):
         speed, eps = 10 ** rng.uniform(-1, 1), 10 ** rng.uniform(-2, 0)
         v = speed * u
         p = v / math.sqrt(v @ v + eps * eps)
-        answer = kernel.respond(facet.immersed(), record, G, tuple(v), tuple(p), eps)
+        answer = kernel.respond(facet.immersed(), record, G, v, p, eps)
         assert np.isfinite(answer).all()
         assert answer[12] < 1e-25  # the grip is the velocity's own
 
@@ -239,10 +243,13 @@ def test_against_polygons_and_differences(name):
 
 
 @pytest.mark.parametrize("name", LAWS)
-def test_a_facet_begins_to_lead_as_a_whole_without_a_jump(name):
+def test_a_facet_begins_to_lead_as_a_whole_without_a_jump(kernels, name):
     # Up to rounding: the quicker kernel may answer for any block whose facets all lead.
     law = LAWS[name]
-    kernel, record = law.kernel(Plane()), law.parameters(media["quikrete_medium"])[0]
+    kernel, record = (
+        kernels.Kernels(law.kernel(Plane())),
+        law.parameters(media["quikrete_medium"])[0],
+    )
     rng = np.random.default_rng(4)
     for margin in np.repeat((0.0, 1e-14, 1e-9, 1e-3, 0.3), 20):
         facet, u = drawn(rng)
@@ -260,35 +267,34 @@ def test_a_facet_begins_to_lead_as_a_whole_without_a_jump(name):
             low, high = (middle, high) if bare(middle) < 0 else (low, middle)
         sine = min(high + margin, 1.0)
         v = 0.7 * (sine * facet.normal + math.sqrt(1 - sine**2) * across)
-        p = tuple(0.8 * v)
+        p = 0.8 * v
         full, simple = (
-            np.array(answer(facet.immersed(), record, G, tuple(v), p, 1e-3))
-            for answer in (kernel.respond, kernel.respond_simple)
+            kernel.respond(facet.immersed(), record, G, v, p, 1e-3, simple=quicker)
+            for quicker in (False, True)
         )
         assert full[:3] == pytest.approx(simple[:3], rel=0, abs=1e-12 * abs(simple[:3]).max())
         # At the edge itself, where a derivative of what leads has a kink, no more than that.
         if margin > 1e-12:
-            assert kernel.simple(facet.immersed(), p)
+            assert kernel.complexity(facet.immersed(), record, p, 1e-3) == 1
             # Nearly in the plane of n and z the two-dimensional law enlarges rounding.
             close = 1e-12 if name != "rft2d" else 1e-9
             assert full == pytest.approx(simple, rel=0, abs=close * abs(simple).max())
 
 
 @pytest.mark.parametrize("name", ["rft2d", "rft3d"])
-def test_without_a_slope_there_are_differences(name):
+def test_without_a_slope_there_are_differences(kernels, name):
     law = LAWS[name]
-    closed, other = law.kernel(Plane()), facet_kernel(law.stress, Plane.probe)
-    assert other.simple is None
+    other = facet_kernel(Plane.probe, stress=stress_of(law.slope))
+    assert other.complexity is None
+    closed, other = kernels.Kernels(law.kernel(Plane())), kernels.Kernels(other)
     record = law.parameters(media["quikrete_medium"])[0]
     rng = np.random.default_rng(5)
     alike = 0
     for _ in range(200):
         facet, u = drawn(rng)
-        v = tuple(0.7 * u)
-        p = tuple(0.6 * u)
+        v, p = 0.7 * u, 0.6 * u
         a, b = (
-            np.array(kernel.respond(facet.immersed(), record, G, v, p, 1e-2))
-            for kernel in (closed, other)
+            kernel.respond(facet.immersed(), record, G, v, p, 1e-2) for kernel in (closed, other)
         )
         scale = abs(a).max()
         alike += abs(a - b).max() < 1e-4 * scale

@@ -8,8 +8,8 @@ import pytest
 from numba import njit
 
 from mjgranular import Plane, Rft2dLaw, Rft3dLaw, Sand, media
-from mjgranular.kernel.lanes import LINE, aligned, choose, count_of, rows
-from mjgranular.law.facet_sheets import LANES, lay_facets
+from mjgranular.kernel.fields import rows
+from mjgranular.kernel.lanes import LINE, aligned, choose, count_of
 
 _two, _eight = rows(2, 4), rows(8, 4)
 _read, _write = _two.read, _eight.write
@@ -87,7 +87,7 @@ BODIES = """
 class OneByOne(Plane):
     """A plane of which laws are not told that it is one."""
 
-    level = None
+    is_plane = False
 
 
 def thrown(model, rng):
@@ -153,21 +153,22 @@ def test_both_schemes_see_the_same():
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
-def test_sheets_hold_the_facets_in_their_order():
+def test_tiles_hold_the_facets_in_their_order():
     model = mujoco.MjModel.from_xml_string(BODIES)
-    elements = Sand(model, medium="quikrete_medium", law="rft3d", resolution=3).elements
-    sheets = lay_facets(elements)
-    assert sheets.shape[2] == LANES
+    sand = Sand(model, medium="quikrete_medium", law="rft3d", resolution=3)
+    elements, kernel = sand.elements, sand.law.kernel(Plane())
+    tiles, lanes = kernel.pack(elements), kernel.lanes
+    assert tiles.shape[2] == lanes == 8
     counts = np.bincount(elements["slot"])
-    assert len(sheets) == (-(-counts // LANES)).sum()
+    assert len(tiles) == (-(-counts // lanes)).sum()
     first = 0
     for slot, count in enumerate(counts):
         mine = elements[elements["slot"] == slot]
-        here = sheets[first : first + -(-count // LANES)].transpose(0, 2, 1).reshape(-1, 19)
-        first += -(-count // LANES)
+        here = tiles[first : first + -(-count // lanes)].transpose(0, 2, 1).reshape(-1, 19)
+        first += -(-count // lanes)
         np.testing.assert_array_equal(here[:count, :3], mine["point"])
-        np.testing.assert_array_equal(here[:count, 3:9].reshape(-1, 2, 3), mine["edges"])
-        np.testing.assert_array_equal(here[:count, 9:12], mine["normal"])
+        np.testing.assert_array_equal(here[:count, 3:6], mine["normal"])
+        np.testing.assert_array_equal(here[:count, 6:12].reshape(-1, 2, 3), mine["edges"])
         np.testing.assert_array_equal(here[:count, 12:18].reshape(-1, 2, 3), mine["spread"])
         np.testing.assert_array_equal(here[:count, 18], mine["area"])
-        assert (here[count:, 18] == 0).all()  # no force comes of what is left over
+        assert (here[count:] == here[count - 1]).all()  # lanes that are left over

@@ -23,8 +23,6 @@ from mjgranular import (
     UnstableError,
     media,
 )
-from mjgranular.law.depth_velocity import DEPTH_VELOCITY_DTYPE, depth_velocity_respond
-from mjgranular.law.kernel import Pose, next_grip
 from mjgranular.models import Link
 from mjgranular.scheme import Implicit
 
@@ -85,7 +83,7 @@ def state(sand, data):
 class Drawn:
     """Elements in the sand, in drawn poses, and the kernels of their law."""
 
-    def __init__(self, name, seed, geoms=None):
+    def __init__(self, kernels, name, seed, geoms=None):
         self.name = name
         rods = name.startswith("link")
         model = mujoco.MjModel.from_xml_string(
@@ -95,7 +93,7 @@ class Drawn:
             sand_of(name, model, surface=Plane(slope=0.2, uphill=0.4)),
             mujoco.MjData(model),
         )
-        self.kernel = sand.law.kernel(sand.surface)
+        self.kernel = kernels.Kernels(sand.law.kernel(sand.surface))
         scene = sand._scene[0]
         self.law, self.rng = scene["law"], np.random.default_rng(seed)
         self.immersed, self.normals = [], []
@@ -106,15 +104,10 @@ class Drawn:
             mujoco.mj_normalizeQuat(model, data.qpos)
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            pose = Pose(
-                tuple(data.xpos[1]),
-                tuple(data.xmat[1]),
-                tuple(data.xipos[1]),
-                tuple(data.subtree_com[1]),
-                tuple(data.cvel[1]),
-            )
+            parts = data.xpos, data.xmat, data.xipos, data.subtree_com, data.cvel
+            pose = np.concatenate([part[1] for part in parts])
             for element in self.rng.permutation(sand.elements)[:4]:
-                found = self.kernel.immerse(element, pose, self.law, scene["surface"], G)
+                found = self.kernel.sample(element, pose, self.law, scene["surface"], G)
                 if found[0] > 0:
                     self.immersed.append(found)
                     normal = element["normal"] if name in OF_FACETS else np.zeros(3)
@@ -126,7 +119,7 @@ class Drawn:
         return v / np.linalg.norm(v) * 10 ** self.rng.uniform(-3, 1)
 
     def resist(self, immersed, v):
-        return np.array(self.kernel.resist(immersed, self.law, G, tuple(v), tuple(v)))
+        return self.kernel.force(immersed, self.law, G, v)
 
     def parts(self, immersed, v):
         """What one limit each opposes: along the normal and the surface for rods, else all."""
@@ -148,11 +141,11 @@ class Drawn:
     def respond(self, immersed, v, eps, p=None):
         """Force, minus its derivative, and the bend, by default with the velocity's own grip."""
         p = self.grip(immersed, v, eps) if p is None else p
-        answer = self.kernel.respond(immersed, self.law, G, tuple(v), tuple(p), eps)
-        return np.array(answer[:3]), np.array(answer[3:12]).reshape(3, 3), answer[12]
+        answer = self.kernel.respond(immersed, self.law, G, v, p, eps)
+        return answer[:3], answer[3:12].reshape(3, 3), answer[12]
 
     def next_grip(self, immersed, v, p, c, eps):
-        return np.array(self.kernel.grip(immersed, tuple(v), tuple(p), tuple(c), eps))
+        return self.kernel.next_multiplier(immersed, v, p, c, eps)
 
     def without_drag(self):
         """Leaves static resistance alone."""
@@ -160,7 +153,8 @@ class Drawn:
         if self.name == "depth_velocity":
             self.law["linear"] = self.law["quadratic"] = 0.0
         if self.name.startswith("link") or self.name == "rft3d_inertia":
-            self.immersed = [(*found[:-1], 0.0) for found in self.immersed]  # drag, inertial push
+            for found in self.immersed:
+                found[-1] = 0.0  # drag, inertial push
         return self
 
     def inside(self):
@@ -170,9 +164,11 @@ class Drawn:
 
 
 @pytest.mark.parametrize("name", SANDS)
-def test_in_motion_a_law_answers_both_schemes_alike(name):
+def test_in_motion_a_law_answers_both_schemes_alike(kernels, name):
     # Flat facets only: those of round bodies are pieces of a skin that turns.
-    drawn = Drawn(name, 0, SKINS.split('<geom type="ellipsoid"')[0] if name in OF_FACETS else None)
+    drawn = Drawn(
+        kernels, name, 0, SKINS.split('<geom type="ellipsoid"')[0] if name in OF_FACETS else None
+    )
     compared = 0
     for immersed, normal in zip(drawn.immersed, drawn.normals, strict=True):
         v = drawn.velocity()
@@ -197,8 +193,8 @@ def difference(function, at, step):
 
 
 @pytest.mark.parametrize("name", SANDS)
-def test_with_the_velocitys_own_grip_the_derivative_is_that_of_the_force(name):
-    drawn = Drawn(name, 1)
+def test_with_the_velocitys_own_grip_the_derivative_is_that_of_the_force(kernels, name):
+    drawn = Drawn(kernels, name, 1)
     compared = 0
     for immersed in drawn.immersed:
         v = drawn.velocity()
@@ -221,11 +217,11 @@ def test_with_the_velocitys_own_grip_the_derivative_is_that_of_the_force(name):
 
 
 @pytest.mark.parametrize("name", SANDS)
-def test_with_any_grip_it_is_linear_in_the_next_one(name):
+def test_with_any_grip_it_is_linear_in_the_next_one(kernels, name):
     # The force F is a function of the grip alone, known from velocities that have it for their own.
     # After a change c of the velocity the grip is to be q, with sqrt(v^2 + eps^2) p = v linearized:
     # respond says F(p) + F'(p) (q - p) = force - stiffness c.
-    drawn = Drawn(name, 5).without_drag()
+    drawn = Drawn(kernels, name, 5).without_drag()
     compared = 0
     for immersed in drawn.immersed:
         v, c, p = drawn.velocity(), drawn.velocity(), drawn.inside()
@@ -254,9 +250,9 @@ def test_with_any_grip_it_is_linear_in_the_next_one(name):
 
 
 @pytest.mark.parametrize("name", ["rft2d", "rft3d", "depth_velocity"])
-def test_softness_scales_static_resistance(name):
+def test_softness_scales_static_resistance(kernels, name):
     # limit v / sqrt(v^2 + eps^2), whatever the direction
-    drawn = Drawn(name, 2).without_drag()
+    drawn = Drawn(kernels, name, 2).without_drag()
     for immersed in drawn.immersed:
         v = drawn.velocity()
         eps = np.linalg.norm(v) * 10 ** drawn.rng.uniform(-2, 2)
@@ -265,8 +261,8 @@ def test_softness_scales_static_resistance(name):
 
 
 @pytest.mark.parametrize("name", SANDS)
-def test_a_soft_force_never_pushes_on(name):
-    drawn = Drawn(name, 3)
+def test_a_soft_force_never_pushes_on(kernels, name):
+    drawn = Drawn(kernels, name, 3)
     for immersed in drawn.immersed:
         for eps in (1e-12, 1e-2, 1e2):
             v = drawn.velocity()
@@ -275,8 +271,8 @@ def test_a_soft_force_never_pushes_on(name):
 
 
 @pytest.mark.parametrize("name", SANDS)
-def test_at_rest_all_numbers_are_finite(name):
-    drawn = Drawn(name, 6)
+def test_at_rest_all_numbers_are_finite(kernels, name):
+    drawn = Drawn(kernels, name, 6)
     for immersed in drawn.immersed:
         for v, p in itertools.product((np.zeros(3), drawn.velocity()), (np.zeros(3), np.eye(3)[2])):
             for eps in (1e-12, 1.0):
@@ -290,8 +286,8 @@ def test_at_rest_all_numbers_are_finite(name):
 
 
 @pytest.mark.parametrize("name", SANDS)
-def test_a_grip_follows_its_velocity(name):
-    drawn = Drawn(name, 4)
+def test_a_grip_follows_its_velocity(kernels, name):
+    drawn = Drawn(kernels, name, 4)
     for immersed in drawn.immersed:
         v, c, p = drawn.velocity(), drawn.velocity(), drawn.inside()
         eps = np.linalg.norm(v) * 10 ** drawn.rng.uniform(-2, 1)
@@ -307,17 +303,24 @@ def test_a_grip_follows_its_velocity(name):
         assert all(np.linalg.norm(part) <= 1 + 1e-12 for part in drawn.parts(immersed, q))
 
 
-VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3)
-GRIPS = st.tuples(*[st.floats(-0.577, 0.577)] * 3)
+VECTORS = st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array)
+MULTIPLIERS = st.tuples(*[st.floats(-0.577, 0.577)] * 3).map(np.array)
 
 
-@given(v=VECTORS, p=GRIPS, c=VECTORS, eps=st.floats(1e-12, 1.0))
-def test_a_grip_is_never_more_than_one(v, p, c, eps):
-    assert np.linalg.norm(next_grip(v, p, c, eps)) <= 1 + 1e-12
+@pytest.fixture(scope="module")
+def of_blobs(kernels):
+    """Kernels of the law with one limit, and a sample with a limit of 2 N."""
+    return kernels.Kernels(QUADRATIC.kernel(Plane())), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 2.0])
+
+
+@given(v=VECTORS, p=MULTIPLIERS, c=VECTORS, eps=st.floats(1e-12, 1.0))
+def test_a_grip_is_never_more_than_one(of_blobs, v, p, c, eps):
+    kernel, blob = of_blobs
+    assert np.linalg.norm(kernel.next_multiplier(blob, v, p, c, eps)) <= 1 + 1e-12
 
 
 @given(seed=st.integers(0, 10**6), load=st.floats(0.1, 3.0), softer=st.floats(-6, 2))
-def test_a_step_is_newtons_for_velocity_and_grip(seed, load, softer):
+def test_a_step_is_newtons_for_velocity_and_grip(of_blobs, seed, load, softer):
     # A body of mass m that meets a limit L: m (v - v0) + h L p = h P and sqrt(v^2 + eps^2) p = v,
     # six equations for v and p, solved without anything being eliminated.
     rng = np.random.default_rng(seed)
@@ -332,15 +335,15 @@ def test_a_step_is_newtons_for_velocity_and_grip(seed, load, softer):
     jacobian = np.block([[m * one, h * limit * one], [np.outer(p, v) / size - one, size * one]])
     dv, dp = np.split(np.linalg.solve(jacobian, -residual), 2)
 
-    law = np.zeros(1, DEPTH_VELOCITY_DTYPE)[0]
-    blob = (1.0, 0.0, 0.0, 0.0, 0.0, limit)
-    answer = depth_velocity_respond(blob, law, G, tuple(v), tuple(p), eps)
-    force, stiffness = np.array(answer[:3]), np.array(answer[3:12]).reshape(3, 3)
+    law = DepthVelocityLaw().parameters(QUIKRETE)[0]
+    kernel, blob = of_blobs
+    answer = kernel.respond(blob, law, G, v, p, eps)
+    force, stiffness = answer[:3], answer[3:12].reshape(3, 3)
     change = np.linalg.solve(m * one + h * stiffness, h * (push + force) - m * (v - v0))
     assert change == pytest.approx(dv, rel=1e-9, abs=1e-12)
     expected = p + dp
     expected /= max(1.0, np.linalg.norm(expected))
-    assert next_grip(tuple(v), tuple(p), tuple(dv), eps) == pytest.approx(expected, abs=1e-9)
+    assert kernel.next_multiplier(blob, v, p, dv, eps) == pytest.approx(expected, abs=1e-9)
 
 
 # What it foresees: `qvel` after the step is what the solver has found

@@ -9,7 +9,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy import integrate
 
-from mjgranular.law.facet_kernel import load_of
+from mjgranular.law.facet_slope import load_of
 from mjgranular.law.patch import leading_part, wet_part
 
 # Of every size, zero included; a middle anywhere between dry and wet, and somewhat beyond.

@@ -2,12 +2,14 @@
 
 import dataclasses
 import math
+from functools import cache
 
 import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 from scipy.interpolate import RegularGridInterpolator
 
 from mjgranular import (
@@ -24,6 +26,7 @@ from mjgranular import (
     UnknownNameError,
     media,
 )
+from mjgranular.kernel.vector import read_vector
 
 pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
 
@@ -90,8 +93,21 @@ def wrench(sand, position, quaternion=(1, 0, 0, 0), velocity=(0, 0, 0), spin=(0,
 
 def probe(surface, model, point):
     """Depth and normal."""
-    depth, *normal = type(surface).probe(surface.record(model)[0], *map(float, point))
+    call = called(type(surface).probe)
+    depth, *normal = call(surface.record(model)[0], np.array(point, float))
     return depth, np.array(normal)
+
+
+@cache
+def called(probe):
+    """A probe of vectors as a function of an array."""
+
+    @njit(error_model="numpy")
+    def call(record, point):
+        depth, normal = probe(record, read_vector(point, 0))
+        return depth, normal.x, normal.y, normal.z
+
+    return call
 
 
 def number(low, high):

@@ -1,0 +1,203 @@
+"""What laws of surface elements compute at every step, for each facet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.lanes import all_of, choose
+from mjgranular.kernel.vector import Vector, cross, dot, norm, outer, vector
+from mjgranular.law.facet_slope import (
+    EDGE,
+    RAMP,
+    led_by_differences,
+    led_slope_kernel,
+    simple_slope_kernel,
+)
+from mjgranular.law.kernel import LawKernel
+from mjgranular.law.patch import wet_part
+
+LANES = 8
+# A multiplier smaller than this has no direction. Chosen: far above the square root of the smallest
+# number.
+_STILL = 1e-150
+_ROUNDED = 1.0 + 1e-12  # what is beyond a bound by more is so however it is rounded; chosen
+_THIRD = 1.0 / 3.0
+
+
+class Facet(NamedTuple):
+    """A facet, body frame (`shape.facets`)."""
+
+    point: Vector
+    normal: Vector
+    edges: tuple[Vector, Vector]
+    spread: tuple[Vector, Vector]
+    area: float
+
+
+class FacetSample(NamedTuple):
+    """A facet in the sand."""
+
+    depth: float
+    length: float
+    point: Vector  # centre of pressure
+    normal: Vector
+    up: Vector  # normal of the sand
+    spread_1: Vector  # of the normal over both half edges
+    spread_2: Vector
+    middle: float  # depth of the facet's middle [m]
+    rise_1: float  # of the depth, along both half edges [m]
+    rise_2: float
+    mean: float  # depth over the whole facet, nothing counting for negative [m]
+    area: float  # [m^2]
+    push: float  # lambda rho area: the inertial term's [N s^2/m^2]
+
+
+@cache
+def facet_kernel(
+    probe: Any, *, stress: Any = None, slope: Any = None, is_plane: bool = False
+) -> LawKernel:
+    """The kernels of a law of surface elements for surfaces with that `probe`.
+
+    Args:
+        probe: the surface's.
+        stress: see `RftLaw`; asked where there is no slope.
+        slope: see `RftLaw`.
+        is_plane: whether facets may be culled, and sampled side by side.
+
+    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
+    turning body is lowered.
+    """
+
+    @partial(compiled, inline=True)
+    def facet_sample(facet, pose, law, surface, g):
+        point = pose.position + pose.rotation @ facet.point
+        middle, up = probe(surface, point)
+        edge_1, edge_2 = pose.rotation @ facet.edges[0], pose.rotation @ facet.edges[1]
+        rise_1, rise_2 = -dot(edge_1, up), -dot(edge_2, up)
+        reach = abs(rise_1) + abs(rise_2)
+        depth = middle + reach
+        if all_of(depth <= 0.0):
+            return FacetSample(
+                depth,
+                0.0,
+                point,
+                point,
+                up,
+                point,
+                point,
+                middle,
+                rise_1,
+                rise_2,
+                depth,
+                depth,
+                depth,
+            )
+        lowered = middle
+        if law.rise != 0.0:
+            lowered = lowered_behind(middle, pose, point, g)
+        if all_of(lowered > reach):  # in the sand as a whole, like most
+            scale = _THIRD / lowered
+            mean, s, t = lowered, rise_1 * scale, rise_2 * scale
+        else:
+            mean, s, t = wet_part(lowered, rise_1, rise_2)
+        # The force acts at the wet part's centre of pressure.
+        centre = point + s * edge_1 + t * edge_2
+        above = choose(mean > 0.0, middle, 1.0) <= 0.0
+        if not all_of(choose(above, 0.0, 1.0) > 0.0):
+            # Where that is dry, the middle is not above the sand but beside it.
+            below, _ = probe(surface, centre)
+            depth = choose(choose(above, below, 1.0) <= 0.0, middle, depth)
+        return FacetSample(
+            depth,
+            0.0,
+            centre,
+            pose.rotation @ facet.normal,
+            up,
+            pose.rotation @ facet.spread[0],
+            pose.rotation @ facet.spread[1],
+            lowered,
+            rise_1,
+            rise_2,
+            mean,
+            facet.area,
+            choose(depth <= 0.0, 0.0, law.inertia * facet.area),
+        )
+
+    def respond_kernel(led: Any) -> Any:
+        @partial(compiled, inline=True)
+        def respond(facet, law, g, v, p, eps):
+            size = norm(p)
+            # No multiplier is as good as one along z: nobody asked in a direction.
+            still = size <= _STILL
+            scale = 0.0 if still else 1.0 / size
+            u = scale * p
+            if still:
+                u = vector(0.0, 0.0, 1.0)
+            force, by_p = led(facet, law, g, u, eps)
+            if still:
+                force, by_p = 0.0 * u, outer(0.0 * u, u)
+            inertial = facet.push * max(dot(v, facet.normal), 0.0)
+            drag = (-inertial * dot(v, facet.normal)) * facet.normal
+            by_v = outer((-2.0 * inertial) * facet.normal, facet.normal)
+            return size * force, by_p, drag, by_v
+
+        return respond
+
+    @partial(compiled, inline=True)
+    def complexity(facet, law, p, eps):
+        """See `LawKernel.complexity`: a facet that leads as a whole, or not at all, is simple."""
+        lead = dot(p, facet.normal)
+        reach = _ROUNDED * (abs(dot(p, facet.spread_1)) + abs(dot(p, facet.spread_2)))
+        bound = max(reach, RAMP * norm(p))
+        if eps == 0.0:
+            bound = reach + 2.0 * EDGE if reach > 0.0 else 0.0
+        trails = lead <= -bound or facet.mean <= 0.0
+        found = 1 if abs(lead) >= bound else 2
+        return 0 if trails and facet.push == 0.0 else found
+
+    kernel = LawKernel(
+        Facet,
+        FacetSample,
+        facet_sample,
+        respond_kernel(led_by_differences(stress) if slope is None else led_slope_kernel(slope)),
+        lanes=LANES,
+        probe=probe if is_plane else None,
+        cull=facet_cull if is_plane else None,
+        side_by_side=is_plane,
+    )
+    if slope is None:
+        return kernel
+    simple = respond_kernel(simple_slope_kernel(slope))
+    return replace(kernel, complexity=complexity, respond_simple=simple)
+
+
+@partial(compiled, inline=True)
+def facet_cull(facet, level):
+    """Depth of a facet's deepest point (see `LawKernel.cull`)."""
+    rise_1, rise_2 = dot(level.normal, facet.edges[0]), dot(level.normal, facet.edges[1])
+    return level.depth - dot(level.normal, facet.point) + (abs(rise_1) + abs(rise_2))
+
+
+@partial(compiled, inline=True)
+def lowered_behind(depth, pose, point, g):
+    """Depth below the surface that a turning body has lowered behind itself.
+
+    Agarwal et al. 2021: `r (r w^2 / g)` on the rear half of a wheel; here r is the element's own
+    distance from the axis through the body's centre of mass, and the rear half is where the body's
+    velocity points away from the element.
+
+    Args:
+        depth: below the undisturbed surface [m].
+        pose: of the body.
+        point: of the element [m], world.
+        g: gravity [m/s^2].
+    """
+    angular, linear = pose.motion
+    arm = point - pose.com
+    velocity = linear + cross(angular, pose.com - pose.tree)  # of the centre of mass
+    turning = cross(angular, arm)  # r w
+    drop = dot(turning, turning) * (1.0 / g if g > 0.0 else 0.0)
+    return choose(dot(velocity, arm) >= 0.0, depth, depth - drop)

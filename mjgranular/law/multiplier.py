@@ -1,0 +1,133 @@
+"""The friction multiplier of an element, unknown beside its velocity, and how both are solved for.
+
+Static resistance jumps where the motion turns round. Made soft over a small speed eps it is a
+function F(p) of the *multiplier*
+
+    p = v / sqrt(v^2 + eps^2),
+
+which is the part of the limit that is called on, a vector of a size below one. It has next to no
+derivative along the motion where the limit is reached, and Newton's method for v alone leaps from
+there. So v and p are both unknown, and `sqrt(v^2 + eps^2) p = v` is linearized: equal at the
+solution, stiff on the way (the primal-dual method of Chan, Golub and Mulet, SIAM J. Sci. Comput. 20
+(1999), for the same function in image processing).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.vector import diagonal, dot, outer
+
+
+@dataclass(frozen=True)
+class Multiplier:
+    """Kernels of a sample, its velocity v [m/s], its multiplier p and the softness eps [m/s].
+
+    Attributes:
+        own: kernel `own(sample, v, eps)`: the multiplier of a velocity.
+        update: kernel `update(sample, v, p, c, eps)`: the multiplier after a step of Newton's
+            method that changes the velocity by `c`, cut to a size of one.
+        by_velocity: kernel `by_velocity(sample, v, p, eps)`: the derivative of the multiplier that
+            such a step goes by, a matrix.
+        turn: kernel `turn(sample, v, c, eps)`: the square of a change `c` of the velocity, in parts
+            of the speeds over which the multiplier turns.
+    """
+
+    own: Any
+    update: Any
+    by_velocity: Any
+    turn: Any
+
+
+@partial(compiled, inline=True)
+def softened(square, eps):
+    """1 / sqrt(v^2 + eps^2), what makes a velocity a multiplier [s/m]."""
+    return 1.0 / math.sqrt(square + eps * eps)
+
+
+@partial(compiled, inline=True)
+def multiplier_of(v, eps):
+    """The multiplier of a velocity."""
+    return softened(dot(v, v), eps) * v
+
+
+@partial(compiled, inline=True)
+def next_multiplier(v, p, c, eps):
+    """The multiplier after a step of Newton's method: see `Multiplier.update`."""
+    scale = softened(dot(v, v), eps)
+    q = scale * (v + c - (dot(v, c) * scale) * p)
+    square = dot(q, q)
+    return q if square <= 1.0 else (1.0 / math.sqrt(square)) * q
+
+
+@partial(compiled, inline=True)
+def own(sample, v, eps):
+    """One limit: `Multiplier.own`."""
+    return multiplier_of(v, eps)
+
+
+@partial(compiled, inline=True)
+def update(sample, v, p, c, eps):
+    """One limit: `Multiplier.update`."""
+    return next_multiplier(v, p, c, eps)
+
+
+@partial(compiled, inline=True)
+def by_velocity(sample, v, p, eps):
+    """One limit: `Multiplier.by_velocity`."""
+    scale = softened(dot(v, v), eps)
+    return diagonal(scale) - outer(p, (scale * scale) * v)
+
+
+@partial(compiled, inline=True)
+def turn(sample, v, c, eps):
+    """One limit: `Multiplier.turn`."""
+    return dot(c, c) / (dot(v, v) + eps * eps)
+
+
+ONE_LIMIT = Multiplier(own, update, by_velocity, turn)
+"""Of a law with one limit against motion in all directions."""
+
+
+@partial(compiled, inline=True)
+def split_own(sample, v, eps):
+    """Two limits: `Multiplier.own`."""
+    n = sample.normal
+    v_n = dot(v, n) * n
+    return multiplier_of(v_n, eps) + multiplier_of(v - v_n, eps)
+
+
+@partial(compiled, inline=True)
+def split_update(sample, v, p, c, eps):
+    """Two limits: `Multiplier.update`."""
+    n = sample.normal
+    v_n, p_n, c_n = dot(v, n) * n, dot(p, n) * n, dot(c, n) * n
+    along = next_multiplier(v_n, p_n, c_n, eps)
+    return along + next_multiplier(v - v_n, p - p_n, c - c_n, eps)
+
+
+@partial(compiled, inline=True)
+def split_by_velocity(sample, v, p, eps):
+    """Two limits: `Multiplier.by_velocity`."""
+    n = sample.normal
+    v_n, p_n = dot(v, n) * n, dot(p, n) * n
+    v_t, p_t = v - v_n, p - p_n
+    scale_n, scale_t = softened(dot(v_n, v_n), eps), softened(dot(v_t, v_t), eps)
+    straight = diagonal(scale_t) + outer((scale_n - scale_t) * n, n)
+    return straight - outer(p_n, (scale_n * scale_n) * v_n) - outer(p_t, (scale_t * scale_t) * v_t)
+
+
+@partial(compiled, inline=True)
+def split_turn(sample, v, c, eps):
+    """Two limits: `Multiplier.turn`."""
+    n = sample.normal
+    v_n, c_n = dot(v, n) * n, dot(c, n) * n
+    return max(turn(sample, v_n, c_n, eps), turn(sample, v - v_n, c - c_n, eps))
+
+
+TWO_LIMITS = Multiplier(split_own, split_update, split_by_velocity, split_turn)
+"""Of a law with one limit along the surface's `normal`, a field of its samples, and one across."""

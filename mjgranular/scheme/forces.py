@@ -1,0 +1,334 @@
+"""Forces on tiles of elements, their derivatives, and what they add up to on a body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.fields import column, rows
+from mjgranular.kernel.lanes import total_of
+from mjgranular.kernel.memory import held
+from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, vector
+from mjgranular.law.kernel import LawKernel
+from mjgranular.law.multiplier import multiplier_of
+from mjgranular.scheme.layout import (
+    ARM,
+    FORCE,
+    LED,
+    MISMATCH,
+    MULTIPLIER,
+    SAMPLE,
+    SLOPE,
+    TURN,
+    VELOCITY,
+    WEIGHT,
+    block_size,
+)
+from mjgranular.scheme.sampling import sampling_kernel
+
+# Not literals, for each of which numba would compile a function anew.
+FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
+"""Where multipliers come from: the velocity itself, a step of Newton's method to it, what is there.
+"""
+
+# As good as no softness [m/s], but for a speed of zero. Chosen: far below any motion, far above the
+# square root of the smallest number.
+_HARD = 1e-150
+
+
+class Response(NamedTuple):
+    """What a law answers to a velocity and a multiplier, to first order in both."""
+
+    force: Vector  # [N]
+    slope: Matrix  # minus its derivative by the velocity [N s/m]
+    mismatch: float  # square of the difference between the velocity's multiplier and that
+
+
+@dataclass(frozen=True)
+class BlockKernels:
+    """Loops over the tiles of a law's elements, for one kind of surface.
+
+    Attributes:
+        size: numbers in a tile.
+        immerse: kernel `immerse(table, w)`: fills the workspace's tiles with the elements in the
+            sand; how many tiles.
+        move: kernel `move(tile, motion, multipliers, eps, loose)`: velocities in a tile from its
+            body's spatial velocity, and multipliers.
+        respond: kernel `respond(tile, law, g, eps)`: forces and derivatives.
+        add: kernel `add(tile, wrench, stiffness)`: adds these to those of the body; the greatest
+            mismatch.
+        follow: kernel `follow(tile, motion, wrench, eps)`: the forces that the derivatives say for
+            the body's motion, and adds these to those of the body; the greatest `turn`.
+    """
+
+    size: int
+    immerse: Any
+    move: Any
+    respond: Any
+    add: Any
+    follow: Any
+
+
+@cache
+def block_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> BlockKernels:
+    """The implicit scheme's loops over a law's tiles.
+
+    Args:
+        kernel: of the law.
+        scene_dtype: record of law and surface.
+    """
+    size = block_size(kernel)
+
+    @partial(compiled, inline=True)
+    def note_head(table, w, body, place, tile, number, live, is_first, lead):
+        w.heads[number].body, w.heads[number].live = body.body, live
+
+    sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
+
+    @compiled
+    def immerse(table, w):
+        return sample_all(table, w, w.blocks.ctypes.data, 8 * size, 0.0)
+
+    return BlockKernels(
+        size,
+        immerse,
+        move_kernel(kernel),
+        respond_kernel(kernel),
+        add_kernel(kernel.lanes),
+        follow_kernel(kernel),
+    )
+
+
+def move_kernel(kernel: LawKernel) -> Any:
+    """See `BlockKernels.move`."""
+    lanes, update = kernel.lanes, kernel.multiplier.update
+    vectors, all_vectors = column(Vector, lanes), rows(Vector, lanes)
+    read, write, read_sample = vectors.read, vectors.write, column(kernel.samples, lanes).read
+    read_all, write_all = all_vectors.read, all_vectors.write
+
+    @compiled
+    def move(tile, motion, multipliers, eps, loose):
+        if multipliers == NEXT:
+            for lane in range(lanes):
+                before = read(tile, VELOCITY * lanes + lane)
+                p = read(tile, MULTIPLIER * lanes + lane)
+                sample = read_sample(tile, SAMPLE * lanes + lane)
+                v = velocity_at(motion, read(tile, ARM * lanes + lane))
+                p = update(sample, before, p, v - before, eps)
+                write(tile, MULTIPLIER * lanes + lane, p)
+        write_all(tile, VELOCITY * lanes, velocity_at(motion, read_all(tile, ARM * lanes)))
+        if multipliers == FRESH:
+            for lane in range(lanes):
+                p = multiplier_of(read(tile, VELOCITY * lanes + lane), loose)
+                write(tile, MULTIPLIER * lanes + lane, p)
+
+    return move
+
+
+@cache
+def linearized(kernel: LawKernel, respond: Any) -> Any:
+    """Makes a kernel `linearize(sample, law, g, v, p, eps)` that gives a `Response`.
+
+    With `w` the velocity's own multiplier, static resistance is F(w) in the end. On the way there,
+    `F(p) + F'(p) (w - p)` is taken for it, which is `F'(p) w`, since `F(p)` is `F'(p) p`.
+    """
+    own, by_velocity = kernel.multiplier.own, kernel.multiplier.by_velocity
+
+    @partial(compiled, inline=True)
+    def linearize(sample, law, g, v, p, eps):
+        _, by_p, drag, by_v = respond(sample, law, g, v, p, eps)
+        w = own(sample, v, eps)
+        slope = -(by_p @ by_velocity(sample, v, p, eps)) - by_v
+        return Response(by_p @ w + drag, slope, dot(w - p, w - p))
+
+    return linearize
+
+
+@cache
+def unled(kernel: LawKernel) -> Any:
+    """Makes a kernel `force_of(sample, law, g, v, led)`: the force of the law itself, no softer.
+
+    Static resistance takes the direction of the velocity `v`, drag the velocity `led`.
+    """
+    own, respond = kernel.multiplier.own, kernel.respond
+
+    @partial(compiled, inline=True)
+    def force_of(sample, law, g, v, led):
+        static, _, drag, _ = respond(sample, law, g, led, own(sample, v, _HARD), 0.0)
+        return static + drag
+
+    return force_of
+
+
+@partial(compiled, inline=True)
+def no_response(sample, law, g, v, p, eps):
+    """Of an element that feels nothing (see `LawKernel.complexity`)."""
+    return vector(0.0, 0.0, 0.0), diagonal(0.0), vector(0.0, 0.0, 0.0), diagonal(0.0)
+
+
+def by_complexity(kernel: LawKernel, in_lanes: Any) -> Any:
+    """Makes a kernel `respond(tile, law, g, eps)`: the quickest that answers for all lanes.
+
+    Args:
+        kernel: of the law.
+        in_lanes: makes such a kernel of a law's `respond`.
+    """
+    respond_all = in_lanes(kernel.respond)
+    if kernel.complexity is None:
+        return respond_all
+    lanes, complexity = kernel.lanes, kernel.complexity
+    read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
+    respond_none, respond_simple = in_lanes(no_response), in_lanes(kernel.respond_simple)
+
+    @compiled
+    def respond(tile, law, g, eps):
+        most = 0
+        for lane in range(lanes):
+            sample = read_sample(tile, SAMPLE * lanes + lane)
+            p = read(tile, MULTIPLIER * lanes + lane)
+            most = max(most, complexity(sample, law, p, eps))
+        if most == 0:
+            respond_none(tile, law, g, eps)
+        elif most == 1:
+            respond_simple(tile, law, g, eps)
+        else:
+            respond_all(tile, law, g, eps)
+
+    return respond
+
+
+def respond_kernel(kernel: LawKernel) -> Any:
+    """See `BlockKernels.respond`."""
+    lanes = kernel.lanes
+    read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
+    write = column(Response, lanes).write
+
+    def in_lanes(respond: Any) -> Any:
+        linearize = linearized(kernel, respond)
+
+        @compiled
+        def respond_all(tile, record, g, eps):
+            law = held(record)
+            for lane in range(lanes):
+                sample = read_sample(tile, SAMPLE * lanes + lane)
+                v = read(tile, VELOCITY * lanes + lane)
+                p = read(tile, MULTIPLIER * lanes + lane)
+                write(tile, FORCE * lanes + lane, linearize(sample, law, g, v, p, eps))
+
+        return respond_all
+
+    return by_complexity(kernel, in_lanes)
+
+
+def force_kernel(kernel: LawKernel) -> Any:
+    """Makes the explicit scheme's kernel `force(tile, law, g)`: the force of the law itself.
+
+    Static resistance takes the direction of the velocity now, drag the velocity that leads.
+    """
+    lanes, own = kernel.lanes, kernel.multiplier.own
+    vectors, read_sample = column(Vector, lanes), column(kernel.samples, lanes).read
+    read, write = vectors.read, vectors.write
+
+    def in_lanes(respond: Any) -> Any:
+        @compiled
+        def respond_all(tile, record, g, eps):
+            law = held(record)
+            for lane in range(lanes):
+                sample = read_sample(tile, SAMPLE * lanes + lane)
+                v, p = read(tile, LED * lanes + lane), read(tile, MULTIPLIER * lanes + lane)
+                static, _, drag, _ = respond(sample, law, g, v, p, 0.0)
+                write(tile, FORCE * lanes + lane, static + drag)
+
+        return respond_all
+
+    respond = by_complexity(kernel, in_lanes)
+
+    @compiled
+    def force(tile, law, g):
+        for lane in range(lanes):
+            sample = read_sample(tile, SAMPLE * lanes + lane)
+            p = own(sample, read(tile, VELOCITY * lanes + lane), _HARD)
+            write(tile, MULTIPLIER * lanes + lane, p)
+        respond(tile, law, g, 0.0)
+
+    return force
+
+
+@partial(compiled, inline=True)
+def add_total(array, first, v):
+    """Adds a vector, of lanes the sum over them, to three numbers of an array."""
+    array[first] += total_of(v.x)
+    array[first + 1] += total_of(v.y)
+    array[first + 2] += total_of(v.z)
+
+
+@cache
+def add_kernel(lanes: int) -> Any:
+    """See `BlockKernels.add`."""
+    read, read_weight = rows(Vector, lanes).read, rows(float, lanes).read
+    read_slope = rows(Matrix, lanes).read
+
+    @compiled
+    def add(tile, wrench, stiffness):
+        weight, arm = read_weight(tile, WEIGHT * lanes), read(tile, ARM * lanes)
+        force = weight * read(tile, FORCE * lanes)
+        add_total(wrench, 0, cross(arm, force))
+        add_total(wrench, 3, force)
+        # K on the point becomes B^T K B on the body, with B = (-[r]x, 1): r x K above K.
+        below = weight * read_slope(tile, SLOPE * lanes)
+        above = cross(arm, below)
+        add_row(stiffness, 0, arm, above.x)
+        add_row(stiffness, 6, arm, above.y)
+        add_row(stiffness, 12, arm, above.z)
+        add_row(stiffness, 18, arm, below.x)
+        add_row(stiffness, 24, arm, below.y)
+        add_row(stiffness, 30, arm, below.z)
+        mismatch = 0.0
+        for lane in range(lanes):
+            mismatch = max(mismatch, tile[MISMATCH * lanes + lane])
+        return mismatch
+
+    return add
+
+
+@partial(compiled, inline=True)
+def add_row(stiffness, first, arm, row):
+    """Adds row (-[r]x, 1)."""
+    add_total(stiffness, first, cross(arm, row))
+    add_total(stiffness, first + 3, row)
+
+
+@cache
+def follow_kernel(kernel: LawKernel) -> Any:
+    """See `BlockKernels.follow`."""
+    lanes, turn = kernel.lanes, kernel.multiplier.turn
+    vectors, slopes, all_weights = rows(Vector, lanes), rows(Matrix, lanes), rows(float, lanes)
+    read_all, write_all, read_slopes = vectors.read, vectors.write, slopes.read
+    read_weight = all_weights.read
+    read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
+
+    @compiled
+    def follow(tile, motion, wrench, eps):
+        arm = read_all(tile, ARM * lanes)
+        change = velocity_at(motion, arm) - read_all(tile, VELOCITY * lanes)
+        force = read_all(tile, FORCE * lanes) - read_slopes(tile, SLOPE * lanes) @ change
+        write_all(tile, FORCE * lanes, force)
+        force = read_weight(tile, WEIGHT * lanes) * force
+        add_total(wrench, 0, cross(arm, force))
+        add_total(wrench, 3, force)
+        for lane in range(lanes):
+            v = read(tile, VELOCITY * lanes + lane)
+            change_here = velocity_at(motion, read(tile, ARM * lanes + lane)) - v
+            sample = read_sample(tile, SAMPLE * lanes + lane)
+            tile[TURN * lanes + lane] = turn(sample, v, change_here, eps)
+        most = 0.0
+        for lane in range(lanes):
+            most = max(most, tile[TURN * lanes + lane])
+        return most
+
+    return follow

@@ -1,0 +1,249 @@
+"""Elements in the sand, found and put into tiles: the loop over elements of both schemes."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.elementary import bits_of, number_of
+from mjgranular.kernel.fields import column, rows, size_of
+from mjgranular.kernel.lanes import all_of, count_of
+from mjgranular.kernel.memory import (
+    BODIES,
+    BODY_COUNT,
+    CONTACTS,
+    ELEMENT_COUNT,
+    ELEMENTS,
+    SCENE,
+    floats,
+    records,
+    scratch,
+)
+from mjgranular.kernel.motion import velocity_at
+from mjgranular.kernel.records import CONTACT_DTYPE, body_records, contact_records
+from mjgranular.kernel.vector import Vector, write_vector
+from mjgranular.law.kernel import LawKernel, level_kernel
+from mjgranular.scheme.layout import (
+    ARM,
+    INDEX,
+    POINT,
+    SAMPLE,
+    VELOCITY,
+    WEIGHT,
+    block_size,
+    element_row,
+)
+from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
+
+
+@partial(compiled, inline=True)
+def _no_level(surface, pose):
+    return 0.0
+
+
+@partial(compiled, inline=True)
+def _no_cull(element, level):
+    return math.inf
+
+
+def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, compact: bool) -> Any:
+    """Makes a kernel `sample_all(table, workspace, tiles, step, lead)`.
+
+    It looks at all elements, notes their depths in their contacts, fills tiles with those in the
+    sand, body by body, and gives the number of tiles.
+
+    Args:
+        kernel: of the law.
+        scene_dtype: record of law and surface.
+        finish: kernel `finish(table, workspace, body, place, tile, number, live, is_first, lead)`,
+            which is handed each tile: its number, how many elements are in it, and whether it is
+            the first of its body.
+        compact: put together what is in the sand of several packed tiles. It pays where forces are
+            asked for several times.
+
+    The arguments of `sample_all` are the simulation's table, whatever `finish` knows as its
+    workspace, the address of the first tile, the distance from one to the next in bytes (0 if one
+    is to be used for all), and the scheme's lead [s].
+    """
+    lanes, size = kernel.lanes, block_size(kernel)
+    packed_size = size_of(kernel.element) * lanes
+    level = _no_level if kernel.cull is None else level_kernel(kernel.probe)
+    if kernel.side_by_side:
+        look, take, close = _side_by_side(kernel, scene_dtype, compact)
+    else:
+        look, take, close = _one_by_one(kernel, scene_dtype)
+    all_points, points = rows(Vector, lanes), column(Vector, lanes)
+    read_all, write_all, read = all_points.read, all_points.write, points.read
+    scene_records = records(scene_dtype)
+
+    @partial(compiled, inline=True)
+    def complete(table, workspace, body, place, address, number, live, is_first, lead):
+        """Writes what is known of a tile's elements before their forces."""
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        tile, pose = floats(address, size), pose_at(place)
+        arm = read_all(tile, POINT * lanes) - pose.tree
+        write_all(tile, ARM * lanes, arm)
+        write_all(tile, VELOCITY * lanes, velocity_at(pose.motion, arm))
+        for lane in range(lanes):
+            if tile[WEIGHT * lanes + lane] > 0.0:
+                contact = contacts[bits_of(tile[INDEX * lanes + lane])]
+                contact.length = tile[(SAMPLE + 1) * lanes + lane]
+                write_vector(contact.point, 0, read(tile, POINT * lanes + lane))
+                write_vector(contact.velocity, 0, read(tile, VELOCITY * lanes + lane))
+        finish(table, workspace, body, place, tile, number, live, is_first, lead)
+
+    @compiled
+    def sample_all(table, workspace, tiles, step, lead):
+        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        surface = scene_records(table[SCENE], 1)[0].surface
+        packed = table[ELEMENTS]
+        number, first = 0, 0
+        for slot in range(len(bodies)):
+            body = bodies[slot]
+            place = place_of(table, body)
+            around = level(surface, pose_at(place))
+            start = number
+            live = 0
+            while first < body.end:
+                here = min(body.end - first, lanes)
+                lane = 0 if look(table, packed, first, here, around) else here
+                while lane < here:
+                    tile = tiles + step * number
+                    lane, live = take(table, packed, first, lane, here, place, around, tile, live)
+                    if live == lanes:
+                        is_first = number == start
+                        complete(table, workspace, body, place, tile, number, live, is_first, lead)
+                        number += 1
+                        live = 0
+                packed += 8 * packed_size
+                first += here
+            if live > 0:
+                tile = tiles + step * number
+                close(table, place, tile, live)
+                is_first = number == start
+                complete(table, workspace, body, place, tile, number, live, is_first, lead)
+                number += 1
+        return number
+
+    return sample_all
+
+
+def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any]:
+    """Makes kernels `look`, `take` and `close`, for laws and surfaces that take numbers.
+
+    `look` says whether anything of a packed tile may be in the sand. `take` looks at its elements,
+    from a lane on, until the tile is full; it gives the lane to go on from, and how many elements
+    the tile has. `close` fills up a tile.
+    """
+    lanes, sample = kernel.lanes, kernel.sample
+    cull = _no_cull if kernel.cull is None else kernel.cull
+    read_element, samples = column(kernel.element, lanes).read, column(kernel.samples, lanes)
+    read_sample, write_sample = samples.read, samples.write
+    scene_records = records(scene_dtype)
+    packed_size, size = size_of(kernel.element) * lanes, block_size(kernel)
+
+    @partial(compiled, inline=True)
+    def look(table, packed, first, here, around):
+        return True
+
+    @compiled
+    def take(table, packed, first, lane, here, place, around, address, live):
+        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+        scene, g = scene_records(table[SCENE], 1)[0], gravity_of(table)
+        elements, tile = floats(packed, packed_size), floats(address, size)
+        while lane < here and live < lanes:
+            element, contact = read_element(elements, lane), contacts[first + lane]
+            depth = cull(element, around)
+            if not depth <= 0.0:
+                found = sample(element, pose_at(place), scene.law, scene.surface, g)
+                depth = found.depth
+                if not depth <= 0.0:
+                    write_sample(tile, SAMPLE * lanes + live, found)
+                    tile[INDEX * lanes + live] = number_of(first + lane)
+                    tile[WEIGHT * lanes + live] = 1.0
+                    live += 1
+            contact.depth = depth
+            lane += 1
+        return lane, live
+
+    @compiled
+    def close(table, place, address, live):
+        tile = floats(address, size)
+        last = read_sample(tile, SAMPLE * lanes + live - 1)
+        for lane in range(live, lanes):
+            write_sample(tile, SAMPLE * lanes + lane, last)
+            tile[WEIGHT * lanes + lane] = 0.0
+
+    return look, take, close
+
+
+def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tuple[Any, Any, Any]:
+    """Makes the same kernels for laws and surfaces that take all lanes at once."""
+    lanes, sample, cull = kernel.lanes, kernel.sample, kernel.cull
+    elements, one = rows(kernel.element, lanes), column(kernel.element, lanes)
+    read_elements, read_element, write_element = elements.read, one.read, one.write
+    write_samples, write_depths = rows(kernel.samples, lanes).write, rows(float, lanes).write
+    # Of a loop the compiler makes scattered stores, which take longer than single ones.
+    contact_size = CONTACT_DTYPE.itemsize
+    stride = contact_size // 8  # the depth comes first
+    read_depths, note_depths = column(lanes, 1).read, column(lanes, stride).write
+    room_of_depths, scene_records = scratch(lanes), records(scene_dtype)
+    packed_size, size = size_of(kernel.element) * lanes, block_size(kernel)
+    gathered = element_row(kernel) * lanes
+
+    @partial(compiled, inline=True)
+    def look(table, packed, first, here, around):
+        depths = room_of_depths()
+        deepest = cull(read_elements(floats(packed, packed_size), 0), around)
+        write_depths(depths, 0, deepest)
+        contacts = table[CONTACTS] + contact_size * first
+        if here == lanes:
+            note_depths(floats(contacts, lanes * stride), 0, read_depths(depths, 0))
+        else:
+            for lane in range(here):
+                floats(contacts + contact_size * lane, 1)[0] = depths[lane]
+        return not all_of(deepest <= 0.0)
+
+    @compiled
+    def sample_tile(table, array, at, place, tile):
+        scene, g = scene_records(table[SCENE], 1)[0], gravity_of(table)
+        found = sample(read_elements(array, at), pose_at(place), scene.law, scene.surface, g)
+        write_samples(tile, SAMPLE * lanes, found)
+
+    @compiled
+    def take(table, packed, first, lane, here, place, around, address, live):
+        tile, found, depths = floats(address, size), floats(packed, packed_size), room_of_depths()
+        deepest = cull(read_elements(found, 0), around)
+        write_depths(depths, 0, deepest)
+        is_whole = here == lanes and live == 0 and count_of(deepest <= 0.0) == 0
+        if is_whole or not compact:
+            for k in range(lanes):
+                tile[INDEX * lanes + k] = number_of(first + k)
+                tile[WEIGHT * lanes + k] = 0.0 if depths[k] <= 0.0 or k >= here else 1.0
+            sample_tile(table, found, 0, place, tile)
+            return here, lanes
+        while lane < here and live < lanes:
+            if not depths[lane] <= 0.0:
+                write_element(tile, gathered + live, read_element(found, lane))
+                tile[INDEX * lanes + live] = number_of(first + lane)
+                tile[WEIGHT * lanes + live] = 1.0
+                live += 1
+            lane += 1
+        if live == lanes:
+            sample_tile(table, tile, gathered, place, tile)
+        return lane, live
+
+    @compiled
+    def close(table, place, address, live):
+        tile = floats(address, size)
+        last = read_element(tile, gathered + live - 1)
+        for lane in range(live, lanes):
+            write_element(tile, gathered + lane, last)
+            tile[WEIGHT * lanes + lane] = 0.0
+        sample_tile(table, tile, gathered, place, tile)
+
+    return look, take, close
