@@ -194,6 +194,7 @@ def test_sand_is_in_qfrc_passive_and_nothing_else_is_touched(model: mujoco.MjMod
     assert not np.any(data.qfrc_applied)
 
 
+@pytest.mark.filterwarnings("ignore::mjgranular.errors.RangeWarning")  # 10 m deep, to stay there
 def test_runge_kutta_is_of_fourth_order() -> None:
     # Drag alone is smooth; deep down, so that the surface is never crossed.
     spec = Link().spec()
