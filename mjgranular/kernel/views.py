@@ -55,10 +55,10 @@ class Views(types.Type):
 
     def place(self, builder: Any, address: Any, field: str) -> Any:
         """Emits the pointer to a number or an address."""
-        offset = self.dtype.fields[field][1]  # pyright: ignore[reportOptionalSubscript]
+        fields: Any = self.dtype.fields
         is_real = self.numbers.get(field) == types.float64
         word = ir.DoubleType() if is_real else _WORD
-        return builder.inttoptr(builder.add(address, _WORD(offset)), word.as_pointer())
+        return builder.inttoptr(builder.add(address, _WORD(fields[field][1])), word.as_pointer())
 
 
 @register_model(Views)

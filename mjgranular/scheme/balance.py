@@ -1,12 +1,13 @@
 """The balance of momentum over one step, in generalized coordinates: residual and its Jacobian.
 
     R(v')  = A (v' - v) - h (q + q_c(v') + J^T f(v'))
-    R'(v') = A + h sum_b J_b^T K_b J_b + (constraints)
+    R'(v') = A + h sum_b J_b^T K_b J_b + (sum_i D_i J_i^T J_i) K
 
 A = M + C is the inertia and what the integrator adds to it, q are MuJoCo's smooth forces, q_c those
-of its constraints (`scheme.constraints`), f those of the sand on its elements. For each body b the
-sand gives a wrench and minus its derivative by the body's spatial velocity, the 6 x 6 matrix K_b;
-J_b has the columns of `cdof` of the joints below it. Like inertias they are summed down the tree.
+of its constraints (with D_i, J_i, K: see `scheme.constraints`), f those of the sand on its
+elements. For each body b the sand gives a wrench and minus its derivative by the body's spatial
+velocity, the 6 x 6 matrix K_b; J_b has the columns of `cdof` of the joints below it. Like inertias
+they are summed down the tree.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import actuator_damping, smooth_derivative
 from mjgranular.kernel.memory import scratch
 from mjgranular.kernel.motion import read_motion
+from mjgranular.kernel.vector import dot, read_vector, transposed, vector
 from mjgranular.scheme.constraints import add_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.workspace import EULER, EULER_DAMPED, IMPLICIT, POLY
@@ -28,7 +30,6 @@ from mjgranular.scheme.workspace import EULER, EULER_DAMPED, IMPLICIT, POLY
 _JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
 
 poly_numbers = scratch(POLY)
-six_numbers = scratch(6)
 
 
 @compiled
@@ -169,24 +170,27 @@ def add_stiffness(w):
     for b in range(w.nbody - 1, 0, -1):
         if wet[b] != 0:
             add_scaled(stiffness[w.body_parentid[b]], 1.0, stiffness[b])
-    down, across = six_numbers(), six_numbers()  # h K c, h K^T c: K need not be symmetric
     for j in range(w.nv):
-        b = w.dof_bodyid[j]
-        if wet[b] == 0:
+        body = w.dof_bodyid[j]
+        if wet[body] == 0:
             continue
-        k, c = stiffness[b], cdof[j]
-        clear(down)
-        clear(across)
-        for n in range(6):
-            u = w.h * c[n]
-            if u == 0.0:  # half of them and more: slides, and all that moves in a plane
-                continue
-            for m in range(6):
-                down[m] += u * k[6 * m + n]
-                across[m] += u * k[6 * n + m]
+        k = stiffness[body]
+        a, b, c, d = block_of(k, 0), block_of(k, 3), block_of(k, 18), block_of(k, 21)
+        turning, moving = w.h * read_vector(cdof[j], 0), w.h * read_vector(cdof[j], 3)
+        # h K_b cdof_j and h K_b^T cdof_j: K_b need not be symmetric.
+        moment, force = a @ turning + b @ moving, c @ turning + d @ moving
+        across_moment = transposed(a) @ turning + transposed(c) @ moving
+        across_force = transposed(b) @ turning + transposed(d) @ moving
         i = j
         while i >= 0:
-            jacobian[i, j] += inner(cdof[i], down)
+            turning, moving = read_vector(cdof[i], 0), read_vector(cdof[i], 3)
+            jacobian[i, j] += dot(turning, moment) + dot(moving, force)
             if i != j:
-                jacobian[j, i] += inner(cdof[i], across)
+                jacobian[j, i] += dot(turning, across_moment) + dot(moving, across_force)
             i = w.dof_parentid[i]
+
+
+@partial(compiled, inline=True)
+def block_of(k, first):
+    """A block of 3 x 3 of a 6 x 6 matrix, from its number `first` on."""
+    return vector(read_vector(k, first), read_vector(k, first + 6), read_vector(k, first + 12))

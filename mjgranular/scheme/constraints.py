@@ -22,7 +22,7 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.engine import solve_inertia
 from mjgranular.kernel.memory import scratch
-from mjgranular.scheme.dense import add_outer, add_scaled, clear, inner
+from mjgranular.scheme.dense import add_outer, add_scaled, clear, copy, inner
 from mjgranular.scheme.forces import NEXT, SAME
 from mjgranular.scheme.workspace import EULER
 
@@ -35,25 +35,26 @@ numbers_of_contact = scratch(6)
 @compiled
 def prepare_constraints(w):
     """Finds the rows of K that constraints touch."""
-    if w.integrator == EULER or w.nefc == 0:
-        return
+    touched, undamped, damping = w.touched, w.undamped, w.damping
+    unit, product = w.trial, w.product
     for j in range(w.nv):
-        w.touched[j] = 0
+        touched[j] = 0
     for i in range(w.nefc):
         row = row_at(w, i)
-        for j in range(w.nv):
-            w.touched[j] |= row[j] != 0.0
-    unit, product = w.trial, w.product
+        for j in range(len(row)):
+            touched[j] |= row[j] != 0.0
     clear(unit)
     for j in range(w.nv):
-        clear(w.undamped[j])
-        if w.touched[j] != 0:
-            unit[j] = w.undamped[j, j] = 1.0
+        if touched[j] == 0:
+            continue
+        unit[j] = 1.0
+        copy(undamped[j], unit)
+        if w.integrator != EULER:
             solve_inertia(w.model, w.data, product.ctypes.data, unit.ctypes.data, 1)
-            unit[j] = 0.0
-            for k in range(w.nv):
+            for k in range(len(unit)):
                 if product[k] != 0.0:
-                    add_scaled(w.undamped[j], product[k], w.damping[k])
+                    add_scaled(undamped[j], product[k], damping[k])
+        unit[j] = 0.0
 
 
 @compiled
@@ -86,8 +87,9 @@ def add_constraints(w, update):
     for j in range(w.nv):
         clear(w.springs[j])
         w.rate[j] = (w.velocity[j] - w.start[j]) / w.h
+    rate, undamped = w.rate, w.undamped
     for j in range(w.nv):
-        w.acceleration[j] = w.rate[j] if w.integrator == EULER else inner(w.undamped[j], w.rate)
+        w.acceleration[j] = inner(undamped[j], rate) if w.touched[j] != 0 else 0.0
     losses = 0
     i = np.int64(0)  # a literal would be compiled for on its own
     while i < w.nefc:
@@ -109,13 +111,11 @@ def add_constraints(w, update):
         add_row(w, row_at(w, i), force, spring)
         i += 1
     for i in range(w.nv):
-        springs, jacobian = w.springs[i], w.jacobian[i]
-        if w.integrator == EULER:
-            add_scaled(jacobian, 1.0, springs)
-        else:
-            for k in range(w.nv):
+        if w.touched[i] != 0:
+            springs, jacobian = w.springs[i], w.jacobian[i]
+            for k in range(len(springs)):
                 if springs[k] != 0.0:
-                    add_scaled(jacobian, springs[k], w.undamped[k])
+                    add_scaled(jacobian, springs[k], undamped[k])
     return mismatch
 
 

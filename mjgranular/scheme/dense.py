@@ -56,22 +56,16 @@ def solve(m, b, x):
     """
     n = len(b)
     for k in range(n - 1, -1, -1):
-        row = m[k]
-        pivot = row[k]
+        row, pivot = m[k, :k], m[k, k]
         if not abs(pivot) > 0.0:
             return False
         scale = 1.0 / pivot
         for i in range(k):
-            other = m[i]
-            factor = other[k] * scale
+            factor = m[i, k]
             if factor != 0.0:
-                for j in range(k):
-                    other[j] -= factor * row[j]
+                factor *= scale
+                add_scaled(m[i, :k], -factor, row)
                 b[i] -= factor * b[k]
     for k in range(n):
-        row = m[k]
-        total = b[k]
-        for j in range(k):
-            total -= row[j] * x[j]
-        x[k] = total / row[k]
+        x[k] = (b[k] - inner(m[k, :k], x)) / m[k, k]
     return True

@@ -41,7 +41,7 @@ POLY = int(mujoco.mjNPOLY)
 
 _F, _I, _L = np.float64, np.int32, np.int64
 
-_INTEGERS = (
+_INTEGERS: tuple[str, ...] = (
     "nbody", "nv", "njnt", "nC", "nD",
     "nfriction",  # friction losses: of joints and tendons
     "nlone",  # degrees of freedom of lone free bodies
@@ -54,7 +54,7 @@ _INTEGERS = (
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
     "count",  # of blocks that are filled in this step
 )  # fmt: skip
-_REALS = (
+_REALS: tuple[str, ...] = (
     "h",  # time step [s]
     "scale",  # size of the momentum at hand
 )
@@ -117,7 +117,10 @@ _OWN = {
     "heads": (HEAD_DTYPE, ("block_count",)),  # of blocks: body, live lanes
     "blocks": (_F, ("block_count", "block_size")),
     "statistics": (STATISTICS_DTYPE, (1,)),
-    "offsets": (_L, (len(ROWS_DTYPE),)),  # of what describes the constraints, in `mjData`
+    "offsets": (
+        _L,
+        (len(ROWS_DTYPE.names or ()),),
+    ),  # of what describes the constraints, in `mjData`
 }
 # In MuJoCo's arena, which is laid out anew at every step; in the order of `offsets`.
 _OF_CONSTRAINTS = {
@@ -135,10 +138,10 @@ _OF_CONSTRAINTS = {
 
 _VIEWS = Views(
     "Workspace",
-    dict.fromkeys(_INTEGERS, _L) | dict.fromkeys(_REALS, _F),
+    {**dict.fromkeys(_INTEGERS, _L), **dict.fromkeys(_REALS, _F)},
     {**_OF_MODEL, **_OF_DATA, **_OWN, **_OF_CONSTRAINTS},
 )
-_WORDS = len(_VIEWS.dtype)
+_WORDS = _VIEWS.dtype.itemsize // 8
 _FIRST_OF_CONSTRAINTS = _WORDS - len(_OF_CONSTRAINTS)
 workspace_at = views_at(_VIEWS)
 """Kernel `workspace_at(address)`: the workspace whose record lies there."""
