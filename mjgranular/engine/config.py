@@ -21,7 +21,8 @@ from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.law import Law, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
-from mjgranular.scheme import Scheme, schemes
+from mjgranular.scheme import schemes
+from mjgranular.scheme.scheme import SchemeChoice
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
 KEYS = (
@@ -214,7 +215,7 @@ def _read_surface(text: str) -> Surface:
     return cls(**given)
 
 
-def _read_scheme(text: str) -> Scheme:
+def _read_scheme(text: str) -> SchemeChoice:
     _, cls, given = _part(text, schemes, "scheme")
     return cls(**given)
 

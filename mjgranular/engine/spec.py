@@ -14,7 +14,7 @@ from mjgranular.errors import InputError
 from mjgranular.given import check_spec, surface_of
 from mjgranular.law import Law
 from mjgranular.medium import Medium
-from mjgranular.scheme import Scheme
+from mjgranular.scheme.scheme import SchemeChoice
 from mjgranular.shape.select import Choice
 from mjgranular.surface import Surface
 
@@ -25,7 +25,7 @@ def add_sand(
     medium: str | Path | Medium = DEFAULT_MEDIUM,
     law: str | Law | None = None,
     surface: Surface | None = None,
-    scheme: str | Scheme = "auto",
+    scheme: str | SchemeChoice = "auto",
     bodies: Choice = None,
     geoms: Choice = None,
     groups: Sequence[int] | int | None = None,

@@ -21,7 +21,7 @@ from mjgranular.sand.company import company_of, refuse_sand_of_its_own
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.scheme import Scheme, get_scheme
-from mjgranular.scheme.scheme import STEP
+from mjgranular.scheme.scheme import STEP, SchemeChoice
 from mjgranular.scheme.status import FINE, REFUSED
 from mjgranular.shape import select_geoms
 from mjgranular.shape.select import Choice, body_name
@@ -88,7 +88,7 @@ class Sand:
         medium: str | Path | Medium = "play_sand",
         law: str | Law | None = None,
         surface: Surface | None = None,
-        scheme: str | Scheme = "auto",
+        scheme: str | SchemeChoice = "auto",
         bodies: Choice = None,
         geoms: Choice = None,
         groups: Sequence[int] | int | None = None,

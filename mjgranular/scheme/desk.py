@@ -14,7 +14,7 @@ from mjgranular.kernel.engine import ROWS_DTYPE, constraint_rows, is_sparse
 from mjgranular.kernel.memory import floats, ints, longs, records
 from mjgranular.kernel.options import options_at
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.layout import HEAD_DTYPE, block_count, block_size
+from mjgranular.scheme.layout import HEAD_DTYPE, tile_count, tile_size
 from mjgranular.scheme.scheme import Desk
 
 ACCOUNT_DTYPE = np.dtype(
@@ -201,9 +201,9 @@ def make_desk(
         of_model: address of an array of the model by its name.
         of_data: address of an array of the data by its name.
     """
-    count = block_count(kernel, elements)
+    count = tile_count(kernel, elements)
     heads = np.zeros(count, HEAD_DTYPE)
-    blocks = np.zeros(count * block_size(kernel))
+    blocks = np.zeros(count * tile_size(kernel))
     numbers = np.zeros(room_size(model.nv, model.nbody, model.ntendon))
     account = np.zeros(1, ACCOUNT_DTYPE)
     rows = np.array([constraint_rows()], ROWS_DTYPE)
@@ -219,7 +219,7 @@ def make_desk(
         int(within),
         0,  # WARM
         kernel.lanes,
-        block_size(kernel),
+        tile_size(kernel),
         count,
         model.nv + model.ntendon,
     )

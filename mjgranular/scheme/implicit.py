@@ -59,7 +59,7 @@ from mjgranular.scheme.balance import (
     prepare_inertia,
 )
 from mjgranular.scheme.constraints import prepare_rows
-from mjgranular.scheme.forces import FRESH, SAME, block_kernels
+from mjgranular.scheme.forces import FRESH, SAME, tile_kernels
 from mjgranular.scheme.handover import hand_over, tell_contacts, warm_engine
 from mjgranular.scheme.layout import ARM, head_records
 from mjgranular.scheme.newton import Way, newton_kernel
@@ -155,7 +155,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         scene_dtype: record of law and surface.
         most: evaluations after which no finer softness is begun.
     """
-    immerse_all = block_kernels(kernel, scene_dtype).immerse
+    sample_all = tile_kernels(kernel, scene_dtype).sample
     newton = newton_kernel(kernel, scene_dtype)
 
     @compiled
@@ -231,7 +231,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         withdraw_wrenches(table)
         for slot in range(len(bodies)):
             clear(bodies[slot].wrench)
-        count = immerse_all(table, desk)
+        count = sample_all(table, desk)
         if count > 0:
             forward_smooth(desk)
             room = d.open_room(desk)

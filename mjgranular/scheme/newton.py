@@ -27,7 +27,7 @@ from mjgranular.scheme.balance import (
     weigh,
 )
 from mjgranular.scheme.constraints import leave
-from mjgranular.scheme.forces import NEXT, block_kernels
+from mjgranular.scheme.forces import NEXT, tile_kernels
 from mjgranular.scheme.layout import head_records
 from mjgranular.scheme.wrenches import gravity_of
 
@@ -65,7 +65,7 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         kernel: of the law.
         scene_dtype: record of law and surface.
     """
-    of_blocks = block_kernels(kernel, scene_dtype)
+    of_blocks = tile_kernels(kernel, scene_dtype)
     move, respond, add, follow = of_blocks.move, of_blocks.respond, of_blocks.add, of_blocks.follow
     scene_records, size = records(scene_dtype), of_blocks.size
 
