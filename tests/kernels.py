@@ -7,7 +7,7 @@ from mjgranular.kernel.fields import column, packed, size_of
 from mjgranular.kernel.motion import read_motion
 from mjgranular.kernel.vector import read_matrix, read_vector, vector, write_vector
 from mjgranular.law.kernel import Pose
-from mjgranular.scheme.forces import Response, linearized, unled
+from mjgranular.scheme.forces import Response, linearized, unsoftened
 
 
 @njit(error_model="numpy")
@@ -30,7 +30,7 @@ class Kernels:
         element, samples = column(kernel.element, 1), column(kernel.samples, 1)
         read_element, read_sample, write_sample = element.read, samples.read, samples.write
         write_response = column(Response, 1).write
-        sample, force_of = kernel.sample, unled(kernel)
+        sample, force_of = kernel.sample, unsoftened(kernel, kernel.respond)
         own, update = kernel.multiplier.own, kernel.multiplier.update
         complexity = kernel.complexity
 

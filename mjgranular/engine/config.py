@@ -23,7 +23,8 @@ from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
 from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
-from mjgranular.scheme import Scheme, schemes
+from mjgranular.scheme import schemes
+from mjgranular.scheme.scheme import SchemeChoice
 from mjgranular.shape.select import names_in
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.choice import surface_of
@@ -217,7 +218,7 @@ def _read_surface(text: str) -> Surface:
     return cls(**given)
 
 
-def _read_scheme(text: str) -> Scheme:
+def _read_scheme(text: str) -> SchemeChoice:
     _, cls, given = _part(text, schemes, "scheme")
     return cls(**given)
 

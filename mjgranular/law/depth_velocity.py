@@ -15,14 +15,12 @@ from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
 from mjgranular.law.kernel import LawKernel
-from mjgranular.law.law import Law, constants_of, register_law
+from mjgranular.law.law import Law, register_law
 from mjgranular.law.validity import Limit
-from mjgranular.medium import Medium
 from mjgranular.shape.blobs import blobs_from_model, support
 from mjgranular.surface import Surface
 
 _KEYS = ("constant", "stiffness", "exponent", "linear", "quadratic")
-DEPTH_VELOCITY_DTYPE = np.dtype([(key, np.float64) for key in _KEYS])
 
 
 class Blob(NamedTuple):
@@ -163,20 +161,10 @@ class DepthVelocityLaw(Law):
             raise InputError(f"the drag length d1 must be positive, not {drag_length} m")
         return cls(stiffness=stiffness, quadratic=mass / drag_length)
 
-    @classmethod
-    def from_medium(cls, medium: Medium | str) -> Self:
-        return cls(**constants_of(cls, medium))
-
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
     ) -> np.ndarray:
         return blobs_from_model(model, geoms)
-
-    def parameters(self, medium: Medium) -> np.ndarray:
-        parameters = np.zeros(1, DEPTH_VELOCITY_DTYPE)
-        for key in _KEYS:
-            parameters[key] = getattr(self, key)
-        return parameters
 
     def kernel(self, surface: Surface) -> LawKernel:
         return depth_velocity_kernel(type(surface).probe)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any, NamedTuple
@@ -20,9 +21,9 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.law.patch import wet_part
 
 LANES = 8
-# A multiplier smaller than this has no direction. Chosen: far above the square root of the smallest
-# number.
-_STILL = 1e-150
+# A multiplier of which the square is smaller than this has no direction. Chosen: far above the
+# smallest number.
+_STILL = 1e-300
 _ROUNDED = 1.0 + 1e-12  # what is beyond a bound by more is so however it is rounded; chosen
 _THIRD = 1.0 / 3.0
 
@@ -129,9 +130,11 @@ def facet_kernel(
     def respond_kernel(led: Any) -> Any:
         @partial(compiled, inline=True)
         def respond(facet, law, g, v, p, eps):
-            size = norm(p)
+            # The multiplier of the law itself has no size but one.
+            square = dot(p, p)
+            size = math.sqrt(square) if eps > 0.0 else 1.0
+            still = square <= _STILL
             # No multiplier is as good as one along z: nobody asked in a direction.
-            still = size <= _STILL
             scale = 0.0 if still else 1.0 / size
             u = scale * p
             if still:
@@ -153,7 +156,8 @@ def facet_kernel(
         reach = _ROUNDED * (abs(dot(p, facet.spread_1)) + abs(dot(p, facet.spread_2)))
         bound = max(reach, RAMP * norm(p))
         if eps == 0.0:
-            bound = reach + 2.0 * EDGE if reach > 0.0 else 0.0
+            size = abs(p.x) + abs(p.y) + abs(p.z)
+            bound = reach + 2.0 * EDGE * size if reach > 0.0 else 0.0
         trails = lead <= -bound or facet.mean <= 0.0
         found = 1 if abs(lead) >= bound else 2
         return 0 if trails and facet.push == 0.0 else found

@@ -68,7 +68,8 @@ class LawKernel:
             elements, most of which are above the sand.
         side_by_side: whether `cull` and `sample` take all lanes at once, as `kernel.lanes`.
         complexity: kernel `complexity(sample, law, p, eps)`: 0 where no force comes of the
-            element, 1 where `respond_simple` would do, else 2.
+            element, 1 where `respond_simple` would do, else 2. Where `eps` is 0 it is asked with a
+            multiplier of any size.
         respond_simple: a quicker `respond`, for lanes that are all simple.
     """
 

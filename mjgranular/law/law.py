@@ -45,13 +45,13 @@ class Law(ABC):
     density_keys: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
-    @abstractmethod
     def from_medium(cls, medium: Medium | str) -> Self:
         """The law with the published constants of a medium, or of that of a name.
 
         Raises:
             UnknownNameError: the medium has none for this law.
         """
+        return cls(**constants_of(cls, medium))
 
     @abstractmethod
     def elements(
@@ -72,9 +72,16 @@ class Law(ABC):
             InputError: geoms that the law has no elements for.
         """
 
-    @abstractmethod
     def parameters(self, medium: Medium) -> np.ndarray:
-        """Parameters of law and medium as the kernel reads them: structured, shape (1,)."""
+        """Parameters of law and medium as the kernel reads them: structured, shape (1,).
+
+        These are the law's fields, as numbers, unless it says otherwise.
+        """
+        names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
+        parameters = np.zeros(1, np.dtype([(name, np.float64) for name in names]))
+        for name in names:
+            parameters[name] = getattr(self, name)
+        return parameters
 
     @abstractmethod
     def kernel(self, surface: Surface) -> LawKernel:

@@ -12,7 +12,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
-from mjgranular.law.law import constants_of, register_law
+from mjgranular.law.law import register_law
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
 
@@ -205,10 +205,6 @@ class Rft3dLaw(RftLaw):
                 raise InputError(
                     f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not {value}"
                 )
-
-    @classmethod
-    def from_medium(cls, medium: Medium | str) -> Self:
-        return cls(**constants_of(cls, medium))
 
     @classmethod
     def calibrated(

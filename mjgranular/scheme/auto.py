@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import mujoco
-import numpy as np
 
-from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.explicit import Explicit
 from mjgranular.scheme.implicit import Implicit
-from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
+from mjgranular.scheme.scheme import Scheme, SchemeChoice, refuse_runge_kutta, schemes
 
 _logger = logging.getLogger(__name__)
 
@@ -24,37 +22,31 @@ MANY_ELEMENTS = 5000
 _FINE_OF_MANY = 1e-4  # [s]
 
 
+def choose_scheme(timestep: float, elements: int) -> tuple[Scheme, str]:
+    """Chooses the scheme for a time step [s] and a number of elements, and says why."""
+    if timestep <= FINE_STEP:
+        return Explicit(longest_step=FINE_STEP), (
+            f"the time step of {timestep:g} s is fine enough for forces as they come, which "
+            "are of second order"
+        )
+    if elements > MANY_ELEMENTS and timestep <= _FINE_OF_MANY:
+        return Explicit(longest_step=_FINE_OF_MANY), (
+            f"{elements} elements are many, and {timestep:g} s is a fine step"
+        )
+    return Implicit(), f"at steps of {timestep:g} s it holds still what the sand can hold"
+
+
 @dataclass(frozen=True)
-class Auto(Scheme):
+class Auto(SchemeChoice):
     """`Implicit`, unless the time step is fine or the elements are many: then `Explicit`."""
 
     name: ClassVar[str] = "auto"
     title: ClassVar[str] = "implicit, or explicit for fine steps and very many elements"
 
     def settle(self, model: mujoco.MjModel, elements: int) -> Scheme:
-        chosen, reason = self.choose(model.opt.timestep, elements)
+        chosen, reason = choose_scheme(model.opt.timestep, elements)
         _logger.info("scheme %s: %s", chosen.name, reason)
         return chosen
-
-    def choose(self, timestep: float, elements: int) -> tuple[Scheme, str]:
-        """The scheme for a time step [s] and a number of elements, and why, in words."""
-        if timestep <= FINE_STEP:
-            return Explicit(longest_step=FINE_STEP), (
-                f"the time step of {timestep:g} s is fine enough for forces as they come, which "
-                "are of second order"
-            )
-        if elements > MANY_ELEMENTS and timestep <= _FINE_OF_MANY:
-            return Explicit(longest_step=_FINE_OF_MANY), (
-                f"{elements} elements are many, and {timestep:g} s is a fine step"
-            )
-        return Implicit(), f"at steps of {timestep:g} s it holds still what the sand can hold"
-
-    @property
-    def lead(self) -> float:
-        return Implicit().lead
-
-    def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        return Implicit().program(kernel, scene)
 
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)

@@ -144,7 +144,7 @@ def softness(w, velocity):
         if body == last:
             continue
         last = body
-        arm = size(lane_vector(w, w.blocks[i], ARM, 0))
+        arm = size(lane_vector(w, w.tiles[i], ARM, 0))
         while body > 0 and w.body_dofnum[body] == 0:
             body = w.body_parentid[body]
         j = w.body_dofadr[body] + w.body_dofnum[body] - 1 if body > 0 else -1
@@ -168,7 +168,7 @@ def speed_without_sand(w):
         motion = w.motion[w.heads[i].body]
         turning, moving = read_vector(motion, 0), read_vector(motion, 3)
         for lane in range(w.lanes):
-            arm = lane_vector(w, w.blocks[i], ARM, lane)
+            arm = lane_vector(w, w.tiles[i], ARM, lane)
             most = max(most, norm(moving + cross(turning, arm)))
     return most
 
@@ -179,16 +179,16 @@ def fastest(w):
     most = 0.0
     for i in range(w.count):
         for lane in range(w.lanes):
-            most = max(most, norm(lane_vector(w, w.blocks[i], VELOCITY, lane)))
+            most = max(most, norm(lane_vector(w, w.tiles[i], VELOCITY, lane)))
     return most
 
 
 @compiled
-def lane_vector(w, block, row, lane):
-    """A vector of one element of a block: three rows, one number of each."""
+def lane_vector(w, tile, row, lane):
+    """A vector of one element of a tile: three rows, one number of each."""
     lanes = w.lanes
     first = row * lanes + lane
-    return vector(block[first], block[first + lanes], block[first + 2 * lanes])
+    return vector(tile[first], tile[first + lanes], tile[first + 2 * lanes])
 
 
 @compiled

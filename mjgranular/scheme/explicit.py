@@ -43,11 +43,11 @@ from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.kernel.vector import Vector, cross, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.forces import add_total, force_kernel
-from mjgranular.scheme.layout import ARM, FORCE, INDEX, LED, VELOCITY, WEIGHT, block_size
+from mjgranular.scheme.layout import ARM, FORCE, INDEX, LED, VELOCITY, WEIGHT, tile_size
 from mjgranular.scheme.sampling import sampling_kernel
 from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.status import BAD_STATE, FINE, check_options
-from mjgranular.scheme.wrenches import add_wrenches, gravity_of, is_bad, pose_at
+from mjgranular.scheme.wrenches import add_wrenches, is_bad, pose_at
 
 
 @dataclass(frozen=True)
@@ -94,14 +94,14 @@ schemes.add(Explicit.name, Explicit)
 @cache
 def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
-    lanes, size = kernel.lanes, block_size(kernel)
+    lanes, size = kernel.lanes, tile_size(kernel)
     force_on, scene_records, room = force_kernel(kernel), records(scene_dtype), scratch(size)
     vectors, points = rows(Vector, lanes), column(Vector, lanes)
     read_all, write_all, read = vectors.read, vectors.write, points.read
     read_weight = rows(float, lanes).read
 
     @partial(compiled, inline=True)
-    def act(table, workspace, body, place, tile, number, live, is_first, lead):
+    def act(table, workspace, body, place, g, tile, number, live, is_first, lead):
         """Adds the forces on a tile to its body's wrench, and writes them to contacts."""
         if is_first:  # most bodies of a robot are above the sand
             write_motion(body.change, 0, velocity_change(table, body.last_dof, lead))
@@ -110,7 +110,7 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         arm = read_all(tile, ARM * lanes)
         led = velocity_at(read_motion(body.change, 0), arm)
         write_all(tile, LED * lanes, read_all(tile, VELOCITY * lanes) + led)
-        force_on(tile, scene_records(table[SCENE], 1)[0].law, gravity_of(table))
+        force_on(tile, scene_records(table[SCENE], 1)[0].law, g, 0.0)
         pose = pose_at(place)
         force = read_weight(tile, WEIGHT * lanes) * read_all(tile, FORCE * lanes)
         add_total(body.wrench, 0, force)

@@ -27,14 +27,13 @@ from mjgranular.scheme.layout import (
     TURN,
     VELOCITY,
     WEIGHT,
-    block_size,
+    tile_size,
 )
 from mjgranular.scheme.sampling import sampling_kernel
 
 # Not literals, for each of which numba would compile a function anew.
 FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
-"""Where multipliers come from: the velocity itself, a step of Newton's method to it, what is there.
-"""
+"""Where multipliers come from: the velocity itself, a step of Newton's method to it, or there."""
 
 # As good as no softness [m/s], but for a speed of zero. Chosen: far below any motion, far above the
 # square root of the smallest number.
@@ -50,12 +49,12 @@ class Response(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BlockKernels:
+class TileKernels:
     """Loops over the tiles of a law's elements, for one kind of surface.
 
     Attributes:
         size: numbers in a tile.
-        immerse: kernel `immerse(table, w)`: fills the workspace's tiles with the elements in the
+        sample: kernel `sample(table, w)`: fills the workspace's tiles with the elements in the
             sand; how many tiles.
         move: kernel `move(tile, motion, multipliers, eps, loose)`: velocities in a tile from its
             body's spatial velocity, and multipliers.
@@ -67,7 +66,7 @@ class BlockKernels:
     """
 
     size: int
-    immerse: Any
+    sample: Any
     move: Any
     respond: Any
     add: Any
@@ -75,28 +74,28 @@ class BlockKernels:
 
 
 @cache
-def block_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> BlockKernels:
+def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
     """The implicit scheme's loops over a law's tiles.
 
     Args:
         kernel: of the law.
         scene_dtype: record of law and surface.
     """
-    size = block_size(kernel)
+    size = tile_size(kernel)
 
     @partial(compiled, inline=True)
-    def note_head(table, w, body, place, tile, number, live, is_first, lead):
+    def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
         w.heads[number].body, w.heads[number].live = body.body, live
 
     sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
 
     @compiled
-    def immerse(table, w):
-        return sample_all(table, w, w.blocks.ctypes.data, 8 * size, 0.0)
+    def sample(table, w):
+        return sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
 
-    return BlockKernels(
+    return TileKernels(
         size,
-        immerse,
+        sample,
         move_kernel(kernel),
         respond_kernel(kernel),
         add_kernel(kernel.lanes),
@@ -105,7 +104,7 @@ def block_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> BlockKernels:
 
 
 def move_kernel(kernel: LawKernel) -> Any:
-    """See `BlockKernels.move`."""
+    """See `TileKernels.move`."""
     lanes, update = kernel.lanes, kernel.multiplier.update
     vectors, all_vectors = column(Vector, lanes), rows(Vector, lanes)
     read, write, read_sample = vectors.read, vectors.write, column(kernel.samples, lanes).read
@@ -150,12 +149,12 @@ def linearized(kernel: LawKernel, respond: Any) -> Any:
 
 
 @cache
-def unled(kernel: LawKernel) -> Any:
+def unsoftened(kernel: LawKernel, respond: Any) -> Any:
     """Makes a kernel `force_of(sample, law, g, v, led)`: the force of the law itself, no softer.
 
     Static resistance takes the direction of the velocity `v`, drag the velocity `led`.
     """
-    own, respond = kernel.multiplier.own, kernel.respond
+    own = kernel.multiplier.own
 
     @partial(compiled, inline=True)
     def force_of(sample, law, g, v, led):
@@ -171,12 +170,13 @@ def no_response(sample, law, g, v, p, eps):
     return vector(0.0, 0.0, 0.0), diagonal(0.0), vector(0.0, 0.0, 0.0), diagonal(0.0)
 
 
-def by_complexity(kernel: LawKernel, in_lanes: Any) -> Any:
+def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
     """Makes a kernel `respond(tile, law, g, eps)`: the quickest that answers for all lanes.
 
     Args:
         kernel: of the law.
         in_lanes: makes such a kernel of a law's `respond`.
+        soft: whether there is a softness.
     """
     respond_all = in_lanes(kernel.respond)
     if kernel.complexity is None:
@@ -184,14 +184,15 @@ def by_complexity(kernel: LawKernel, in_lanes: Any) -> Any:
     lanes, complexity = kernel.lanes, kernel.complexity
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     respond_none, respond_simple = in_lanes(no_response), in_lanes(kernel.respond_simple)
+    direction = MULTIPLIER if soft else VELOCITY
 
     @compiled
     def respond(tile, law, g, eps):
         most = 0
         for lane in range(lanes):
             sample = read_sample(tile, SAMPLE * lanes + lane)
-            p = read(tile, MULTIPLIER * lanes + lane)
-            most = max(most, complexity(sample, law, p, eps))
+            p = read(tile, direction * lanes + lane)
+            most = max(most, complexity(sample, law, p, eps if soft else 0.0))
         if most == 0:
             respond_none(tile, law, g, eps)
         elif most == 1:
@@ -203,7 +204,7 @@ def by_complexity(kernel: LawKernel, in_lanes: Any) -> Any:
 
 
 def respond_kernel(kernel: LawKernel) -> Any:
-    """See `BlockKernels.respond`."""
+    """See `TileKernels.respond`."""
     lanes = kernel.lanes
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     write = column(Response, lanes).write
@@ -222,41 +223,32 @@ def respond_kernel(kernel: LawKernel) -> Any:
 
         return respond_all
 
-    return by_complexity(kernel, in_lanes)
+    return by_complexity(kernel, in_lanes, soft=True)
 
 
 def force_kernel(kernel: LawKernel) -> Any:
-    """Makes the explicit scheme's kernel `force(tile, law, g)`: the force of the law itself.
+    """Makes the explicit scheme's kernel `force(tile, law, g, eps)`, of which `eps` is 0.
 
     Static resistance takes the direction of the velocity now, drag the velocity that leads.
     """
-    lanes, own = kernel.lanes, kernel.multiplier.own
+    lanes = kernel.lanes
     vectors, read_sample = column(Vector, lanes), column(kernel.samples, lanes).read
     read, write = vectors.read, vectors.write
 
     def in_lanes(respond: Any) -> Any:
+        force_of = unsoftened(kernel, respond)
+
         @compiled
         def respond_all(tile, record, g, eps):
             law = held(record)
             for lane in range(lanes):
                 sample = read_sample(tile, SAMPLE * lanes + lane)
-                v, p = read(tile, LED * lanes + lane), read(tile, MULTIPLIER * lanes + lane)
-                static, _, drag, _ = respond(sample, law, g, v, p, 0.0)
-                write(tile, FORCE * lanes + lane, static + drag)
+                v, led = read(tile, VELOCITY * lanes + lane), read(tile, LED * lanes + lane)
+                write(tile, FORCE * lanes + lane, force_of(sample, law, g, v, led))
 
         return respond_all
 
-    respond = by_complexity(kernel, in_lanes)
-
-    @compiled
-    def force(tile, law, g):
-        for lane in range(lanes):
-            sample = read_sample(tile, SAMPLE * lanes + lane)
-            p = own(sample, read(tile, VELOCITY * lanes + lane), _HARD)
-            write(tile, MULTIPLIER * lanes + lane, p)
-        respond(tile, law, g, 0.0)
-
-    return force
+    return by_complexity(kernel, in_lanes, soft=False)
 
 
 @partial(compiled, inline=True)
@@ -269,7 +261,7 @@ def add_total(array, first, v):
 
 @cache
 def add_kernel(lanes: int) -> Any:
-    """See `BlockKernels.add`."""
+    """See `TileKernels.add`."""
     read, read_weight = rows(Vector, lanes).read, rows(float, lanes).read
     read_slope = rows(Matrix, lanes).read
 
@@ -305,7 +297,7 @@ def add_row(stiffness, first, arm, row):
 
 @cache
 def follow_kernel(kernel: LawKernel) -> Any:
-    """See `BlockKernels.follow`."""
+    """See `TileKernels.follow`."""
     lanes, turn = kernel.lanes, kernel.multiplier.turn
     vectors, slopes, all_weights = rows(Vector, lanes), rows(Matrix, lanes), rows(float, lanes)
     read_all, write_all, read_slopes = vectors.read, vectors.write, slopes.read

@@ -59,7 +59,7 @@ from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.continuation import lane_vector, solver_kernel
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.forces import block_kernels
+from mjgranular.scheme.forces import tile_kernels
 from mjgranular.scheme.layout import FORCE, INDEX
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes
@@ -137,7 +137,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         scene_dtype: record of law and surface.
         most: evaluations after which no finer softness is begun.
     """
-    immerse = block_kernels(kernel, scene_dtype).immerse
+    sample_all = tile_kernels(kernel, scene_dtype).sample
     find_velocity = solver_kernel(kernel, scene_dtype, most)
 
     @compiled
@@ -155,7 +155,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for slot in range(len(bodies)):
             clear(bodies[slot].wrench)
         w.h = lead
-        w.count = immerse(table, w)
+        w.count = sample_all(table, w)
         if w.count > 0:
             find_smooth_forces(w)
             open_constraints(table[WORKSPACE], w)
@@ -259,7 +259,7 @@ def write_contacts(table, w, share):
     """Writes the forces on elements to their contacts."""
     contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
     for i in range(w.count):
-        block = w.blocks[i]
+        tile = w.tiles[i]
         for lane in range(w.heads[i].live):
-            contact = contacts[bits_of(block[INDEX * w.lanes + lane])]
-            write_vector(contact.force, 0, share * lane_vector(w, block, FORCE, lane))
+            contact = contacts[bits_of(tile[INDEX * w.lanes + lane])]
+            write_vector(contact.force, 0, share * lane_vector(w, tile, FORCE, lane))

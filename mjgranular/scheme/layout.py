@@ -30,12 +30,12 @@ def element_row(kernel: LawKernel) -> int:
     return SAMPLE + size_of(kernel.samples)
 
 
-def block_size(kernel: LawKernel) -> int:
+def tile_size(kernel: LawKernel) -> int:
     """How many numbers a tile has."""
     elements = size_of(kernel.element) if kernel.side_by_side else 0
     return (element_row(kernel) + elements) * kernel.lanes
 
 
-def block_count(kernel: LawKernel, elements: np.ndarray) -> int:
+def tile_count(kernel: LawKernel, elements: np.ndarray) -> int:
     """The most tiles that elements (field `slot`) may fill."""
     return sum(-(-int(n) // kernel.lanes) for n in np.bincount(elements["slot"]))

@@ -27,7 +27,7 @@ from mjgranular.scheme.balance import (
     sum_wrenches,
 )
 from mjgranular.scheme.dense import add_scaled, clear, inner, solve
-from mjgranular.scheme.forces import NEXT, block_kernels
+from mjgranular.scheme.forces import NEXT, tile_kernels
 from mjgranular.scheme.wrenches import gravity_of
 
 # Square of the difference of a multiplier and its velocity's: where the force may be taken for the
@@ -64,13 +64,13 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         kernel: of the law.
         scene_dtype: record of law and surface.
     """
-    of_blocks = block_kernels(kernel, scene_dtype)
-    move, respond, add, follow = of_blocks.move, of_blocks.respond, of_blocks.add, of_blocks.follow
+    of_tiles = tile_kernels(kernel, scene_dtype)
+    move, respond, add, follow = of_tiles.move, of_tiles.respond, of_tiles.add, of_tiles.follow
     scene_records = records(scene_dtype)
 
     @compiled
     def evaluate(table, w, eps, update, loose):
-        """Sets residual and Jacobian at `w.velocity`, and the forces on elements in their blocks.
+        """Sets residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
 
         Args:
             table: of addresses.
@@ -92,10 +92,10 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             clear(w.stiffness[b])
         mismatch = 0.0
         for i in range(w.count):
-            block, body = w.blocks[i], w.heads[i].body
-            move(block, motion_of(w, body), update, eps, loose)
-            respond(block, law, g, eps)
-            mismatch = max(mismatch, add(block, w.wrench[body], w.stiffness[body]))
+            tile, body = w.tiles[i], w.heads[i].body
+            move(tile, motion_of(w, body), update, eps, loose)
+            respond(tile, law, g, eps)
+            mismatch = max(mismatch, add(tile, w.wrench[body], w.stiffness[body]))
         sum_wrenches(w)
         error, of_losses = balance(w, update)
         add_stiffness(w)
@@ -116,7 +116,7 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         turn = 0.0
         for i in range(w.count):
             body = w.heads[i].body
-            turn = max(turn, follow(w.blocks[i], motion_of(w, body), w.wrench[body], eps))
+            turn = max(turn, follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps))
         sum_wrenches(w)
         return balance(w, NEXT)[0], turn
 

@@ -34,8 +34,8 @@ from mjgranular.scheme.layout import (
     SAMPLE,
     VELOCITY,
     WEIGHT,
-    block_size,
     element_row,
+    tile_size,
 )
 from mjgranular.scheme.wrenches import gravity_of, place_of, pose_at
 
@@ -59,9 +59,9 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     Args:
         kernel: of the law.
         scene_dtype: record of law and surface.
-        finish: kernel `finish(table, workspace, body, place, tile, number, live, is_first, lead)`,
-            which is handed each tile: its number, how many elements are in it, and whether it is
-            the first of its body.
+        finish: kernel `finish(table, workspace, body, place, g, tile, number, live, is_first,
+            lead)`, which is handed each tile: its number, how many elements are in it, and whether
+            it is the first of its body.
         compact: put together what is in the sand of several packed tiles. It pays where forces are
             asked for several times.
 
@@ -69,7 +69,7 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     workspace, the address of the first tile, the distance from one to the next in bytes (0 if one
     is to be used for all), and the scheme's lead [s].
     """
-    lanes, size = kernel.lanes, block_size(kernel)
+    lanes, size = kernel.lanes, tile_size(kernel)
     packed_size = size_of(kernel.element) * lanes
     level = _no_level if kernel.cull is None else level_kernel(kernel.probe)
     if kernel.side_by_side:
@@ -78,10 +78,10 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
         look, take, close = _one_by_one(kernel, scene_dtype)
     all_points, points = rows(Vector, lanes), column(Vector, lanes)
     read_all, write_all, read = all_points.read, all_points.write, points.read
-    scene_records = records(scene_dtype)
+    scene_records, room_of_depths = records(scene_dtype), scratch(lanes)
 
     @partial(compiled, inline=True)
-    def complete(table, workspace, body, place, address, number, live, is_first, lead):
+    def complete(table, workspace, body, place, g, address, number, live, is_first, lead):
         """Writes what is known of a tile's elements before their forces."""
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         tile, pose = floats(address, size), pose_at(place)
@@ -94,13 +94,14 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
                 contact.length = tile[(SAMPLE + 1) * lanes + lane]
                 write_vector(contact.point, 0, read(tile, POINT * lanes + lane))
                 write_vector(contact.velocity, 0, read(tile, VELOCITY * lanes + lane))
-        finish(table, workspace, body, place, tile, number, live, is_first, lead)
+        finish(table, workspace, body, place, g, tile, number, live, is_first, lead)
 
     @compiled
     def sample_all(table, workspace, tiles, step, lead):
         bodies = body_records(table[BODIES], table[BODY_COUNT])
         surface = scene_records(table[SCENE], 1)[0].surface
-        packed = table[ELEMENTS]
+        g = gravity_of(table)
+        packed, depths = table[ELEMENTS], room_of_depths()
         number, first = 0, 0
         for slot in range(len(bodies)):
             body = bodies[slot]
@@ -110,22 +111,26 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
             live = 0
             while first < body.end:
                 here = min(body.end - first, lanes)
-                lane = 0 if look(table, packed, first, here, around) else here
+                lane = 0 if look(table, packed, first, here, around, depths) else here
                 while lane < here:
                     tile = tiles + step * number
-                    lane, live = take(table, packed, first, lane, here, place, around, tile, live)
+                    lane, live = take(
+                        table, packed, first, lane, here, place, around, g, depths, tile, live
+                    )
                     if live == lanes:
                         is_first = number == start
-                        complete(table, workspace, body, place, tile, number, live, is_first, lead)
+                        complete(
+                            table, workspace, body, place, g, tile, number, live, is_first, lead
+                        )
                         number += 1
                         live = 0
                 packed += 8 * packed_size
                 first += here
             if live > 0:
                 tile = tiles + step * number
-                close(table, place, tile, live)
+                close(table, place, g, tile, live)
                 is_first = number == start
-                complete(table, workspace, body, place, tile, number, live, is_first, lead)
+                complete(table, workspace, body, place, g, tile, number, live, is_first, lead)
                 number += 1
         return number
 
@@ -144,16 +149,16 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
     read_element, samples = column(kernel.element, lanes).read, column(kernel.samples, lanes)
     read_sample, write_sample = samples.read, samples.write
     scene_records = records(scene_dtype)
-    packed_size, size = size_of(kernel.element) * lanes, block_size(kernel)
+    packed_size, size = size_of(kernel.element) * lanes, tile_size(kernel)
 
     @partial(compiled, inline=True)
-    def look(table, packed, first, here, around):
+    def look(table, packed, first, here, around, depths):
         return True
 
     @compiled
-    def take(table, packed, first, lane, here, place, around, address, live):
+    def take(table, packed, first, lane, here, place, around, g, depths, address, live):
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        scene, g = scene_records(table[SCENE], 1)[0], gravity_of(table)
+        scene = scene_records(table[SCENE], 1)[0]
         elements, tile = floats(packed, packed_size), floats(address, size)
         while lane < here and live < lanes:
             element, contact = read_element(elements, lane), contacts[first + lane]
@@ -171,7 +176,7 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
         return lane, live
 
     @compiled
-    def close(table, place, address, live):
+    def close(table, place, g, address, live):
         tile = floats(address, size)
         last = read_sample(tile, SAMPLE * lanes + live - 1)
         for lane in range(live, lanes):
@@ -186,18 +191,18 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
     lanes, sample, cull = kernel.lanes, kernel.sample, kernel.cull
     elements, one = rows(kernel.element, lanes), column(kernel.element, lanes)
     read_elements, read_element, write_element = elements.read, one.read, one.write
-    write_samples, write_depths = rows(kernel.samples, lanes).write, rows(float, lanes).write
+    write_samples, all_depths = rows(kernel.samples, lanes).write, rows(float, lanes)
+    read_all_depths, write_depths = all_depths.read, all_depths.write
     # Of a loop the compiler makes scattered stores, which take longer than single ones.
     contact_size = CONTACT_DTYPE.itemsize
     stride = contact_size // 8  # the depth comes first
     read_depths, note_depths = column(lanes, 1).read, column(lanes, stride).write
-    room_of_depths, scene_records = scratch(lanes), records(scene_dtype)
-    packed_size, size = size_of(kernel.element) * lanes, block_size(kernel)
+    scene_records = records(scene_dtype)
+    packed_size, size = size_of(kernel.element) * lanes, tile_size(kernel)
     gathered = element_row(kernel) * lanes
 
     @partial(compiled, inline=True)
-    def look(table, packed, first, here, around):
-        depths = room_of_depths()
+    def look(table, packed, first, here, around, depths):
         deepest = cull(read_elements(floats(packed, packed_size), 0), around)
         write_depths(depths, 0, deepest)
         contacts = table[CONTACTS] + contact_size * first
@@ -209,22 +214,21 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
         return not all_of(deepest <= 0.0)
 
     @compiled
-    def sample_tile(table, array, at, place, tile):
-        scene, g = scene_records(table[SCENE], 1)[0], gravity_of(table)
+    def sample_tile(table, array, at, place, g, tile):
+        scene = scene_records(table[SCENE], 1)[0]
         found = sample(read_elements(array, at), pose_at(place), scene.law, scene.surface, g)
         write_samples(tile, SAMPLE * lanes, found)
 
     @compiled
-    def take(table, packed, first, lane, here, place, around, address, live):
-        tile, found, depths = floats(address, size), floats(packed, packed_size), room_of_depths()
-        deepest = cull(read_elements(found, 0), around)
-        write_depths(depths, 0, deepest)
-        is_whole = here == lanes and live == 0 and count_of(deepest <= 0.0) == 0
+    def take(table, packed, first, lane, here, place, around, g, depths, address, live):
+        tile, found = floats(address, size), floats(packed, packed_size)
+        is_dry = read_all_depths(depths, 0) <= 0.0
+        is_whole = here == lanes and live == 0 and count_of(is_dry) == 0
         if is_whole or not compact:
             for k in range(lanes):
                 tile[INDEX * lanes + k] = number_of(first + k)
                 tile[WEIGHT * lanes + k] = 0.0 if depths[k] <= 0.0 or k >= here else 1.0
-            sample_tile(table, found, 0, place, tile)
+            sample_tile(table, found, 0, place, g, tile)
             return here, lanes
         while lane < here and live < lanes:
             if not depths[lane] <= 0.0:
@@ -234,16 +238,16 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
                 live += 1
             lane += 1
         if live == lanes:
-            sample_tile(table, tile, gathered, place, tile)
+            sample_tile(table, tile, gathered, place, g, tile)
         return lane, live
 
     @compiled
-    def close(table, place, address, live):
+    def close(table, place, g, address, live):
         tile = floats(address, size)
         last = read_element(tile, gathered + live - 1)
         for lane in range(live, lanes):
             write_element(tile, gathered + lane, last)
             tile[WEIGHT * lanes + lane] = 0.0
-        sample_tile(table, tile, gathered, place, tile)
+        sample_tile(table, tile, gathered, place, g, tile)
 
     return look, take, close

@@ -16,7 +16,7 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.registry import Registry
 from mjgranular.scheme.status import refusal
 
-schemes: Registry[type[Scheme]] = Registry("scheme")
+schemes: Registry[type[SchemeChoice]] = Registry("scheme")
 
 STEP = "int64(int64, float64)"
 """Signature of the program of a scheme."""
@@ -39,19 +39,39 @@ class Workspace:
     statistics: np.ndarray | None = None
 
 
-class Scheme(ABC):
-    """How forces become a step. A final scheme is a frozen dataclass of its options.
+class SchemeChoice(ABC):
+    """What can be asked for as a scheme: one, or a choice among several.
 
     Attributes:
         name: the name it is known by.
         title: one line for lists.
+    """
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+
+    @abstractmethod
+    def settle(self, model: mujoco.MjModel, elements: int) -> Scheme:
+        """The scheme for a model with so many elements."""
+
+    @abstractmethod
+    def check(self, model: mujoco.MjModel) -> None:
+        """Refuses a model that the scheme cannot step.
+
+        Raises:
+            InputError: says why, and what to set instead.
+        """
+
+
+class Scheme(SchemeChoice):
+    """How forces become a step. A final scheme is a frozen dataclass of its options.
+
+    Attributes:
         whole_state: whether its forces depend on more than `qpos` and `qvel`: on actuators, applied
             and passive forces, constraints.
         integrators: of MuJoCo's that can be stepped from outside.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
     whole_state: ClassVar[bool] = False
     integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST", "DISCRETE")
 
@@ -88,7 +108,6 @@ class Scheme(ABC):
         """
 
     def settle(self, model: mujoco.MjModel, elements: int) -> Scheme:
-        """The scheme for a model with so many elements: itself, unless it is a choice of others."""
         return self
 
     def workspace(
@@ -111,24 +130,16 @@ class Scheme(ABC):
         """
         return Workspace(np.zeros(0, np.int64))
 
-    @abstractmethod
-    def check(self, model: mujoco.MjModel) -> None:
-        """Refuses a model that the scheme cannot step.
 
-        Raises:
-            InputError: says why, and what to set instead.
-        """
-
-
-def get_scheme(scheme: str | Scheme | type[Scheme]) -> Scheme:
+def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
     """The scheme of that name or class with its default options, or `scheme` itself.
 
     Raises:
         UnknownNameError: no such scheme; lists those that exist.
     """
-    if isinstance(scheme, type) and issubclass(scheme, Scheme):
+    if isinstance(scheme, type) and issubclass(scheme, SchemeChoice):
         return scheme()
-    return scheme if isinstance(scheme, Scheme) else schemes[scheme]()
+    return scheme if isinstance(scheme, SchemeChoice) else schemes[scheme]()
 
 
 def refuse_runge_kutta(model: mujoco.MjModel) -> None:

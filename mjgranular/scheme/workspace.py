@@ -18,7 +18,7 @@ from mjgranular.kernel.memory import ints, longs
 from mjgranular.kernel.options import options_at
 from mjgranular.kernel.views import Views, views_at
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.layout import HEAD_DTYPE, block_count, block_size
+from mjgranular.scheme.layout import HEAD_DTYPE, tile_count, tile_size
 from mjgranular.scheme.scheme import Workspace
 
 STATISTICS_DTYPE = np.dtype(
@@ -45,14 +45,14 @@ _INTEGERS: tuple[str, ...] = (
     "nbody", "nv", "njnt", "nC", "nD",
     "nfriction",  # friction losses: of joints and tendons
     "nlone",  # degrees of freedom of lone free bodies
-    "lanes", "block_size", "block_count",  # of blocks of elements
+    "lanes", "tile_size", "tile_count",  # of tiles of elements
     "model", "data",  # addresses of `mjModel` and `mjData`
     "within",  # 1 where forces are asked for within `mj_step`, among the passive ones
     # Of this step's options (`read_options`): one of the four above; whether the constraints'
     # Jacobian is sparse; whether their solver ends no farther off than it begins.
     "integrator", "sparse", "descends",
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
-    "count",  # of blocks that are filled in this step
+    "count",  # of tiles that are filled in this step
 )  # fmt: skip
 _REALS: tuple[str, ...] = (
     "h",  # time step [s]
@@ -114,8 +114,8 @@ _OWN = {
     "friction": (_F, ("nfriction", 2)),  # of friction losses: acceleration and multiplier
     "dofs": (_I, ("nv",)),  # 0, 1, 2, ...
     "lone_dofs": (_I, ("nlone",)),
-    "heads": (HEAD_DTYPE, ("block_count",)),  # of blocks: body, live lanes
-    "blocks": (_F, ("block_count", "block_size")),
+    "heads": (HEAD_DTYPE, ("tile_count",)),  # of tiles: body, live lanes
+    "tiles": (_F, ("tile_count", "tile_size")),
     "statistics": (STATISTICS_DTYPE, (1,)),
     "offsets": (
         _L,
@@ -163,8 +163,8 @@ def make_workspace(
         "nfriction": model.nv + model.ntendon,
         "nlone": len(lone),
         "lanes": kernel.lanes,
-        "block_size": block_size(kernel),
-        "block_count": block_count(kernel, elements),
+        "tile_size": tile_size(kernel),
+        "tile_count": tile_count(kernel, elements),
         "model": model._address,
         "data": data._address,
         "within": int(within),
