@@ -17,7 +17,7 @@ from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
-from mjgranular.scheme.scheme import STEP
+from mjgranular.scheme.scheme import STEP, SchemeChoice
 from mjgranular.shape import select_geoms
 from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of
@@ -108,7 +108,7 @@ def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:
     )
 
 
-def _scheme_within_step(scheme: Scheme, model: mujoco.MjModel) -> Scheme:
+def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel) -> SchemeChoice:
     """The scheme where it acts inside `mj_step`, which RK4 calls four times a step.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 from mjgranular.errors import InputError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium
-from mjgranular.scheme import Scheme
+from mjgranular.scheme.scheme import SchemeChoice
 from mjgranular.shape.select import Choice
 from mjgranular.surface import Surface
 
@@ -47,7 +47,7 @@ class SandSpec:
     medium: str | Path | Medium | None = None
     law: str | Law | None = None
     surface: Surface | None = None
-    scheme: str | Scheme = "auto"
+    scheme: str | SchemeChoice = "auto"
     bodies: Choice = None
     geoms: Choice = None
     groups: Sequence[int] | int | None = None
@@ -61,7 +61,7 @@ class SandFields(TypedDict, total=False):
     medium: str | Path | Medium | None
     law: str | Law | None
     surface: Surface | None
-    scheme: str | Scheme
+    scheme: str | SchemeChoice
     bodies: Choice
     geoms: Choice
     groups: Sequence[int] | int | None
