@@ -68,12 +68,15 @@ def show_warning(
 
 
 class _Announcement(logging.Handler):
-    """Says once that kernels are being compiled."""
+    """Says what sand kernels are being compiled for; once, where they are for any."""
 
     said = False
 
     def emit(self, record: logging.LogRecord) -> None:
-        if not self.said:
+        if hasattr(record, "sand"):
+            self.said = True
+            err.print(record.getMessage(), style="dim", highlight=False)
+        elif not self.said:
             self.said = True
             err.print("compiling the sand's kernels: once on a machine, some seconds", style="dim")
 

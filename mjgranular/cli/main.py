@@ -27,6 +27,7 @@ from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
+from mjgranular.cli.warm import WarmCommand
 from mjgranular.errors import GranularError, GranularWarning, one_line
 from mjgranular.reading import place
 from mjgranular.signals import signal_of, stopped_by_signals
@@ -46,6 +47,7 @@ Command = (
     | Annotated[GaitCommand, tyro.conf.subcommand("gait")]
     | Annotated[CompareCommand, tyro.conf.subcommand("compare")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
+    | Annotated[WarmCommand, tyro.conf.subcommand("warm")]
     | Annotated[MediaCommand, tyro.conf.subcommand("media")]
     | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
     | Annotated[PoliciesCommand, tyro.conf.subcommand("policies")]

@@ -21,7 +21,7 @@ def log(function: Callable[..., Any]) -> None:
 
 
 class _Announcement:
-    """Announces that kernels are being compiled, once a process.
+    """Announces that kernels are being compiled: each program of a sand, and the rest once.
 
     Who waits looks at a terminal. Where the log is read, and the command line reads it, that is
     enough.
@@ -31,19 +31,23 @@ class _Announcement:
         self._lock = threading.Lock()
         self._shown = False
 
-    def show(self, how_often: str) -> None:
+    def show(self, how_often: str, what: str) -> None:
         """Announces that kernels are compiled now.
 
         Args:
             how_often: that will happen, in words.
+            what: sand they are for, in words; "" for what every sand needs.
         """
+        if what:
+            _logger.info("compiling for %s: %s", what, how_often, extra={"sand": what})
         with self._lock:
-            first, self._shown = not self._shown, True
-        if first and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
+            new, self._shown = bool(what) or not self._shown, True
+        if new and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
             # There is no stderr in a program without a console, and a closed one cannot be asked.
             with suppress(AttributeError, OSError, ValueError):
                 if sys.stderr.isatty():
-                    print(f"mjgranular: compiling kernels: {how_often}", file=sys.stderr)
+                    kernels = f"for {what}" if what else "kernels"
+                    print(f"mjgranular: compiling {kernels}: {how_often}", file=sys.stderr)
 
 
 announcement = _Announcement()

@@ -72,17 +72,18 @@ def entry(kernel: Any, signature: str) -> Callable[..., Any]:
     return _find(kernel, signature, _python_function)
 
 
-def program_address(kernel: Any, signature: str) -> int:
+def program_address(kernel: Any, signature: str, what: str = "") -> int:
     """Compiles a kernel for calls from C, if that was not done yet, and gives its address.
 
     Args:
         kernel: of numbers.
         signature: numba's, such as `int64(int64, float64)`.
+        what: sand it is for, in words, for those who wait.
 
     Raises:
         CompilerError: numba cannot be used.
     """
-    return _find(kernel, signature, _c_function).address
+    return _find(kernel, signature, _c_function, what).address
 
 
 def _python_function(function: Any, signature: str, keep: bool) -> Any:
@@ -96,22 +97,22 @@ def _c_function(function: Any, signature: str, keep: bool) -> Any:
 _programs: dict[tuple[Any, str, Any], Any] = {}
 
 
-def _find(kernel: Any, signature: str, make: Callable[..., Any]) -> Any:
+def _find(kernel: Any, signature: str, make: Callable[..., Any], what: str = "") -> Any:
     key = (kernel, signature, make)
     found = _programs.get(key)
-    return uninterrupted(lambda: _find_or_make(key)) if found is None else found
+    return uninterrupted(lambda: _find_or_make(key, what)) if found is None else found
 
 
-def _find_or_make(key: tuple[Any, str, Any]) -> Any:
+def _find_or_make(key: tuple[Any, str, Any], what: str) -> Any:
     with PROGRAMS:
         found = _programs.get(key)
         if found is None:
             with compiling(), event.install_listener("numba:compile", _Progress()):
-                found = _programs[key] = _load_or_compile(*key)
+                found = _programs[key] = _load_or_compile(*key, what)
         return found
 
 
-def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any]) -> Any:
+def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any], what: str) -> Any:
     name = digest((identity(kernel), signature, make.__name__))
 
     def decorate(keep: bool = True) -> Any:
@@ -119,7 +120,7 @@ def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any]) -> A
 
     found = cache.load(build(), name, decorate)
     if found is None:
-        announcement.show(ONCE if cache.can_save() else ALWAYS)
+        announcement.show(ONCE if cache.can_save() else ALWAYS, what)
         found = cache.save(build(), name, decorate)
     return decorate(keep=False) if found is None else found
 

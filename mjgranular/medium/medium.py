@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mjgranular.errors import InputError, UnknownNameError, listed, shown
+from mjgranular.errors import InputError, UnknownNameError, listed, one_line, shown
+from mjgranular.tables import html_table
 
 # From snow to tungsten powder, from dust to gravel: what lies outside is a slip of units.
 _DENSITIES = (10.0, 25000.0)
@@ -75,6 +76,25 @@ class Medium:
                 f"{medium}: its default law {shown(self.default_law)} has no constants; "
                 f"it has those of: {listed(sorted(self.constants))}"
             )
+
+    def __repr__(self) -> str:
+        """Short; `_repr_html_` and `mjgranular media NAME` have numbers and sources."""
+        others = (law for law in self.constants if law != self.default_law)
+        return (
+            f"Medium({shown(self.name)}: {one_line(self.title)}, {self.density.value:g} kg/m^3, "
+            f"laws {listed((self.default_law, *others))})"
+        )
+
+    def _repr_html_(self) -> str:
+        """All numbers with their sources, for notebooks."""
+        general = {"density": self.density, **({"grain": self.grain} if self.grain else {})}
+        rows = [
+            (law, key, quantity.value, quantity.unit, quantity.source)
+            for law, constants in {"": general, **self.constants}.items()
+            for key, quantity in constants.items()
+        ]
+        headings = ("law", "constant", "value", "unit", "source")
+        return html_table(f"{self.name}: {self.title}", headings, rows)
 
     def constants_for(self, law: str) -> dict[str, float]:
         """The values of this medium's constants for a law.

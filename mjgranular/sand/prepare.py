@@ -83,6 +83,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     scheme.check(model)
     scene = make_scene(law, medium, surface, model)
     kernel = law.kernel(surface)
+    program = scheme.program(kernel, scene.dtype)
+    what = f"law {law.name}, scheme {scheme.name}, {type(surface).__name__}"
     return PreparedSand(
         medium=medium,
         law=law,
@@ -92,7 +94,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         packed=kernel.pack(elements),
         scene=scene,
         kernel=kernel,
-        program=program_address(scheme.program(kernel, scene.dtype), STEP),
+        program=program_address(program, STEP, what),
         disabled=(*surface.geoms(model), *replaced),
     )
 

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import RangeWarning, warn_user
-from mjgranular.law import Law
+from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
+from mjgranular.law.rft import RftLaw
 from mjgranular.surface import Plane, Surface
 
 _DENSITIES = (10.0, 25000.0)
@@ -22,6 +23,9 @@ Someone who gives milliseconds gives 1 or more."""
 _DEEPEST_START = 1.0
 """Of the highest point of all that meets the sand [m]. A robot is buried by hand; laws hold to some
 widths of a body. A height in millimetres, or with the wrong sign, is further off."""
+
+_OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
+"""Laws of which that is known: one of a user's own may be of mud, or of a lake."""
 
 
 def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surface: Surface) -> None:
@@ -54,7 +58,7 @@ def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surfac
             RangeWarning,
         )
     depth = _depth_of_all(model, geoms, surface)
-    if depth > _DEEPEST_START:
+    if isinstance(law, _OF_SAND) and depth > _DEEPEST_START:
         warn_user(
             f"all that meets the sand starts {depth:.3g} m and more under its surface, with the "
             "model as it stands (qpos0): lengths are in metres, and z is up; raise the model or "

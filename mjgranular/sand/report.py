@@ -14,6 +14,9 @@ from mjgranular.law.validity import Measure, Standing
 from mjgranular.names import name_of
 from mjgranular.sand.binding import Binding
 from mjgranular.sand.prepare import PreparedSand
+from mjgranular.tables import html_table
+
+_SHOWN = 3  # bodies in a report's `repr`
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,32 @@ class Report:
     medium: str
     law: str
     solver: Solver | None = None
+
+    def __repr__(self) -> str:
+        """Short: each body's depth and force; `_repr_html_` is a table, `as_dict` has all."""
+        bodies = [
+            f"{body.body} {1e3 * body.depth:.4g} mm deep, {_size(body.force):.4g} N"
+            for body in self.bodies[:_SHOWN]
+        ]
+        if len(self.bodies) > _SHOWN:
+            bodies.append(f"{len(self.bodies) - _SHOWN} more")
+        return f"Report(t={self.time:.6g} s, {self.medium}, {self.law} law: {'; '.join(bodies)})"
+
+    def _repr_html_(self) -> str:
+        """One row a body, for notebooks."""
+        title = f"{self.medium}, {self.law} law, t = {self.time:.6g} s"
+        headings = ("body", "depth [mm]", "force [N]", "power [W]", "law holds")
+        rows = [
+            (
+                body.body,
+                1e3 * body.depth,
+                _size(body.force),
+                body.power,
+                "yes" if body.valid else "no",
+            )
+            for body in self.bodies
+        ]
+        return html_table(title, headings, rows)
 
     def __getitem__(self, body: str) -> BodyReport:
         """The report of the body of that name.
@@ -316,6 +345,10 @@ def _measures(
             number = speed / width * grain / np.sqrt(gravity * np.maximum(depth, grain))
             measures["inertial_number"] = float(number.max())
     return measures
+
+
+def _size(vector: np.ndarray) -> float:
+    return float(np.linalg.norm(vector))
 
 
 def _numbers(values: list[Any]) -> list[Any]:

@@ -54,6 +54,12 @@ class SandSpec:
     resolution: int | None = None
     instead_of: Choice = None
 
+    def __repr__(self) -> str:
+        """Short: what differs from the defaults."""
+        values = ((field, getattr(self, field.name)) for field in fields(self))
+        given = (f"{f.name}={value!r}" for f, value in values if not _same(value, f.default))
+        return f"{type(self).__name__}({', '.join(given)})"
+
 
 class SandFields(TypedDict, total=False):
     """The fields of `SandSpec` as keyword arguments, for editors and type checkers."""
@@ -70,6 +76,11 @@ class SandFields(TypedDict, total=False):
 
 
 SAND_FIELDS = tuple(field.name for field in fields(SandSpec))
+
+
+def _same(value: Any, default: Any) -> bool:
+    """Whether a field has its default; a field may be an array, which is equal to nothing."""
+    return value is default or (type(value) is type(default) and value == default)
 
 
 def combined(spec: SandSpec | None, given: SandFields | None = None) -> SandSpec:

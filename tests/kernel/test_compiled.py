@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from mjgranular.kernel.announcement import announcement
 from mjgranular.kernel.compiled import compiled
 
 KERNELS = """
@@ -283,6 +284,16 @@ def test_who_waits_at_a_terminal_is_told_once(tmp_path):
     lines = seen_on_a_terminal(tmp_path, reads_the_log)
     assert "compiling kernels.twice" in lines
     assert not any(line.startswith("mjgranular") for line in lines)
+
+
+def test_who_waits_is_told_what_for(monkeypatch, capsys):
+    said = type(announcement)()
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    for what in ("", "law a", "", "law b"):
+        said.show("once", what)
+    told = ("kernels", "for law a", "for law b")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"mjgranular: compiling {one}: once" for one in told]
 
 
 @pytest.mark.slow

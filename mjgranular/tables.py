@@ -1,0 +1,26 @@
+"""Tables for notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from mjgranular.errors import one_line
+
+
+def html_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table as HTML; all texts are shown as they are, whatever is in them.
+
+    Args:
+        title: stands above it.
+        headings: of the columns.
+        rows: a cell for each column; numbers are shown with four digits.
+    """
+    head = "".join(f"<th>{_text(heading)}</th>" for heading in headings)
+    body = "".join(f"<tr>{''.join(f'<td>{_text(c)}</td>' for c in row)}</tr>" for row in rows)
+    caption = f"<caption>{_text(title)}</caption>"
+    return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _text(cell: object) -> str:
+    return escape(one_line(f"{cell:.4g}" if isinstance(cell, float) else str(cell)))
