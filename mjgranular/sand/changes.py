@@ -84,10 +84,7 @@ class Original:
     def _digests(self, model: mujoco.MjModel) -> dict[str, bytes]:
         meshes = (model.geom_type[self._geoms] == mujoco.mjtGeom.mjGEOM_MESH).any()
         names = (*_JOINTS, *(_MESHES if meshes else ()))
-        return {
-            name: hashlib.blake2b(np.ascontiguousarray(getattr(model, name))).digest()
-            for name in names
-        }
+        return {name: hashlib.blake2b(getattr(model, name).tobytes()).digest() for name in names}
 
 
 def warn_of_missed_steps(time: float, last: float | None, timestep: float) -> None:

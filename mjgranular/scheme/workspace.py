@@ -157,7 +157,7 @@ def make_workspace(
 ) -> Workspace:
     """Makes the workspace of one simulation, as `Scheme.workspace` says."""
     lone = lone_free_dofs(model)
-    record = np.zeros(1, _VIEWS.dtype)
+    record: Any = np.zeros(1, _VIEWS.dtype)
     numbers = {name: getattr(model, name) for name in ("nbody", "nv", "njnt", "nC", "nD")}
     numbers |= {
         "nfriction": model.nv + model.ntendon,

@@ -1,6 +1,6 @@
 """Environments that observe their own sensors see those, and nothing beside them, on sand."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -25,7 +25,9 @@ XML = """
 
 
 class Sensing(MujocoEnv):
-    metadata: ClassVar = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"]}
+    metadata: ClassVar[Any] = {  # pyright: ignore[reportIncompatibleVariableOverride]
+        "render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"],
+    }
 
     def __init__(self, path, **options):
         super().__init__(str(path), 5, None, **options)
@@ -36,7 +38,7 @@ class Sensing(MujocoEnv):
         self.set_state(self.init_qpos, self.init_qvel)
         return self.data.sensordata.copy()
 
-    def step(self, action):
+    def step(self, action) -> Any:
         self.do_simulation(action, self.frame_skip)
         return self.data.sensordata.copy(), 0.0, False, False, {}
 
