@@ -173,7 +173,7 @@ class _Limits:
 
 
 def _blocks_of_sensors(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
-    """Where the readings of each sand begin in `sensordata`."""
+    """First readings of each sand in `sensordata`."""
     blocks = [_address(model, f"{FORCE}/{name}") for name in names]
     for name, begin in zip(names, blocks, strict=True):
         for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):

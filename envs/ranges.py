@@ -277,7 +277,7 @@ def sands_of(
 
 
 def _name(thing: Any) -> str:
-    """What `info` calls a medium or a law; None is one that follows from the bodies."""
+    """Name of a medium or a law in `info`; None is one that follows from the bodies."""
     if thing is None:
         return "by the bodies"
     return thing if isinstance(thing, str) else str(getattr(thing, "name", thing))

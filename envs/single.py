@@ -47,18 +47,18 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         self.data = mujoco.MjData(self.model)
         self.metadata = {**self.metadata, "render_fps": round(1 / self.task.dt)}
         self.render_mode = render_mode
-        self.eyes = Cameras(self.task, render_mode, width, height, camera_name)
+        self.cameras = Cameras(self.task, render_mode, width, height, camera_name)
         self.action_space = self.task.action_space
         self.observation_space = self.task.observation_space
         self._state = self.task.state_of(self.data)
         self._episodes = 0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        eyes = self.eyes
+        cameras = self.cameras
         return _again, (
             type(self.task),
             self.task.options(),
-            (self.render_mode, eyes.width, eyes.height, eyes.camera_name),
+            (self.render_mode, cameras.width, cameras.height, cameras.camera_name),
         )
 
     @property
@@ -114,11 +114,11 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """A picture, shape (height, width, 3), or a look in the window."""
-        return self.eyes.look(self.model, self.data, int(self._state.active[0]))
+        return self.cameras.look(self.model, self.data, int(self._state.active[0]))
 
     def close(self) -> None:
         """Gives back what was taken for rendering."""
-        self.eyes.close()
+        self.cameras.close()
 
 
 def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:

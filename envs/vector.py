@@ -70,7 +70,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "autoreset_mode": self.autoreset_mode,
         }
         self.render_mode = render_mode
-        self.eyes = Cameras(self.task, render_mode, width, height, camera_name)
+        self.cameras = Cameras(self.task, render_mode, width, height, camera_name)
         self.single_observation_space = self.task.observation_space
         self.single_action_space = self.task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -203,13 +203,13 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         for number in range(self.num_envs):
             model, data = self.batch.get_model(number), self.batch.get_data(number)
             mujoco.mj_forward(model, data)
-            frames.append(self.eyes.look(model, data, int(self._state.active[number])))
+            frames.append(self.cameras.look(model, data, int(self._state.active[number])))
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Gives back what was taken for rendering."""
-        if "eyes" in vars(self):  # not where making it was refused
-            self.eyes.close()
+        if "cameras" in vars(self):  # not where making it was refused
+            self.cameras.close()
 
     def _random(self, number: int) -> np.random.Generator:
         random = self._randoms[number]

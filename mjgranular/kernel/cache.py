@@ -3,9 +3,9 @@
 numba serves a cached function as long as the file that defines it is as it was, whatever becomes of
 the files of the functions that it calls; it takes any file that lies in its folder; and it cannot
 tell apart what one factory has made of different parts. So a program's folder is named by all that
-went into it (`identity`); it is filled aside and then renamed, so that it is there as a whole or
-not at all, also where two processes compile at once; and it is handed to numba only if each file is
-as it was written, by this user or the administrator (`folder`).
+went into it (`identity`); it is filled elsewhere and then renamed, so that it is there as a whole
+or not at all, also where two processes compile at once; and it is handed to numba only if each file
+is as it was written, by this user or the administrator (`folder`).
 """
 
 from __future__ import annotations
@@ -69,20 +69,20 @@ def save(build: str, name: str, make: Callable[[], T]) -> T | None:
             _remove_old(root, build)
             (root / build).mkdir(exist_ok=True)
             restrict(root / build)
-            aside = Path(tempfile.mkdtemp(prefix=f"{name}.", dir=root / build))
+            staging = Path(tempfile.mkdtemp(prefix=f"{name}.", dir=root / build))
         except OSError:
             continue
         try:
             try:
-                with _caching(aside):
+                with _caching(staging):
                     made = make()
             except OSError:  # a full disk: compiled, but not written
                 continue
             with suppress(OSError):
-                _publish(aside, root / build / name)
+                _publish(staging, root / build / name)
             return made
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(staging, ignore_errors=True)
     return None
 
 
@@ -102,17 +102,17 @@ def _caching(folder: Path) -> Iterator[None]:
         _settings.CACHE_DIR = before
 
 
-def _publish(aside: Path, folder: Path) -> None:
-    for path in aside.rglob("*"):
+def _publish(staging: Path, folder: Path) -> None:
+    for path in staging.rglob("*"):
         restrict(path)
-    (aside / _SUMS).write_bytes(_sums(aside))
-    restrict(aside / _SUMS)
-    restrict(aside)
+    (staging / _SUMS).write_bytes(_sums(staging))
+    restrict(staging / _SUMS)
+    restrict(staging)
     try:
-        aside.rename(folder)
+        staging.rename(folder)
     except OSError:  # there is one, of a process that was quicker, or damaged
         shutil.rmtree(folder, ignore_errors=True)
-        aside.rename(folder)
+        staging.rename(folder)
 
 
 def _sums(folder: Path) -> bytes:

@@ -193,7 +193,7 @@ def total_of(typingctx: Any, numbers: Any) -> Any:
 
 @intrinsic
 def all_of(typingctx: Any, condition: Any) -> Any:
-    """Whether it is so in all lanes."""
+    """Tells whether it is so in all lanes."""
     if isinstance(condition, types.Boolean):
         return types.boolean(condition), lambda context, builder, sig, args: args[0]
     if not isinstance(condition, Mask):

@@ -1,4 +1,4 @@
-"""How sand resists: force laws, each with its parameters, its kernel and its citation."""
+"""Force laws, each with its parameters, its kernel and its citation."""
 
 from mjgranular.law.depth_velocity import DepthVelocityLaw as DepthVelocityLaw
 from mjgranular.law.law import Law as Law

@@ -1,4 +1,4 @@
-"""What laws of surface elements compute at every step, for each facet."""
+"""Kernels of laws of surface elements, for one facet."""
 
 from __future__ import annotations
 

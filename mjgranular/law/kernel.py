@@ -1,4 +1,4 @@
-"""What a law computes at every step, and where it is told to compute it.
+"""The kernels of a law.
 
 A law is two functions of an element. `sample` looks at where it is: depth, the point where force
 acts, and what else the force needs. `respond` gives the force and its derivatives. The loops over
@@ -21,7 +21,7 @@ from mjgranular.kernel.vector import transposed
 from mjgranular.law.multiplier import ONE_LIMIT, Multiplier
 
 Pose = namedtuple("Pose", ["position", "rotation", "com", "tree", "motion"])
-Pose.__doc__ = """Where a body is and how it moves, world axes.
+Pose.__doc__ = """Pose and motion of a body, world axes.
 
 Attributes:
     position: of the body's frame [m], a vector.

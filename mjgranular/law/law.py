@@ -1,4 +1,4 @@
-"""What every law offers, and the register of laws."""
+"""The interface of laws, and their register."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ laws: Registry[type[Law]] = Registry("law")
 
 
 class Law(ABC):
-    """How sand resists. A final law is a frozen dataclass of its parameters.
+    """Resistance of sand. A final law is a frozen dataclass of its parameters.
 
     Three things pass through a law once, when it is bound to a model, and never again: the geoms
     become the law's elements, its parameters and the surface become one record, and its kernel is
@@ -135,7 +135,7 @@ def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) 
 
 
 def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel) -> np.ndarray:
-    """What a kernel reads of law, medium and surface: fields `law` and `surface`, shape (1,)."""
+    """Makes the record of law, medium and surface: fields `law` and `surface`, shape (1,)."""
     parameters, place = law.parameters(medium), surface.record(model)
     scene = np.zeros(1, np.dtype([("law", parameters.dtype), ("surface", place.dtype)]))
     scene["law"], scene["surface"] = parameters, place

@@ -42,7 +42,7 @@ _LINK_PAPER = (
 
 
 class _LinkForm(Law):
-    """What both forms of the law share: coefficients, and a kernel over rods."""
+    """Base of both forms of the law: coefficients, and a kernel over rods."""
 
     limits: ClassVar[Any]
     # Not `density`, which all of the law is proportional to: strength and density are two things.

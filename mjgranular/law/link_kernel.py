@@ -1,4 +1,4 @@
-"""What the link law computes at every step, for each rod."""
+"""Kernels of the link law, for one rod."""
 
 from __future__ import annotations
 

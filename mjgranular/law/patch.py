@@ -1,4 +1,4 @@
-"""Which part of a facet is in the sand, and which part leads.
+"""Parts of a facet: the one in the sand, and the one that leads.
 
 A facet is taken as a parallelogram over which depth and v.n vary linearly: `d + a s + b t`, s and t
 from -1 to 1, where a and b are the rises of the quantity along its half edges. With h >= k for the

@@ -1,4 +1,4 @@
-"""How the part of a facet that leads, and its wet part, change: `patch` with its derivatives.
+"""Derivatives of the part of a facet that leads, and of its wet part (`patch`).
 
 For many facets side by side: all branches are worked out, each quotient is taken once, and what a
 branch does not take may be infinite. Signs are the caller's: rises are sizes, h the larger.

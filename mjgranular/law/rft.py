@@ -1,4 +1,4 @@
-"""What the two laws of resistive force theory share."""
+"""Base of the two laws of resistive force theory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a law holds: limits as data, and how a motion stands against them."""
+"""Validity of laws: limits as data, and motions held against them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MEANING: dict[Measure, str] = {
     "depth_over_width": "depth over the geom's width",
     "slope": "angle of the surface against the horizontal [rad]",
 }
-"""What each measure is; all but the slope are the greatest over a body's elements in the sand."""
+"""Meaning of each measure; all but the slope are the greatest over a body's wet elements."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Standing:
-    """How a body stands against a limit.
+    """Standing of a body against a limit.
 
     Attributes:
         limit: the limit.

@@ -20,7 +20,7 @@ _MESHES = ("mesh_vert", "mesh_face", "mesh_vertadr", "mesh_faceadr")
 
 
 class Original:
-    """What a sand was made of, as it was then.
+    """Record of what a sand was made of.
 
     Masses, options, actuators and heights of a height field are no part of it: they are read at
     each step. Nor is where the root of a tree stands in the model, which its elements do not know.

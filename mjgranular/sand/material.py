@@ -86,7 +86,7 @@ def medium_for(law: str | Law | type[Law]) -> Medium:
 
 
 def are_links(model: mujoco.MjModel, geoms: Sequence[int]) -> bool:
-    """Whether all geoms are capsules, or cylinders at least as long as they are wide."""
+    """Tells whether all geoms are capsules, or cylinders at least as long as they are wide."""
     kinds, sizes = model.geom_type[geoms], model.geom_size[geoms]
     long = (kinds == _CYLINDER) & (sizes[:, 1] >= sizes[:, 0])
     return bool(((kinds == _CAPSULE) | long).all())
@@ -114,7 +114,7 @@ def elements_of(
 
 
 def _has_constants(medium: Medium, law: str | Law | type[Law] | None) -> bool:
-    """Whether a law can be made of a medium's constants."""
+    """Tells whether a law can be made of a medium's constants."""
     try:
         get_law(law, medium)
     except (InputError, UnknownNameError):

@@ -79,7 +79,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     warn_of_floors(model, geoms, surface)
     warn_of_ranges(model, geoms, law, surface)
     elements = elements_of(model, geoms, law, spec.resolution)
-    scheme = scheme.settle(model, len(elements))
+    scheme = scheme.scheme_for(model, len(elements))
     scheme.check(model)
     scene = make_scene(law, medium, surface, model)
     kernel = law.kernel(surface)

@@ -79,7 +79,7 @@ SAND_FIELDS = tuple(field.name for field in fields(SandSpec))
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Whether a field has its default; a field may be an array, which is equal to nothing."""
+    """Tells whether a field has its default; a field may be an array, which is equal to nothing."""
     return value is default or (type(value) is type(default) and value == default)
 
 

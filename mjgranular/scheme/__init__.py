@@ -1,4 +1,4 @@
-"""How forces become a step."""
+"""Schemes, by which forces become a step."""
 
 from mjgranular.scheme.auto import Auto as Auto
 from mjgranular.scheme.explicit import Explicit as Explicit

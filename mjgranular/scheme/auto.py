@@ -43,7 +43,7 @@ class Auto(SchemeChoice):
     name: ClassVar[str] = "auto"
     title: ClassVar[str] = "implicit, or explicit for fine steps and very many elements"
 
-    def settle(self, model: mujoco.MjModel, elements: int) -> Scheme:
+    def scheme_for(self, model: mujoco.MjModel, elements: int) -> Scheme:
         chosen, reason = choose_scheme(model.opt.timestep, elements)
         _logger.info("scheme %s: %s", chosen.name, reason)
         return chosen

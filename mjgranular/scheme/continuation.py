@@ -159,7 +159,7 @@ def softness(w, velocity):
 
 @compiled
 def speed_without_sand(w):
-    """How fast an element at rest would be at most after a step without sand [m/s]."""
+    """The greatest speed of an element at rest after a step without sand [m/s]."""
     for j in range(w.nv):
         w.trial[j] = w.h * w.qacc_smooth[j]
     find_motions(w, w.trial)

@@ -33,7 +33,7 @@ from mjgranular.scheme.sampling import sampling_kernel
 
 # Not literals, for each of which numba would compile a function anew.
 FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
-"""Where multipliers come from: the velocity itself, a step of Newton's method to it, or there."""
+"""Origins of multipliers: the velocity itself, a step of Newton's method to it, those there."""
 
 # As good as no softness [m/s], but for a speed of zero. Chosen: far below any motion, far above the
 # square root of the smallest number.
@@ -41,7 +41,7 @@ _HARD = 1e-150
 
 
 class Response(NamedTuple):
-    """What a law answers to a velocity and a multiplier, to first order in both."""
+    """Answer of a law to a velocity and a multiplier, to first order in both."""
 
     force: Vector  # [N]
     slope: Matrix  # minus its derivative by the velocity [N s/m]

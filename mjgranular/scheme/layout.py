@@ -1,4 +1,4 @@
-"""What lies where in a tile: up to `lanes` elements of one body side by side.
+"""Layout of a tile: up to `lanes` elements of one body side by side.
 
 A tile is rows of numbers, one number for each lane. Loops over lanes are of a fixed length and of
 arithmetic alone, and the compiler makes vector instructions of them; lanes that are left over hold
@@ -31,7 +31,7 @@ def element_row(kernel: LawKernel) -> int:
 
 
 def tile_size(kernel: LawKernel) -> int:
-    """How many numbers a tile has."""
+    """Number of numbers of a tile."""
     elements = size_of(kernel.element) if kernel.side_by_side else 0
     return (element_row(kernel) + elements) * kernel.lanes
 

@@ -43,7 +43,7 @@ _SHORTEST = 0.1  # of a step
 _NOTHING = 1e-150  # a speed that may be divided by
 
 Search = namedtuple("Search", ["update", "loose", "eps", "goal", "steps", "most_mismatch"])
-Search.__doc__ = """How Newton's method is to go from where it begins.
+Search.__doc__ = """Options of one run of Newton's method.
 
 Attributes:
     update: of the multipliers at the beginning: `FRESH`, those of the velocity itself with the
@@ -182,7 +182,7 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
 @compiled
 def misfit(turn, mismatch):
-    """What is lost where a law is taken for a straight line over a step of Newton's method.
+    """Estimates what is lost where a law is taken for a straight line over a step.
 
     With delta = |c| / s and beta = |v / s - p|, beta^2 + delta (delta + beta): a stress turns with
     the multiplier, which has to make up for its mismatch; and speed and multiplier change together,

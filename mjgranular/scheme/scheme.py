@@ -1,4 +1,4 @@
-"""What every scheme offers, and the register of schemes."""
+"""The interface of schemes, and their register."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SPELLED = {"EULER": "Euler"}
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where a scheme works: made once for a simulation, so that no step allocates.
+    """Memory of a scheme for one simulation: made once, so that no step allocates.
 
     Attributes:
         record: sizes and addresses, as the scheme's program reads them; words of 8 bytes.
@@ -40,7 +40,7 @@ class Workspace:
 
 
 class SchemeChoice(ABC):
-    """What can be asked for as a scheme: one, or a choice among several.
+    """Choice of a scheme: one, or one among several by the model.
 
     Attributes:
         name: the name it is known by.
@@ -51,7 +51,7 @@ class SchemeChoice(ABC):
     title: ClassVar[str]
 
     @abstractmethod
-    def settle(self, model: mujoco.MjModel, elements: int) -> Scheme:
+    def scheme_for(self, model: mujoco.MjModel, elements: int) -> Scheme:
         """The scheme for a model with so many elements."""
 
     @abstractmethod
@@ -64,7 +64,7 @@ class SchemeChoice(ABC):
 
 
 class Scheme(SchemeChoice):
-    """How forces become a step. A final scheme is a frozen dataclass of its options.
+    """Way in which forces become a step. A final scheme is a frozen dataclass of its options.
 
     Attributes:
         whole_state: whether its forces depend on more than `qpos` and `qvel`: on actuators, applied
@@ -92,7 +92,7 @@ class Scheme(SchemeChoice):
     @property
     @abstractmethod
     def lead(self) -> float:
-        """How far ahead of the state velocities are taken, as a fraction of the time step."""
+        """Time by which velocities are taken ahead of the state, as a fraction of the time step."""
 
     @abstractmethod
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
@@ -107,7 +107,7 @@ class Scheme(SchemeChoice):
             scene: record of two: `law`, made by its `parameters`, and `surface`.
         """
 
-    def settle(self, model: mujoco.MjModel, elements: int) -> Scheme:
+    def scheme_for(self, model: mujoco.MjModel, elements: int) -> Scheme:
         return self
 
     def workspace(

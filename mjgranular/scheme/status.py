@@ -1,4 +1,4 @@
-"""What a scheme's program returns, and the options of the model that it looks at first.
+"""Statuses of a scheme's program, and the options of the model that it checks first.
 
 Options may be changed between any two steps, by a viewer's switch for example. What a scheme cannot
 step then is refused, in words, before anything is computed.
@@ -31,7 +31,7 @@ BAD_SOLVER = -6
 
 # Numbered downwards, one after the other.
 REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR, BAD_SOLVER)
-"""What `check_options` says no with."""
+"""Refusals of `check_options`."""
 
 EVERY_INTEGRATOR = 0xFF  # a bit for each
 _LONGEST = 10**18  # [ns]: any step

@@ -1,4 +1,4 @@
-"""Where the implicit scheme works in one simulation: its arrays, and those of MuJoCo that it reads.
+"""Workspace of the implicit scheme in one simulation: its arrays, and those of MuJoCo's.
 
 A kernel sees all of them as fields of one record, `w`: `w.nv`, `w.velocity[j]`, `w.cdof[j]`. Fields
 of MuJoCo's structs have MuJoCo's names. The record is made once for each `MjData`, so that no step
@@ -34,7 +34,7 @@ STATISTICS_DTYPE = np.dtype(
 )
 
 EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT = range(4)
-"""What the integrator adds to the inertia: nothing, joint damping, the derivative of forces."""
+"""Additions of the integrator to the inertia: none, joint damping, the derivative of forces."""
 
 POLY = int(mujoco.mjNPOLY)
 """Coefficients of damping beyond the linear one."""
@@ -231,7 +231,7 @@ def read_options(table, w):
 
 @compiled
 def has_damping(w):
-    """Whether a joint is damped, by itself or by an actuator."""
+    """Tells whether a joint is damped, by itself or by an actuator."""
     for j in range(w.nv):
         if w.dof_damping[j] > 0.0 or w.jnt_actuatorid[w.dof_jntid[j]] != -1:
             return True

@@ -1,4 +1,4 @@
-"""What every scheme's program does beside its own work: where bodies are, and `xfrc_applied`."""
+"""Parts of every scheme's program: poses of bodies, and `xfrc_applied`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from mjgranular.law.kernel import Pose
 
 @compiled
 def place_of(table, body):
-    """Where the pose of a body of the sand is to be read: addresses, for `pose_at`.
+    """Finds the addresses of the pose of a body of the sand, for `pose_at`.
 
     Args:
         table: the simulation's (`kernel.memory`).
@@ -50,7 +50,7 @@ def place_of(table, body):
 
 @compiled
 def pose_at(place):
-    """Where a body of the sand is and how it moves, from `place_of`.
+    """Reads pose and motion of a body of the sand, from `place_of`.
 
     In a loop over elements it is best called for each of them: then what an element has no need of
     is not read, and nothing has to be kept while the law is asked.
@@ -140,7 +140,7 @@ _BAD = tuple(
 
 @compiled
 def is_bad(table):
-    """Whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it.
+    """Tells whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it.
 
     Inside MuJoCo's step, which deals with that itself, the table has no warnings.
     """
