@@ -13,13 +13,33 @@ from matplotlib import pyplot as plt
 from style import save
 
 from mjgranular import Rft2dLaw, Rft3dLaw, media
-from mjgranular.law.rft2d import rft2d_stress
-from mjgranular.law.rft3d import rft3d_stress
+from mjgranular.kernel import compiled
+from mjgranular.kernel.vector import vector
+from mjgranular.law.rft import stress_of
+from mjgranular.law.rft2d import rft2d_slope
+from mjgranular.law.rft3d import rft3d_slope
 
 SAND = media["quikrete_medium"]
+
+
+def numbers_of(slope: object) -> object:
+    """Makes the stress of a law of numbers: normal, direction of motion, surface's normal."""
+    stress = stress_of(slope)
+
+    @compiled
+    def call(law, g, nx, ny, nz, vx, vy, vz, zx, zy, zz):
+        f = stress(law, g, vector(nx, ny, nz), vector(vx, vy, vz), vector(zx, zy, zz))
+        return f.x, f.y, f.z
+
+    return call
+
+
 LAWS = {
-    "2D, generic (Li et al. 2013)": (Rft2dLaw.generic(1.0), rft2d_stress),
-    "3D, $\\mu_s$ = 0.4 (Agarwal et al. 2023)": (Rft3dLaw.from_medium(SAND), rft3d_stress),
+    "2D, generic (Li et al. 2013)": (Rft2dLaw.generic(1.0), numbers_of(rft2d_slope)),
+    "3D, $\\mu_s$ = 0.4 (Agarwal et al. 2023)": (
+        Rft3dLaw.from_medium(SAND),
+        numbers_of(rft3d_slope),
+    ),
 }
 
 
