@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
@@ -10,7 +11,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium, get_medium
@@ -76,11 +77,19 @@ class Law(ABC):
         """Parameters of law and medium as the kernel reads them: structured, shape (1,).
 
         These are the law's fields, as numbers, unless it says otherwise.
+
+        Raises:
+            InputError: a field that is no finite number.
         """
         names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
         parameters = np.zeros(1, np.dtype([(name, np.float64) for name in names]))
         for name in names:
-            parameters[name] = getattr(self, name)
+            value = getattr(self, name)
+            if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+                raise InputError(
+                    f"{type(self).__name__}: {name} must be a finite number, not {shown(value)}"
+                )
+            parameters[name] = value
         return parameters
 
     @abstractmethod
@@ -94,13 +103,24 @@ class Law(ABC):
 LawClass = TypeVar("LawClass", bound=type[Law])
 
 
-def register_law(law: LawClass) -> LawClass:
-    """Makes a class of laws known by its `name`; can be used as a decorator.
+def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
+    """Makes a class of laws known by its `name` in this process; can be used as a decorator.
+
+    A class that is defined again, as in a cell of a notebook, takes the place of what it was.
+
+    Args:
+        law: the class.
+        replace: let it take the place of another law of that name.
 
     Raises:
         InputError: another law has that name.
     """
-    laws.add(law.name, law)
+    before = laws.get(law.name)
+    again = before is not None and (before.__module__, before.__qualname__) == (
+        law.__module__,
+        law.__qualname__,
+    )
+    laws.add(law.name, law, replace=replace or again)
     return law
 
 

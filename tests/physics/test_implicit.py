@@ -24,6 +24,7 @@ from mjgranular import (
     media,
 )
 from mjgranular.models import Link
+from mjgranular.sand.prepare import prepare
 from mjgranular.scheme import Implicit
 
 G = 9.81  # of the models here [m/s^2]
@@ -94,7 +95,7 @@ class Drawn:
             mujoco.MjData(model),
         )
         self.kernel = kernels.Kernels(sand.law.kernel(sand.surface))
-        scene = sand._scene[0]
+        scene = prepare(model, sand.spec).scene[0]
         self.law, self.rng = scene["law"], np.random.default_rng(seed)
         self.immersed, self.normals = [], []
         while len(self.immersed) < 60:
@@ -932,6 +933,7 @@ def test_a_heap_of_contacts():
     assert not data.warning.number.any()
 
 
+@pytest.mark.filterwarnings("ignore::mjgranular.errors.RangeWarning")  # of a step of 1 s
 @settings(max_examples=20)
 @given(exponent=st.floats(-9, 0))
 def test_any_step(exponent):
