@@ -223,7 +223,7 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
     def take(table, packed, first, lane, here, place, around, g, depths, address, live):
         tile, found = floats(address, size), floats(packed, packed_size)
         is_dry = read_all_depths(depths, 0) <= 0.0
-        is_whole = here == lanes and live == 0 and count_of(is_dry) == 0
+        is_whole = here == lanes and lane == 0 and live == 0 and count_of(is_dry) == 0
         if is_whole or not compact:
             for k in range(lanes):
                 tile[INDEX * lanes + k] = number_of(first + k)
