@@ -88,7 +88,8 @@ def _parts(kind: Any) -> list[Any] | None:
     """The types of what a value consists of; None for a number."""
     if isinstance(kind, VectorType):
         return [kind.component] * 3
-    return [*iter(kind)] if isinstance(kind, types.BaseTuple) else None
+    parts: Any = kind
+    return list(parts) if isinstance(kind, types.BaseTuple) else None
 
 
 def _leaves_of_type(kind: Any) -> Iterator[Any]:
