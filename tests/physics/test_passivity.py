@@ -155,7 +155,24 @@ def test_random_steps_are_foreseen(seed):
         speed = max(9.81 * drawn.timestep, abs(data.qvel).max(), abs(data.qvel - before).max())
         # Light chains: what a residual of 1e-11 of the momentum at hand is for the lightest.
         assert abs(data.qvel - found).max() <= 1e-7 * speed
-    assert account["unfinished"] <= 0.05 * STEPS
+    assert account["unfinished"] <= 0.1 * STEPS
+
+
+def test_next_to_no_random_step_is_left_unfinished():
+    # Which ones are is a matter of rounding: 24 and 29 of 10,883 in two versions that agree
+    # otherwise, up to 6 of 60 in one model.
+    steps = unfinished = 0
+    for seed in range(200, 300):
+        drawn = Drawn(seed, contacts=False)
+        drawn.model.opt.tolerance, drawn.model.opt.iterations = 0, 200
+        sand, data = drawn.begin()
+        for _ in range(STEPS):
+            data.qfrc_applied[:] = drawn.rng.normal(scale=0.1, size=drawn.model.nv)
+            sand.step(data)
+        solver = sand.report(data).solver
+        steps, unfinished = steps + solver.steps, unfinished + solver.unfinished
+    assert steps > 4000
+    assert unfinished <= 0.005 * steps
 
 
 @pytest.mark.parametrize("seed", [5025, 5090, 5135, 5276, 5415, 5800])
