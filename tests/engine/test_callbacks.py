@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,14 @@ def loader() -> Any:
     """The loader of the engine, activated."""
     mujoco.MjData(sandy_ball())
     return plugin._engine._loader
+
+
+@pytest.fixture
+def sigint() -> Iterator[None]:
+    """SIGINT as Python takes it, also in a process that was begun in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def raising(error: BaseException) -> Any:
@@ -350,7 +360,7 @@ def test_a_compiler_that_is_interrupted_compiles_later(tmp_path: Path) -> None:
     assert out == f"{len(WAITS)}\n"
 
 
-def test_work_apart_is_waited_for_and_asked_to_cancellation_point() -> None:
+def test_work_in_a_worker_thread_is_waited_for_and_can_be_cancelled(sigint: None) -> None:
     main = threading.main_thread().ident
     seen = []
 
