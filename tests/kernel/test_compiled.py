@@ -286,7 +286,8 @@ def test_who_waits_at_a_terminal_is_told_once(tmp_path):
     assert not any(line.startswith("mjgranular") for line in lines)
 
 
-def test_who_waits_is_told_what_for(monkeypatch, capsys):
+def test_who_waits_is_told_what_for(monkeypatch, capsys, caplog):
+    caplog.set_level("WARNING", logger="mjgranular.kernel.compiled")  # nobody reads the log
     said = type(announcement)()
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     for what in ("", "law a", "", "law b"):
