@@ -35,6 +35,9 @@ RAMP = 0.05
 # A face leads when its normal's share of the motion is above this. Chosen: a face that slides along
 # itself has a finite response in RFT, so rounding must not decide whether it leads.
 EDGE = 1e-9
+# A spread of the normal along the motion that is smaller than this is none: its square could not be
+# divided by. Chosen.
+_FLAT = 1e-100
 # Turn of the direction of motion for the derivative of a stress. Chosen: the square root of the
 # precision, and some more for the rounding of a fit of 60 terms.
 _TURN = 1e-6
@@ -80,7 +83,7 @@ def led_slope_kernel(slope: Any) -> Any:
         ramp = eps > 0.0 and a_size + b_size < RAMP
         first = RAMP - b_size if ramp else a_size
         swap = first < b_size
-        h, k = max(first, b_size), min(first, b_size)
+        h, k = max(first, b_size, _FLAT), min(first, b_size)
         share, lh, lk, share_x, share_y, h_x, h_y, k_x, k_y, per_h = leading_slope(c, h, k)
         la, la_x, la_y = (lk, k_x, k_y) if swap else (lh, h_x, h_y)
         lb, lb_x, lb_y = (lh, h_x, h_y) if swap else (lk, k_x, k_y)

@@ -209,3 +209,18 @@ def test_each_element_counts_once(law, scheme):
         assert np.cross(arms, table.force).sum(0) == pytest.approx(body.moment, rel=1e-9, abs=1e-9)
         wet.add(int((table.depth > 0).sum()) % 8)
     assert len(wet) > 4  # tiles that are full, and not
+
+
+def test_a_normal_that_is_upright_but_for_rounding():
+    # Cosines of 1e-221, the products of which are nothing.
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom type='capsule' size='.1 .3'/></body>"
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qpos[2:7] = [-0.5, 0, 0, 1, 7e-221]
+    data.qvel[2] = 1.0  # it turns a half about y: its axis is upright
+    for scheme in ("explicit", "implicit"):
+        report = Sand(model, law="rft3d", medium="quikrete_medium", scheme=scheme).report(data)
+        assert np.isfinite(report.table.force).all()
+        assert report.bodies[0].force[2] < 0
