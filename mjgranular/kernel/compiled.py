@@ -6,11 +6,12 @@ from collections.abc import Callable
 from types import FunctionType
 from typing import Any
 
+from mjgranular.errors import InputError
 from mjgranular.kernel.compiler import compiling
 
 with compiling():
     from numba import cfunc, njit
-    from numba.core import event
+    from numba.core import config, event
 
 from mjgranular.kernel import cache
 from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
@@ -104,6 +105,9 @@ def _find(kernel: Any, signature: str, make: Callable[..., Any], what: str = "")
 
 
 def _find_or_make(key: tuple[Any, str, Any], what: str) -> Any:
+    settings: Any = config
+    if settings.DISABLE_JIT:
+        raise InputError("sand has to be compiled: unset NUMBA_DISABLE_JIT")
     with PROGRAMS:
         found = _programs.get(key)
         if found is None:

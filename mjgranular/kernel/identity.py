@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import sys
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -35,18 +36,24 @@ def digest(value: object) -> str:
     return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
 
 
-@cache
-def _of_file(path: str) -> str:
-    file = Path(path)
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+def _of_files(paths: Iterable[Path]) -> str:
+    found = hashlib.sha256()
+    for path in paths:
+        found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+# Of what was imported: files may be edited before the first program is compiled.
+_SOURCES = _of_files(
+    path for name in _OF_KERNELS for path in sorted(_PACKAGE.joinpath(name).glob("*.py"))
+)
 
 
 @cache
 def build() -> str:
     """Names this version of the sources, with all else that compiled code depends on."""
-    paths = (path for name in _OF_KERNELS for path in sorted(_PACKAGE.joinpath(name).glob("*.py")))
     return digest((
-        *(_of_file(str(path)) for path in paths),
+        _SOURCES,
         processor(),
         *(os.environ.get(f"NUMBA_{name}") for name in _SETTINGS),
         version("numba"),
@@ -66,17 +73,22 @@ def identity(value: Any) -> tuple[object, ...]:
     function = kernel or getattr(value, "__wrapped__", value)
     if isinstance(function, FunctionType):  # a kernel, an intrinsic, or part of one
         name = (function.__module__, function.__qualname__)
-        content = _of_file(function.__code__.co_filename) or _content(function)
+        path = Path(function.__code__.co_filename)
+        content = () if path.is_relative_to(_PACKAGE) else _content(function, path)  # or in `build`
         # What a kernel is made of is in its name (`compiled`).
-        return (*name, content, *(() if kernel else closure_of(function)))
+        return (*name, *content, *(() if kernel else closure_of(function)))
     name = repr(value)
     if _ADDRESS.search(name):
         raise TypeError(f"a kernel's closure holds what every process names anew: {name}")
     return (name,)
 
 
-def _content(function: FunctionType) -> str:
-    """Digest of a function that no file has, as in a notebook: its code, and what it names."""
+def _content(function: FunctionType, path: Path) -> tuple[str, str]:
+    """Digests of a function of somebody's own: of its code with what it names, and of its file.
+
+    Its code, since a notebook has no file, and since a file may have been edited after it was
+    imported; its file, since code may name more than numbers and kernels.
+    """
     code = function.__code__
     consts = [const for const in code.co_consts if not isinstance(const, CodeType)]
     named = (function.__globals__.get(name) for name in code.co_names)
@@ -85,7 +97,8 @@ def _content(function: FunctionType) -> str:
         for value in named
         if isinstance(value, (bool, int, float, str)) or hasattr(value, "py_func")
     ]
-    return digest((code.co_code, consts, code.co_names, known))
+    file = _of_files([path]) if path.is_file() else ""
+    return digest((code.co_code, consts, code.co_names, known)), file
 
 
 def closure_of(function: Any) -> tuple[object, ...]:

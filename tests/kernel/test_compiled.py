@@ -118,14 +118,16 @@ def sum_of(n, x):
 def run(tmp_path):
     (tmp_path / "kernels.py").write_text(KERNELS.replace("BODY\n", "") + PROGRAM, encoding="utf-8")
 
-    def run(code, cache="cache"):
+    def run(code, cache="cache", cwd=None):
         command = [sys.executable, "-c", f"from kernels import *\n{code}"]
         env = {
             **os.environ,
             "NUMBA_CACHE_DIR": str(tmp_path / cache),
             "PYTHONPATH": str(tmp_path),
         }
-        done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(
+            command, env=env, cwd=cwd, capture_output=True, text=True, timeout=120
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout.split()
 
@@ -315,3 +317,49 @@ def test_without_a_folder_to_write_to_it_says_so_in_every_process(tmp_path):
         (line,) = seen_on_a_terminal(tmp_path, code)
         assert "in every process" in line
         assert "NUMBA_CACHE_DIR" in line
+
+
+OWN = "from mjgranular.kernel import compiled\n\n@compiled\ndef grow(x):\n    return x + {}\n"
+GROWN = """
+import importlib, pathlib, own
+def grown():
+    importlib.reload(own)
+    return entry(own.grow, "int64(int64)")(1)
+"""
+
+
+@pytest.mark.slow
+def test_a_kernel_that_is_edited_and_imported_again_is_another(run, tmp_path):
+    (tmp_path / "own.py").write_text(OWN.format(1))
+    code = f"""{GROWN}
+sys.dont_write_bytecode = True
+print(grown())
+pathlib.Path("own.py").write_text({OWN.format(20)!r})
+print(grown())
+"""
+    assert run(code, cwd=tmp_path) == ["2", "21"]
+
+
+@pytest.mark.slow
+def test_a_kernel_that_is_edited_before_it_is_compiled_is_kept_as_it_was(run, tmp_path):
+    (tmp_path / "own.py").write_text(OWN.format(1))
+    edited = f'import own, pathlib; pathlib.Path("own.py").write_text({OWN.format(20)!r})\n'
+    code = 'import own; print(entry(own.grow, "int64(int64)")(1))'
+    assert run(edited + code, cwd=tmp_path) == ["2"]
+    assert run(code, cwd=tmp_path) == ["21"]
+
+
+def test_without_numbas_compiler_a_sand_says_so(tmp_path):
+    code = """
+import mujoco, mjgranular
+from mjgranular.models import Link
+spec = Link().spec()
+try:
+    mjgranular.Sand(spec.compile())
+except mjgranular.GranularError as error:
+    print(error)
+"""
+    env = {**os.environ, "NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "unset NUMBA_DISABLE_JIT" in done.stdout
