@@ -12,6 +12,7 @@ import ctypes
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import mujoco
@@ -164,6 +165,7 @@ class Layout:
     sensordata: int
 
 
+@cache
 def find_layout(plugin: str) -> Layout:
     """Looks the layout up in a small model with that plugin.
 

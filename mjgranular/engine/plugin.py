@@ -89,7 +89,6 @@ class Engine:
     def __init__(self) -> None:
         self._active: set[str] = set()
         self._failure: GranularError | None = None
-        self._layout: Any = None
         self._loader: Any = None
         self._message = threading.local()
 
@@ -198,19 +197,19 @@ class Engine:
 
             publish_functions(library(), callbacks.FUNCTIONS)
             try:
-                self._layout = self._layout or find_layout(NAME)
+                layout = find_layout(NAME)
             finally:
                 pausing.value = 0
         made = {NAME: callbacks.sand_callbacks, SENSOR: callbacks.sensor_callbacks}[plugin.name]
         if self._loader is None:
-            self._loader = Loader(self._layout, self._draw)
-        self._put(plugin.name, made(self._layout))
+            self._loader = Loader(layout, self._draw)
+        self._put(plugin.name, made(layout))
 
     def _draw(self) -> None:
         """Has MuJoCo draw from now on."""
         from mjgranular.engine import callbacks
 
-        self._put(NAME, callbacks.drawing_callbacks(self._layout))
+        self._put(NAME, callbacks.drawing_callbacks(find_layout(NAME)))
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, str]]) -> None:
         """Compiles functions and has MuJoCo call them."""

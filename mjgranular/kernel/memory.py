@@ -35,7 +35,7 @@ def simulation_table(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     *,
-    laid: np.ndarray,
+    packed: np.ndarray,
     count: int,
     bodies: np.ndarray,
     scene: np.ndarray,
@@ -51,7 +51,7 @@ def simulation_table(
     Args:
         model: the model.
         data: its data.
-        laid: the law's elements as the program reads them.
+        packed: the law's elements as the program reads them.
         count: of the elements, n.
         bodies: rows of `sand.binding.BODY_DTYPE`, shape (m,).
         scene: parameters of law, medium and surface, shape (1,).
@@ -77,7 +77,7 @@ def simulation_table(
         data.qacc_warmstart,
         data.xfrc_applied,
         data.warning.number,
-        laid,
+        packed,
         bodies,
         scene,
         contacts,
@@ -130,39 +130,6 @@ def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> 
         for index in (args[1], builder.add(args[1], args[1].type(last))):
             cgutils.do_boundscheck(context, builder, index, size)
     return opened.data
-
-
-@cache
-def summed(count: int) -> Any:
-    """Makes a kernel `sum(array, first)` of so many numbers in a row, a power of two.
-
-    First half plus second half, and so on: the same on every processor, and no more than a few
-    instructions where there are vectors.
-    """
-
-    @intrinsic
-    def add_up(typingctx: Any, array: Any, first: Any) -> Any:
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            data = numbers_of(context, builder, array, args, count - 1)
-            vector = ir.VectorType(ir.DoubleType(), count)
-            place = builder.bitcast(builder.gep(data, [args[1]]), vector.as_pointer())
-            numbers = builder.load(place, align=8)
-            size = count
-            while size > 1:
-                size //= 2
-                halves = (
-                    ir.Constant(
-                        ir.VectorType(ir.IntType(32), size), list(range(start, start + size))
-                    )
-                    for start in (0, size)
-                )
-                low, high = (builder.shuffle_vector(numbers, numbers, half) for half in halves)
-                numbers = builder.fadd(low, high)
-            return builder.extract_element(numbers, ir.IntType(32)(0))
-
-        return types.float64(array, types.int64), codegen
-
-    return add_up
 
 
 @cache

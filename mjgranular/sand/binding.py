@@ -71,7 +71,7 @@ def bind(
     table = simulation_table(
         model,
         data,
-        laid=sand.packed,
+        packed=sand.packed,
         count=len(elements),
         bodies=bodies,
         scene=sand.scene,

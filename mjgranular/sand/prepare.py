@@ -33,6 +33,7 @@ class PreparedSand:
         medium: the medium.
         law: the law, with its constants.
         surface: the surface.
+        geoms: ids of the geoms that meet the sand.
         scheme: the one that acts, where a choice was asked for.
         elements: of the law: a structured array, body by body.
         packed: the same as the program reads them.
@@ -45,6 +46,7 @@ class PreparedSand:
     medium: Medium
     law: Law
     surface: Surface
+    geoms: tuple[int, ...]
     scheme: Scheme
     elements: np.ndarray
     packed: np.ndarray
@@ -89,6 +91,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         medium=medium,
         law=law,
         surface=surface,
+        geoms=tuple(geoms),
         scheme=scheme,
         elements=elements,
         packed=kernel.pack(elements),

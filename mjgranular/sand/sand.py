@@ -103,7 +103,7 @@ class Sand:
         # The last data and the address of its table: what a loop over one simulation needs.
         self._recent = _NOBODY
         places = sand.surface.geoms(model)
-        self._original = Original(model, geoms_in_sand(model, self._spec), places)
+        self._original = Original(model, sand.geoms, places)
         self._last_timestep = 0.0  # of the last step, of whatever simulation [s]
 
     def __repr__(self) -> str:

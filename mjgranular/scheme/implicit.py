@@ -166,7 +166,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             done, error, softened = find_velocity(table, w)
             warm_start(w)
             share = passive_share(w, error)
-            write_wrenches(w, bodies, share)
+            write_body_wrenches(w, bodies, share)
             write_contacts(table, w, share)
             statistics = w.statistics[0]
             statistics.steps += 1
@@ -241,7 +241,7 @@ def warm_start(w):
 
 
 @compiled
-def write_wrenches(w, bodies, share):
+def write_body_wrenches(w, bodies, share):
     """Writes the bodies' wrenches about their own centres of mass, force before moment."""
     for slot in range(len(bodies)):
         body = bodies[slot]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from mjgranular.kernel.fields import size_of
-from mjgranular.kernel.memory import records
 from mjgranular.law.kernel import LawKernel
 
 # First rows: from the centre of the tree to where force acts [m]; velocity last looked at [m/s] and
@@ -22,7 +21,6 @@ TURN = MISMATCH  # which is not needed any more
 POINT = SAMPLE + 2
 
 HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
-head_records = records(HEAD_DTYPE)
 
 
 def element_row(kernel: LawKernel) -> int:

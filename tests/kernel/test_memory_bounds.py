@@ -240,9 +240,10 @@ import sys
 import numpy as np
 from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.fields import column, rows
-from mjgranular.kernel.memory import floats, summed
+from mjgranular.kernel.lanes import total_of
+from mjgranular.kernel.memory import floats
 
-read_column, read_rows, add_up = column(2, 3).read, rows(2, 2).read, summed(4)
+read_column, read_rows, read_four = column(2, 3).read, rows(2, 2).read, rows(1, 4).read
 
 @compiled
 def part(address, index):
@@ -265,7 +266,7 @@ print(entry(look, "int64(int64, int64)")(room.ctypes.data, int(sys.argv[1])))
     [
         pytest.param("numbers[index]", 7, id="plain"),
         pytest.param("read_column(numbers, index)[1]", 4, id="column"),
-        pytest.param("add_up(numbers, index)", 4, id="sum"),
+        pytest.param("total_of(read_four(numbers, index)[0])", 4, id="sum"),
         pytest.param("numbers[index + len(read_rows(numbers, index))]", 4, id="rows"),
     ],
 )
