@@ -25,7 +25,7 @@ from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
-from mjgranular.engine.measures import SENSOR_KEYS
+from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.preparing import prepare_in_worker
 from mjgranular.engine.sensor import Sensors
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
@@ -46,9 +46,9 @@ _PREFIXES = (
 )  # fmt: skip
 _SWITCHES = 64  # bytes of `opt` from the integrator on: solver, Jacobian, flags
 _SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_adr")
-_NAMES = ("qpos0", "plugin", *_SENSORS)
+_NAMES = ("qpos0", "plugin", *_SENSORS, "sensor_type", "sensor_needstage")
 _NO_MATTER = (
-    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "sensor_", "plugin",
+    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "plugin", *_SENSORS,
 )  # fmt: skip
 
 # Which key named what a model does not have, by a word of what it was to name.
@@ -108,6 +108,11 @@ class Loader:
             self._handles.clear(data, instance)
             sands = self._sands(model)
             if instance in sands.values():
+                if instance in self._array(model, "sensor_plugin"):
+                    raise InputError(
+                        "a sensor refers to the sand itself, which measures nothing: sensors of it "
+                        f"are those of the plugin {SENSOR}"
+                    )
                 self._refuse_twice(model, instance, sands)
                 content = self._prepare(model, instance).image
             else:
