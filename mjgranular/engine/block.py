@@ -56,6 +56,7 @@ HEADER_DTYPE = np.dtype(
         ("results", np.int64),  # address of what a step leaves behind: bodies, contacts
         ("results_size", np.int64),  # [bytes]
         ("slots", np.int64),  # address: for each element its row in `bodies`
+        ("geoms", np.int64),  # address: for each element its geom
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
@@ -141,7 +142,8 @@ def make_image(
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.
     """
-    slots, texts = sand.elements["slot"].astype(np.int64), refusals(sand.scheme)
+    slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
+    texts = refusals(sand.scheme)
     shape = sand.surface.shape(model)
     binding = bind(model, data, sand, within=True)
     head = np.zeros(1, HEADER_DTYPE)
@@ -179,6 +181,7 @@ def make_image(
         "results": binding.bodies.ctypes.data,
         "results_size": places[sand.scene.ctypes.data] - places[binding.bodies.ctypes.data],
         "slots": slots.ctypes.data,
+        "geoms": geoms.ctypes.data,
         "ends": ends.ctypes.data,
         "tunings": tunings.ctypes.data if len(tunings) else 0,
         "tuning_count": len(tunings),
@@ -206,7 +209,7 @@ def make_image(
     return Image(
         content.view(np.float64),
         relocations[~reads_model],
-        (sand.packed, slots, tunings, texts),
+        (sand.packed, slots, geoms, tunings, texts),
     )
 
 

@@ -21,7 +21,7 @@ ALL = 6
 """Numbers of all bodies together: force [N], depth [m], power [W], speed [m/s]."""
 
 _header = records(HEADER_DTYPE)
-assert tuple(MEASURES) == ("force", "moment", "depth", "power", "speed")
+assert tuple(MEASURES) == ("force", "moment", "depth", "power", "speed", "touch")
 
 
 class SandReadings:
