@@ -1,4 +1,4 @@
-"""The sand among the external forces on bodies: `cfrc_ext`, `cfrc_int`, sensors of force and torque.
+"""The sand among the external forces on bodies: in `cfrc_ext`, and so in sensors of force.
 
 MuJoCo works these out (`mj_rnePostConstraint`) from contacts, constraints and `xfrc_applied`. Of
 passive forces it knows only what they do along joints. So for the time of one call the sand's
@@ -27,7 +27,6 @@ from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
     NBODY,
-    floats,
     ints,
     longs,
     records,

@@ -33,7 +33,7 @@ class SandReadings:
     Args:
         model: with sand in it.
         sands: names of the instances, which act on the same bodies.
-        bodies: how many bodies those are.
+        bodies: of how many bodies the force and the moment are wanted.
 
     Attributes:
         values: the array, shape (1, n).
@@ -41,7 +41,7 @@ class SandReadings:
         each: where the forces and moments begin, for each sand.
     """
 
-    def __init__(self, model: mujoco.MjModel, sands: tuple[str, ...], bodies: int) -> None:
+    def __init__(self, model: mujoco.MjModel, sands: tuple[str, ...], bodies: int = 0) -> None:
         count = len(sands)
         self._instances = [instance_of(model, name) for name in sands]
         self.together = [ALL * number for number in range(count)]

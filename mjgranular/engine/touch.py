@@ -84,9 +84,7 @@ def touch_sensor(layout: Layout) -> Any:
                 )
             if mine:
                 force = contact.force
-                total += math.sqrt(
-                    force[0] * force[0] + force[1] * force[1] + force[2] * force[2]
-                )
+                total += math.sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2])
         return total
 
     return touch

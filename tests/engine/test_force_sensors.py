@@ -210,9 +210,7 @@ def test_inverse_dynamics_take_the_sand_as_a_passive_force() -> None:
     given = data.qfrc_applied + data.qfrc_actuator
     for body in range(1, model.nbody):
         wrench = data.xfrc_applied[body]
-        mujoco.mj_applyFT(
-            model, data, wrench[:3], wrench[3:], data.xipos[body], body, given
-        )
+        mujoco.mj_applyFT(model, data, wrench[:3], wrench[3:], data.xipos[body], body, given)
     assert data.qfrc_inverse == pytest.approx(given, abs=1e-6)
 
 
@@ -377,10 +375,10 @@ def test_sensors_do_not_change_the_motion() -> None:
 
 
 def test_a_sensor_of_the_sand_itself_is_refused() -> None:
-    text = make_spec()
-    add_sand(text, **MEDIUM)
-    xml = text.to_xml().replace("<sensor>", '<sensor><plugin instance="sand"/>')
-    xml = xml.replace('<plugin instance="sand"/>', '<plugin plugin="mjgranular.sand" instance="sand"/>')
+    spec = make_spec()
+    add_sand(spec, **MEDIUM)
+    sensor = '<sensor><plugin plugin="mjgranular.sand" instance="sand"/>'
+    xml = spec.to_xml().replace("<sensor>", sensor)
     with pytest.raises(ValueError, match=r"measures nothing: .* plugin mjgranular\.sensor"):
         mujoco.MjModel.from_xml_string(xml)
 
