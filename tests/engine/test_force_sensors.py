@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import copy
+import pickle
 from typing import Any
 
 import mujoco
@@ -200,6 +201,20 @@ def test_in_a_rollout_and_after_a_reset() -> None:
     np.testing.assert_array_equal(data.cfrc_ext, other.cfrc_ext)
 
 
+def test_in_a_batch() -> None:
+    model, data = on_sand()
+    batch = pytest.importorskip("mujoco.batch").Batch(model, 3, 2)
+    batch.reset()
+    for name in ("qpos", "qvel", "ctrl", "xfrc_applied", "qfrc_applied"):
+        batch.bind(name)[:] = getattr(data, name)
+    readings, forces = batch.bind("sensordata"), batch.bind("cfrc_ext")
+    batch.step(nstep=10)
+    mujoco.mj_step(model, data, 10)
+    np.testing.assert_array_equal(readings, np.tile(data.sensordata, (3, 1)))
+    np.testing.assert_array_equal(forces, np.tile(data.cfrc_ext, (3, 1, 1)))
+    assert np.abs(data.cfrc_ext[2]).max() > 10
+
+
 def test_inverse_dynamics_take_the_sand_as_a_passive_force() -> None:
     model, data = on_sand()
     mujoco.mj_step(model, data, 5)
@@ -234,6 +249,10 @@ def test_mujocos_own_function_leaves_the_sand_out_and_ours_has_it() -> None:
     assert data.xfrc_applied.tobytes() == own.tobytes()
     bare = make_spec().compile()
     empty = moving(bare)
+    Sand(bare, **MEDIUM).step(empty)  # puts xfrc_applied back, with the same effect
+    assert np.abs(empty.cfrc_ext[2]).max() > 10
+    mujoco.mj_rnePostConstraint(bare, empty)
+    assert empty.cfrc_ext[2, 3:] == pytest.approx(empty.xfrc_applied[2, :3])
     mujoco.mj_forward(bare, empty)
     twin = copy.copy(empty)
     rne_post_constraint(bare, empty)
@@ -360,6 +379,44 @@ def test_where_sensors_are_off_nothing_is_worked_out() -> None:
     assert not data.cfrc_ext.any()
     rne_post_constraint(model, data)
     assert np.abs(data.cfrc_ext[2]).max() > 10
+
+
+def test_trees_that_sleep_keep_their_readings() -> None:
+    spec = make_spec()
+    try:
+        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    except AttributeError:
+        pytest.skip("in this MuJoCo nothing sleeps")
+    for element in (*spec.actuators, *spec.equalities):  # they keep their trees awake
+        spec.delete(element)
+    add_sand(spec, **MEDIUM)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    body = model.body("foot").id
+    for _ in range(3000):
+        if data.body_awake[body] == int(mujoco.mjtSleepState.mjS_ASLEEP):
+            break
+        kept = data.sensor("force").data.copy()
+        mujoco.mj_step(model, data)
+    else:
+        pytest.fail("it does not fall asleep")
+    assert np.linalg.norm(kept) == pytest.approx(LOAD * GRAVITY, rel=0.05)
+    mujoco.mj_step(model, data, 5)
+    assert data.sensor("force").data == pytest.approx(kept, rel=0.05, abs=0.1)
+    assert not data.cfrc_ext[body].any()
+
+
+def test_a_simulation_from_a_pickle_knows_its_forces_after_a_step() -> None:
+    model, data = on_sand()
+    mujoco.mj_step(model, data, 3)
+    twin = pickle.loads(pickle.dumps(data))
+    np.testing.assert_array_equal(twin.sensordata, data.sensordata)
+    rne_post_constraint(model, twin)
+    assert twin.cfrc_ext[2, 3:] == pytest.approx(twin.xfrc_applied[2, :3])
+    for one in (data, twin):
+        mujoco.mj_forward(model, one)
+    np.testing.assert_array_equal(twin.sensordata, data.sensordata)
+    np.testing.assert_array_equal(twin.cfrc_ext, data.cfrc_ext)
 
 
 def test_sensors_do_not_change_the_motion() -> None:
