@@ -12,15 +12,11 @@ import mujoco
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
 from mjgranular.models import model_path
-from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
 
 FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
 """Sensors of all bodies together; behind a "/" the name of an instance of sand."""
-
-BODY_FORCE, BODY_MOMENT = "sand/force of ", "sand/moment of "
-"""Sensors of one body, with its name and the instance behind."""
 
 
 def put_on_sand(
@@ -28,7 +24,6 @@ def put_on_sand(
     sands: Sequence[SandSpec],
     *,
     sensors: bool = True,
-    wrenches: bool = False,
     tunable: bool = False,
     cut: float = 0.0,
     tile: float = 0.5,
@@ -45,7 +40,6 @@ def put_on_sand(
         sands: one or several, of which each has an instance `sand`, `sand_2`, ...; without a
             surface it is the level plane where the floor was.
         sensors: whether the sand is to be measured by sensors of the model (`envs.figures`).
-        wrenches: whether the force and the moment on each body are to be measured as well.
         tunable: whether instances are to be tuned while they run.
         cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
         tile: edge of the picture of sand on the ground [m].
@@ -75,7 +69,7 @@ def put_on_sand(
         placed = combined(sand, {"surface": surface, "instead_of": replaced})
         names.append(add_sand(spec, placed, tunable=tunable).name)
     if sensors:
-        _add_sensors(spec, names, sands[0], wrenches=wrenches)
+        _add_sensors(spec, names)
     with quiet():
         return spec.compile()
 
@@ -163,16 +157,8 @@ def _sand_material(spec: mujoco.MjSpec, tile: float) -> str:
     return name
 
 
-def _add_sensors(
-    spec: mujoco.MjSpec, names: Sequence[str], sand: SandSpec, *, wrenches: bool
-) -> None:
+def _add_sensors(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
     spec.activate_plugin(SENSOR)
-    bodies: list[str] = []
-    if wrenches:
-        with quiet():
-            model = spec.copy().compile()
-        met = geoms_in_sand(model, sand)
-        bodies = [model.body(b).name for b in sorted({int(model.geom_bodyid[g]) for g in met})]
     for instance in names:
         for measure, name in (
             ("force", FORCE),
@@ -180,21 +166,10 @@ def _add_sensors(
             ("power", POWER),
             ("speed", SPEED),
         ):
-            _add_sensor(spec, f"{name}/{instance}", measure, instance)
-        for body in bodies:
-            _add_sensor(spec, f"{BODY_FORCE}{body}/{instance}", "force", instance, body)
-            _add_sensor(spec, f"{BODY_MOMENT}{body}/{instance}", "moment", instance, body)
-
-
-def _add_sensor(
-    spec: mujoco.MjSpec, name: str, measure: str, sand: str, body: str | None = None
-) -> None:
-    instance = f"{measure} of {sand}"
-    if all(plugin.name != instance for plugin in spec.plugins):
-        plugin = spec.add_plugin(name=instance, plugin_name=SENSOR, active=True)
-        plugin.config = {"measure": measure, "sand": sand}
-    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_PLUGIN)
-    if body is not None:
-        sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_BODY, body
-    sensor.plugin.active = True
-    sensor.plugin.plugin_name, sensor.plugin.name = SENSOR, instance
+            plugin = spec.add_plugin(
+                name=f"{measure} of {instance}", plugin_name=SENSOR, active=True
+            )
+            plugin.config = {"measure": measure, "sand": instance}
+            sensor = spec.add_sensor(name=f"{name}/{instance}", type=mujoco.mjtSensor.mjSENS_PLUGIN)
+            sensor.plugin.active = True
+            sensor.plugin.plugin_name, sensor.plugin.name = SENSOR, plugin.name

@@ -12,9 +12,10 @@ import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
+from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
-from mjgranular.envs.figures import Figures, Wrenches
+from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand, quiet
 from mjgranular.envs.ranges import (
     Sample,
@@ -28,7 +29,6 @@ from mjgranular.envs.ranges import (
 )
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
@@ -155,21 +155,15 @@ class OnSand(MujocoEnv):
         screen = model.vis.global_
         screen.offwidth = max(screen.offwidth, self.width)
         screen.offheight = max(screen.offheight, self.height)
-        bodies = sorted({int(model.geom_bodyid[g]) for g in geoms_in_sand(model, self.sands[0])})
-        self._readings = SandReadings(model, sands_in(model), len(bodies))
+        self._readings = SandReadings(model, sands_in(model))
         self._figures = Figures(model, self.sands, self._readings)
         self._strength = float(np.linalg.norm(model.opt.gravity))
-        self._wrenches = Wrenches(model, bodies, self._readings.each)
         return model, mujoco.MjData(model)
 
     def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:
         super()._step_mujoco_simulation(ctrl, n_frames)
-        self._add_wrenches()
-
-    def set_state(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        super().set_state(qpos, qvel)
-        mujoco.mj_rnePostConstraint(self.model, self.data)
-        self._add_wrenches()
+        # There Gymnasium calls MuJoCo's own function, which leaves the sand out.
+        rne_post_constraint(self.model, self.data)
 
     def reset_model(self) -> Any:
         if self._ranges is not None:
@@ -185,12 +179,6 @@ class OnSand(MujocoEnv):
             )
         self._episodes += 1
         return super().reset_model()
-
-    def _add_wrenches(self) -> None:
-        data = self.data
-        data.cfrc_ext += self._wrenches.of(
-            self._readings.read(data), data.xipos[None], data.subtree_com[None], self.model.nbody
-        )[0]
 
     def step(self, action: Any) -> Any:
         observation, reward, terminated, truncated, info = super().step(action)

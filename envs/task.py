@@ -90,8 +90,6 @@ class Task(SandSpec, ABC):
     """Steps after which `gymnasium.make` has an episode end."""
     reads: ClassVar[tuple[str, ...]] = ()
     """Fields of `MjData` that are read beside qpos, qvel, userdata and sensordata."""
-    wrenches: ClassVar[bool] = False
-    """Tells whether the sand's force on each body is measured."""
     dunes: ClassVar[Dunes] = Dunes()
     """The dunes that are drawn."""
     cut: ClassVar[float] = 0.0
@@ -197,7 +195,6 @@ class Task(SandSpec, ABC):
         model = put_on_sand(
             spec,
             sands,
-            wrenches=self.wrenches,
             tunable=self.randomise is not None,
             cut=self.cut,
             tile=self.tile,

@@ -46,12 +46,17 @@ HEADER_DTYPE = np.dtype(
         ("program", np.int64),  # address of machine code
         ("table", np.int64),  # address
         ("qfrc", np.int64),  # address of qfrc_passive
+        ("xfrc", np.int64),  # address of xfrc_applied
         ("awake", np.int64),  # address of body_awake
+        ("instances", np.int64),  # of all plugins in the model
+        ("senses", np.int64),  # whether the model has sensors that may read forces on bodies
+        ("telling", np.int64),  # whether those are being computed again (`external`)
         ("size", np.int64),  # of the block [bytes]
         ("image", np.int64),  # number of the image that it is a copy of
         ("results", np.int64),  # address of what a step leaves behind: bodies, contacts
         ("results_size", np.int64),  # [bytes]
         ("slots", np.int64),  # address: for each element its row in `bodies`
+        ("geoms", np.int64),  # address: for each element its geom
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
@@ -137,12 +142,13 @@ def make_image(
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.
     """
-    slots, texts = sand.elements["slot"].astype(np.int64), refusals(sand.scheme)
+    slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
+    texts = refusals(sand.scheme)
     shape = sand.surface.shape(model)
     binding = bind(model, data, sand, within=True)
     head = np.zeros(1, HEADER_DTYPE)
     table, workspace = binding.table, binding.workspace
-    # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
+    # In the engine forces do not go by xfrc_applied, MuJoCo itself deals with a bad state, and
     # nobody asks for the last good one.
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
@@ -168,10 +174,14 @@ def make_image(
         "shape_count": len(shapes),
         "table": table.ctypes.data,
         "qfrc": data.qfrc_passive.ctypes.data,
+        "xfrc": data.xfrc_applied.ctypes.data,
         "awake": data.body_awake.ctypes.data,
+        "instances": model.nplugin,
+        "senses": senses_forces(model),
         "results": binding.bodies.ctypes.data,
         "results_size": places[sand.scene.ctypes.data] - places[binding.bodies.ctypes.data],
         "slots": slots.ctypes.data,
+        "geoms": geoms.ctypes.data,
         "ends": ends.ctypes.data,
         "tunings": tunings.ctypes.data if len(tunings) else 0,
         "tuning_count": len(tunings),
@@ -199,8 +209,16 @@ def make_image(
     return Image(
         content.view(np.float64),
         relocations[~reads_model],
-        (sand.packed, slots, tunings, texts),
+        (sand.packed, slots, geoms, tunings, texts),
     )
+
+
+def senses_forces(model: mujoco.MjModel) -> bool:
+    """Tells whether a model has sensors that may read the external forces on bodies."""
+    kinds = mujoco.mjtSensor
+    readers = (kinds.mjSENS_FORCE, kinds.mjSENS_TORQUE, kinds.mjSENS_USER, kinds.mjSENS_PLUGIN)
+    late = model.sensor_needstage == int(mujoco.mjtStage.mjSTAGE_ACC)
+    return bool((late & np.isin(model.sensor_type, [int(kind) for kind in readers])).any())
 
 
 def refusals(scheme: Scheme) -> np.ndarray:

@@ -25,9 +25,9 @@ from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
-from mjgranular.engine.measures import SENSOR_KEYS
+from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.preparing import prepare_in_worker
-from mjgranular.engine.sensor import Sensors
+from mjgranular.engine.sensor import Sensors, Sites
 from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.fork import LOADER
@@ -46,9 +46,11 @@ _PREFIXES = (
 )  # fmt: skip
 _SWITCHES = 64  # bytes of `opt` from the integrator on: solver, Jacobian, flags
 _SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_adr")
-_NAMES = ("qpos0", "plugin", *_SENSORS)
+_SITES = ("site_bodyid", "site_type", "site_size")
+_NAMES = ("qpos0", "plugin", *_SENSORS, *_SITES, "sensor_type", "sensor_needstage")
 _NO_MATTER = (
-    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "sensor_", "plugin",
+    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "plugin", *_SENSORS,
+    *_SITES,
 )  # fmt: skip
 
 # Which key named what a model does not have, by a word of what it was to name.
@@ -68,6 +70,7 @@ class Prepared:
     Attributes:
         image: of its block.
         bodies: names of the bodies that meet it by their ids, in its order.
+        geoms: names of the geoms that have elements, by their ids.
         disabled: geoms whose contacts are off (`sand.prepare`).
         place: where it always is, in words; None for sand that can be switched off (`tunable`).
         draws: whether something is to be drawn.
@@ -76,6 +79,7 @@ class Prepared:
 
     image: Image
     bodies: dict[int, str]
+    geoms: dict[int, str]
     disabled: tuple[int, ...]
     place: str | None
     draws: bool
@@ -108,6 +112,11 @@ class Loader:
             self._handles.clear(data, instance)
             sands = self._sands(model)
             if instance in sands.values():
+                if instance in self._array(model, "sensor_plugin"):
+                    raise InputError(
+                        "a sensor refers to the sand itself, which measures nothing: sensors of it "
+                        f"are those of the plugin {SENSOR}"
+                    )
                 self._refuse_twice(model, instance, sands)
                 content = self._prepare(model, instance).image
             else:
@@ -160,12 +169,20 @@ class Loader:
     def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> Image:
         texts = config_texts(model, instance, SENSOR_KEYS)
         sand = sensor.find_sand(texts["sand"], sands)
-        bodies = self._prepare(model, sand).bodies
+        prepared = self._prepare(model, sand)
         sensors = {
             field.name: self._array(model, f"sensor_{field.name}") for field in fields(Sensors)
         }
+        sites = {field.name: self._array(model, f"site_{field.name}") for field in fields(Sites)}
+        sites["size"] = sites["size"].view(np.float64)
         readings = sensor.make_readings(
-            instance, sand, texts["measure"], Sensors(**sensors), bodies
+            instance,
+            sand,
+            texts["measure"],
+            Sensors(**sensors),
+            Sites(**sites),
+            prepared.bodies,
+            prepared.geoms,
         )
         head = np.zeros(1, HEADER_DTYPE)
         head["size"] = head.nbytes + readings.nbytes
@@ -317,10 +334,11 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
     }
-    bodies = dict.fromkeys(sand.elements["body"].tolist())  # which come body by body
+    bodies, geoms = (dict.fromkeys(sand.elements[key].tolist()) for key in ("body", "geom"))
     return Prepared(
         make_image(model, mujoco.MjData(model), sand, tunings, drawing),
         bodies={body: name_of(model, "body", body) or str(body) for body in bodies},
+        geoms={geom: name_of(model, "geom", geom) or str(geom) for geom in geoms},
         disabled=sand.disabled,
         place=None if config.tunable else _place_of(sand.surface),
         draws=bool(config.draw),

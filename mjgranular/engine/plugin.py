@@ -46,7 +46,7 @@ from mjgranular.kernel.worker import is_main
 _logger = logging.getLogger(__name__)
 
 _SENSOR, _PASSIVE = 1 << 1, 1 << 2  # mjPLUGIN_SENSOR, mjPLUGIN_PASSIVE
-_VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
+_VELOCITY, _ACCELERATION = int(mujoco.mjtStage.mjSTAGE_VEL), int(mujoco.mjtStage.mjSTAGE_ACC)
 _LONGEST = 440  # bytes of a message: MuJoCo cuts at 500, its own words included
 
 _CALLBACKS = (
@@ -259,7 +259,13 @@ def _check_struct(lib: ctypes.CDLL) -> None:
 
 _PLUGINS = (
     # What is neither true nor false is an error when the sand is prepared.
-    Plugin(NAME, KEYS, _PASSIVE, nstate=Size("tunable", {"true": STATE_SIZE}, 0)),
+    Plugin(
+        NAME,
+        KEYS,
+        _PASSIVE | _SENSOR,  # it measures nothing, but is asked when MuJoCo's sensors are through
+        _ACCELERATION,
+        nstate=Size("tunable", {"true": STATE_SIZE}, 0),
+    ),
     Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, nsensordata=Size("measure", MEASURES, 1)),
 )
 
