@@ -1,4 +1,4 @@
-"""Formulas of the pages as MathML, made when the site is built: no script and no network to read them.
+"""Formulas of the pages as MathML, made when the site is built: readable without a network.
 
 `pymdownx.arithmatex` marks them; the font is `docs/fonts/stix-two-math.woff2`.
 """

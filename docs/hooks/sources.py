@@ -1,4 +1,4 @@
-"""The package as it is installed, for the reference: `envs` and `models` lie beside it in a checkout."""
+"""The package as it is installed, for the reference: in a checkout `envs` lies beside it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def on_config(config: MkDocsConfig) -> None:
             ignore=lambda _, names: [
                 name
                 for name in names
-                if Path(name).suffix != ".py" and "." in name or name == "__pycache__"
+                if (Path(name).suffix != ".py" and "." in name) or name == "__pycache__"
             ],
             dirs_exist_ok=True,
         )

@@ -7,8 +7,35 @@ from pathlib import Path
 
 import pytest
 
+from mjgranular import laws, media
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PYTHON = re.compile(
+    r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```)?", re.DOTALL | re.MULTILINE
+)
+NUMBER = re.compile(r"(?<![\w.])([-+]?\d+\.?\d*(?:e[-+]?\d+)?)(?![\w])")
+
+
+def parts(text: str) -> list[str | float]:
+    """Words and numbers."""
+    words = (part for piece in NUMBER.split(text) for part in piece.split())
+    return [float(part) if NUMBER.fullmatch(part) else part for part in words]
+
+
+def about(shown: list[str | float]) -> list[object]:
+    """Those numbers to three parts in a thousand: processors may round otherwise."""
+    return [
+        pytest.approx(part, rel=3e-3, abs=1e-13) if isinstance(part, float) else part
+        for part in shown
+    ]
+
+
+@pytest.fixture
+def registers(monkeypatch):
+    """What a page registers is forgotten after the test."""
+    for registry in (media, laws):
+        monkeypatch.setattr(registry, "_things", dict(registry._things))
 
 
 def run(*command: object, cwd: Path) -> str:
@@ -42,11 +69,14 @@ def test_the_video_script(tmp_path):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_code_in_the_pages_runs(page):
-    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+def test_code_in_the_pages_runs_and_prints_what_is_shown(page, capsys, registers):
+    """A block of text that follows one of Python is what that prints."""
     namespace: dict[str, object] = {"__name__": "__main__"}
-    for block in blocks:
-        exec(compile(block, str(page), "exec"), namespace)
+    for code, shown in PYTHON.findall(page.read_text()):
+        exec(compile(code, str(page), "exec"), namespace)
+        printed = capsys.readouterr().out
+        if shown:
+            assert parts(printed) == about(parts(shown)), printed
 
 
 def test_the_site_builds_without_warnings(tmp_path):
