@@ -61,7 +61,7 @@ def place(tmp_path, monkeypatch):
     """A folder with the models of the pages, the current one."""
     shutil.copytree(MODELS, tmp_path, dirs_exist_ok=True)
     (tmp_path / "block.xml").write_text(BLOCK)
-    robot = (tmp_path / "quad.xml").read_text().replace('pos="0 0 0.3">', 'pos="0 0 0.1">')
+    robot = (tmp_path / "quad.xml").read_text().replace('pos="0 0 0.3"', 'pos="0 0 0.1"')
     robot = robot.replace("foot_lf", "left_foot").replace("foot_rf", "right_foot")
     keyframe = '<keyframe><key name="stand"/></keyframe></mujoco>'
     floor = re.search(r"<geom name=\"floor\".*?/>", robot)[0]
