@@ -6,6 +6,7 @@ They are executed by `python docs/notebooks/execute.py`, and by a test.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,15 @@ def on_files(files: Files, config: MkDocsConfig, **_: Any) -> Files:
         if file.src_uri.endswith(".ipynb") and file.abs_src_path:
             notebook = json.loads(Path(file.abs_src_path).read_text(encoding="utf-8"))
             page = file.src_uri.removesuffix(".ipynb") + ".md"
-            link = f"[Download this notebook]({Path(file.src_uri).name})"
+            link = f'<a href="{Path(file.src_uri).name}" download>Download this notebook</a>'
             parts = [_cell(cell) for cell in notebook["cells"]]
             files.append(File.generated(config, page, content="\n\n".join([*parts, link])))
     return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Called by MkDocs with the text of a page: links to notebooks lead to their pages."""
+    return re.sub(r"\]\(([^)]+)\.ipynb\)", r"](\1.md)", markdown)
 
 
 def _cell(cell: dict[str, Any]) -> str:

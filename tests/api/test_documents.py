@@ -75,9 +75,34 @@ def test_code_in_the_pages_runs_and_prints_what_is_shown(
             check_printed(printed, shown)
 
 
-def test_the_site_builds_without_warnings(tmp_path):
-    run("-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path, cwd=ROOT)
-    assert (tmp_path / "index.html").exists()
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The pages of the site, built without a warning."""
+    folder = tmp_path_factory.mktemp("site")
+    run("-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder, cwd=ROOT)
+    return {str(page.relative_to(folder)): page.read_text() for page in folder.rglob("*.html")}
+
+
+def test_pages_need_nothing_from_elsewhere(site):
+    assert "index.html" in site
+    for page, text in site.items():
+        assert not re.search(r"<(?:script|link|img|video)[^>]+(?:src|href)=\"?https?:", text), page
+
+
+def test_formulas_are_markup(site):
+    """None is left to a script."""
+    assert "<math" in site["laws/link.html"]
+    assert [page for page, text in site.items() if "arithmatex" in text] == []
+
+
+def test_the_reference_is_made_from_docstrings(site):
+    text = site["reference/sand.html"]
+    assert "One <code>Sand</code> serves any number of <code>MjData</code>" in text
+
+
+def test_notebooks_are_pages(site):
+    assert "torso at" in site["notebooks/own_robot.html"]
+    assert 'href="notebooks/own_robot.html"' in site["index.html"]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -95,13 +120,3 @@ def test_the_reference_has_all_public_names():
         if not name.startswith("_") and not isinstance(thing, ModuleType)
     }
     assert public <= listed, public - listed
-
-
-def test_formulas_are_markup(tmp_path):
-    """Every formula is MathML: nothing is left to a script, nothing comes from elsewhere."""
-    run("-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path, cwd=ROOT)
-    pages = {page: page.read_text() for page in tmp_path.rglob("*.html")}
-    assert "<math" in pages[tmp_path / "laws" / "link.html"]
-    for page, text in pages.items():
-        assert "arithmatex" not in text, page
-        assert not re.search(r"<(?:script|link|img|video)[^>]+(?:src|href)=\"?https?:", text), page
