@@ -107,7 +107,9 @@ def test_notebooks_are_pages(site):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_in_the_pages_lead_somewhere(page):
-    for target in re.findall(r"\]\((?!https?:|#)([^)#\s]+)", page.read_text()):
+    text = page.read_text()
+    films = re.findall(r'(?:src|poster)="([^"]+)"', text)
+    for target in films + re.findall(r"\]\((?!https?:|#)([^)#\s]+)", text):
         assert (page.parent / target).exists(), target
 
 
