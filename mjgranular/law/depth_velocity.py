@@ -77,8 +77,9 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
 class DepthVelocityLaw(Law):
     r"""One force on each geom, at its centre, against the velocity of the centre.
 
-    .. math::
-        F_R(z, v) = C + k z^n + B v + A v^2
+    $$
+    F_R(z, v) = C + k z^n + B v + A v^2
+    $$
 
     with z the depth of the geom's deepest point below the surface. The force acts while z > 0.
     Every model that the link paper surveys is a case of it; the named constructors are those.

@@ -19,6 +19,7 @@ from mjgranular.registry import Registry
 from mjgranular.surface import Surface
 
 laws: Registry[type[Law]] = Registry("law")
+"""Classes of laws by their names."""
 
 
 class Law(ABC):

@@ -80,10 +80,11 @@ class _LinkForm(Law):
 class LinkLaw(_LinkForm):
     r"""The lumped link law: one force on each rod, at the centroid E of its immersed part.
 
-    .. math::
-        F = -\eta_d \rho_g A_r |v_E| v_E
-            - \operatorname{sign}(v_n)\, \eta_v (y_T/d)^\lambda g \rho_g V\, n
-            - \eta_h g \rho_g y_T^2 d\, v_t / |v_t|
+    $$
+    F = -\eta_d \rho_g A_r |v_E| v_E
+        - \operatorname{sign}(v_n)\, \eta_v (y_T/d)^\lambda g \rho_g V\, n
+        - \eta_h g \rho_g y_T^2 d\, v_t / |v_t|
+    $$
 
     The force passes through E: turning about E is not resisted.
 
@@ -118,11 +119,12 @@ class LinkLaw(_LinkForm):
 class DistributedLinkLaw(_LinkForm):
     r"""The link law spread along the axis: resists rotation too, and a link can come to rest.
 
-    .. math::
-        dF = -\eta_d \rho_g d\, |\sin| |v| v\, ds
-             - \operatorname{sign}(v_n) (1 + \lambda) \eta_v (y/d)^\lambda g \rho_g
-               \tfrac{\pi d^2}{4}\, n\, ds
-             - 2 \eta_h g \rho_g y\, d \cos q\, v_t / |v_t|\, ds
+    $$
+    dF = -\eta_d \rho_g d\, |u \times v| v\, ds
+         - \operatorname{sign}(v_n) (1 + \lambda) \eta_v (y/d)^\lambda g \rho_g
+           \tfrac{\pi d^2}{4}\, n\, ds
+         - 2 \eta_h g \rho_g y\, d \cos q\, v_t / |v_t|\, ds
+    $$
 
     In pure translation its sum is that of `LinkLaw`.
 

@@ -135,12 +135,14 @@ def rft2d_slope(law, g, rise, down, lead):
 class Rft2dLaw(RftLaw):
     r"""Two-dimensional resistive force theory; out of the plane by the split of Treers et al.
 
-    .. math::
-        \\alpha_z = A_{00} + A_{10} \\cos 2\\beta + B_{11} \\sin(2\\beta + \\gamma)
-                    + B_{01} \\sin \\gamma + B_{-11} \\sin(-2\\beta + \\gamma)
-
-        \\alpha_x = C_{11} \\cos(2\\beta + \\gamma) + C_{01} \\cos \\gamma
-                    + C_{-11} \\cos(-2\\beta + \\gamma) + D_{10} \\sin 2\\beta
+    $$
+    \begin{aligned}
+    \alpha_z &= A_{00} + A_{10} \cos 2\beta + B_{11} \sin(2\beta + \gamma)
+                + B_{01} \sin \gamma + B_{-11} \sin(-2\beta + \gamma) \\
+    \alpha_x &= C_{11} \cos(2\beta + \gamma) + C_{01} \cos \gamma
+                + C_{-11} \cos(-2\beta + \gamma) + D_{10} \sin 2\beta
+    \end{aligned}
+    $$
 
     on leading elements below the surface, dF = alpha |z| dA.
 

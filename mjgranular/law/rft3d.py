@@ -154,12 +154,13 @@ def rft3d_slope(law, g, rise, down, lead):
 class Rft3dLaw(RftLaw):
     r"""Three-dimensional resistive force theory: any surface element, any direction.
 
-    .. math::
-        \\alpha = \\xi_n \\{ |a_n| (-n) + \\min(\\mu_s |a_n| / |a_t|, 1)\\, a_t \\},
-        \\qquad dF = \\alpha |z|\\, dA
+    $$
+    \alpha = \xi_n \{ |a_n| (-n) + \min(\mu_s |a_n| / |a_t|, 1)\, a_t \},
+    \qquad dF = \alpha |z|\, dA
+    $$
 
     on leading elements below the surface, with the generic response `a` of the direction of motion
-    and of the surface, and :math:`\\xi_n = \\rho_c g (894 \\mu^3 - 386 \\mu^2 + 89 \\mu)`.
+    and of the surface, and $\xi_n = \rho_c g (894 \mu^3 - 386 \mu^2 + 89 \mu)$.
 
     Attributes:
         density: critical bulk density rho_c [kg/m^3].

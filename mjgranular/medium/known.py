@@ -9,6 +9,7 @@ from mjgranular.medium.medium import Medium
 from mjgranular.registry import Registry
 
 media: Registry[Medium] = Registry("medium")
+"""Media by their names."""
 
 
 def register_medium(medium: Medium, *, replace: bool = False) -> Medium:

@@ -17,6 +17,7 @@ from mjgranular.registry import Registry
 from mjgranular.scheme.status import refusal
 
 schemes: Registry[type[SchemeChoice]] = Registry("scheme")
+"""Classes of schemes by their names."""
 
 STEP = "int64(int64, float64)"
 """Signature of the program of a scheme."""
