@@ -143,6 +143,14 @@ class FloorWarning(GranularWarning):
     """Ground of the model's own carries bodies at or above the sand's surface."""
 
 
+class PointsWarning(GranularWarning):
+    """Bodies meet the sand with geoms that are points beside what is drawn, and will sink."""
+
+
+class CostWarning(GranularWarning):
+    """So many elements that steps take long."""
+
+
 class MissedStepWarning(GranularWarning):
     """Time has gone on without the sand, which was to act in every step."""
 

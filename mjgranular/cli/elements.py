@@ -21,7 +21,9 @@ from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
+from mjgranular.sand.cost import Cost
 from mjgranular.sand.report import Names
+from mjgranular.scheme import Implicit
 
 _CSV = "elements.csv"
 _FIGURE = "elements.png"
@@ -118,6 +120,7 @@ class ElementsCommand(ChoiceOptions):
             "elements": len(sand.elements),
             "area": _total(rows, "area"),
             "length": _total(rows, "length"),
+            "cost": asdict(Cost.of(len(sand.elements), Implicit())),
             "geoms": rows,
         }
 
@@ -153,6 +156,7 @@ class ElementsCommand(ChoiceOptions):
                 f"{row['width'] * 1e3:.4g}",
             )
         out.print(table)
+        out.print(f"cost: {Cost(**summary['cost'])}", highlight=False)
 
 
 def _rows(sand: Sand) -> Iterator[dict[str, Any]]:

@@ -81,11 +81,11 @@ class ChoiceOptions(LawOptions):
     """The sand, or a YAML file; `mjgranular media` lists what there is. Default: by law and bodies,
     play_sand for slender links and quikrete_medium for all else."""
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Bodies that meet the sand. Default: all that can move."""
+    """Bodies that meet the sand, by name or number. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Geoms that meet the sand."""
+    """Geoms that meet the sand, by name or number, visual or not; `all` is all that collide."""
     groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
-    """Geom groups whose collision geoms meet the sand."""
+    """Geom groups whose collision geoms meet the sand; of a group of visual ones, all."""
 
 
 @dataclass(frozen=True, kw_only=True)

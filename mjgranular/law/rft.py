@@ -75,8 +75,6 @@ class RftLaw(Law):
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
     ) -> np.ndarray:
-        if resolution is None:
-            return facets_from_model(model, geoms)
         return facets_from_model(model, geoms, resolution)
 
     def kernel(self, surface: Surface) -> LawKernel:

@@ -12,7 +12,9 @@ from mjgranular.kernel.compiled import program_address
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
+from mjgranular.sand.cost import warn_of_cost
 from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.points import warn_of_points
 from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
@@ -80,9 +82,11 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     replaced = replace_geoms(model, spec.instead_of)
     warn_of_floors(model, geoms, surface)
     warn_of_ranges(model, geoms, law, surface)
+    warn_of_points(model, geoms, spec)
     elements = elements_of(model, geoms, law, spec.resolution)
     scheme = scheme.scheme_for(model, len(elements))
     scheme.check(model)
+    warn_of_cost(elements, spec.resolution, scheme)
     scene = make_scene(law, medium, surface, model)
     kernel = law.kernel(surface)
     program = scheme.program(kernel, scene.dtype)

@@ -34,9 +34,10 @@ class SandSpec:
         bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
             or "all".
         geoms: names or numbers of the geoms that meet the sand; or "all".
-        groups: geom groups whose collision geoms meet the sand, those of bodies that can move. What
-            `bodies`, `geoms` and `groups` name is taken together; with none of them, as with "all",
-            every collision geom of every body that can move.
+        groups: geom groups whose collision geoms meet the sand, those of bodies that can move; of a
+            group in which none collides, all. What `bodies`, `geoms` and `groups` name is taken
+            together; with none of them, as with "all", every collision geom of every body that can
+            move.
         resolution: how finely geoms are cut into elements, in the law's own measure; None for its
             default.
         instead_of: names or numbers of geoms that the sand replaces, such as the model's own floor.

@@ -29,9 +29,10 @@ def select_geoms(
     """The ids of the geoms that meet the sand, in the order of the model.
 
     A body named in `bodies` brings its collision geoms (contype or conaffinity not zero), and so
-    does a group in `groups` those of bodies that can move; a geom named in `geoms` is taken as it
-    is, visual or not. What they name is taken together. "all" for `bodies` or `geoms` means every
-    collision geom of a body that can move, and so does no choice at all.
+    does a group in `groups` those of bodies that can move, or all of a group in which none
+    collides; a geom named in `geoms` is taken as it is, visual or not. What they name is taken
+    together. "all" for `bodies` or `geoms` means every collision geom of a body that can move, and
+    so does no choice at all.
 
     Args:
         model: the model.
@@ -41,18 +42,15 @@ def select_geoms(
         leave_out: ids of geoms that are the sand itself.
 
     Raises:
-        UnknownNameError: a name that the model does not have, or a group without a collision geom
-            of a body that can move; lists those there are.
+        UnknownNameError: a name that the model does not have, or a group without a geom of a body
+            that can move; lists those there are.
         InputError: nothing is left, what is named cannot move, a group is no integer, or names of
             the model are not UTF-8.
     """
     _check_names(model)
-    meets = [
-        geom
-        for geom in range(model.ngeom)
-        if collides(model, geom) and moves(model, int(model.geom_bodyid[geom]))
-    ]
-    chosen = set(_in_groups(model, meets, groups))
+    moving = [g for g in range(model.ngeom) if moves(model, int(model.geom_bodyid[g]))]
+    meets = [geom for geom in moving if collides(model, geom)]
+    chosen = set(_in_groups(model, moving, groups))
     if bodies is None and geoms is None and groups is None:
         chosen.update(meets)
     for name in names_in(bodies):
@@ -168,18 +166,19 @@ def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:
 
 
 def _in_groups(
-    model: mujoco.MjModel, meets: Sequence[int], groups: Sequence[int] | int | None
+    model: mujoco.MjModel, moving: Sequence[int], groups: Sequence[int] | int | None
 ) -> list[int]:
-    """Those geoms of `meets` that are in the groups."""
+    """Those geoms of `moving` that are in the groups: of each those that collide, or else all."""
     members: dict[int, list[int]] = {}
-    for geom in meets:
+    for geom in moving:
         members.setdefault(int(model.geom_group[geom]), []).append(geom)
     chosen = []
     for group in _numbers(groups):
         if group not in members:
-            kind = "collision geoms of bodies that can move in geom group"
+            kind = "geoms of bodies that can move in geom group"
             raise UnknownNameError(kind, group, map(str, sorted(members)))
-        chosen.extend(members[group])
+        colliding = [geom for geom in members[group] if collides(model, geom)]
+        chosen.extend(colliding or members[group])
     return chosen
 
 
