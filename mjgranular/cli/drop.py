@@ -14,7 +14,7 @@ from mjgranular.cli.console import err, out, print_json, progress_bar, show_erro
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.errors import GranularError, InputError, MissingExtraError
-from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
+from mjgranular.experiment.drop import Drop, DropResult, load, run_drop, surface_drawn
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
 
 FIGURE = "drop.png"
@@ -111,7 +111,12 @@ def film(folder: ResultFolder, result: DropResult, camera: str) -> list[Granular
     options = Film(camera=camera, seconds=1.0)
     model, _ = load(result.drop)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    return write_film(folder, FILM, options, lambda: frames_of_model(options, model, motion))
+    return write_film(
+        folder,
+        FILM,
+        options,
+        lambda: frames_of_model(options, model, motion, surface_drawn(result.drop)),
+    )
 
 
 def show(result: DropResult) -> None:
