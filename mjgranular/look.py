@@ -18,13 +18,13 @@ MATERIAL = "mjgranular_sand"
 TILE = 0.5
 """Edge of the picture of grains on geoms [m]; grains of 2 mm. Chosen."""
 
-COLOUR = (0.77, 0.66, 0.48, 1.0)
+COLOUR = (0.83, 0.71, 0.53, 1.0)
 """Of sand in a model without the material."""
 
 NOT_SHOWN = 5
 """Geom group of what is not to be seen."""
 
-_DARK, _BRIGHT, _DARK_SHARE = (0.60, 0.48, 0.32), (0.83, 0.72, 0.54), 0.3
+_DARK, _BRIGHT, _DARK_SHARE = (0.66, 0.53, 0.36), (0.90, 0.79, 0.60), 0.3
 _PIXELS = 256  # along an edge of the picture
 _HAIR = 2e-3  # of the radius: ground of the model's own this near hides the sand
 _PARALLEL = 0.999  # cosine of the angle between faces that hide each other

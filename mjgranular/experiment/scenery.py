@@ -11,7 +11,9 @@ from mjgranular.surface import Bed, HeightField, Surface
 _SUN = "mjgranular_sun"
 _SKY, _HORIZON = [0.46, 0.63, 0.84], [0.88, 0.91, 0.93]
 _SHADOWS = 2048  # pixels along an edge of the map of shadows
-_SHADOWED = 7.0  # radii of what moves, around its middle
+# Radii of what moves. MuJoCo looks shadows up by a pixel off at the edge of its map, which speckles
+# what casts shadows there: what is looked at lies in the middle.
+_SHADOWED = 6.0
 _SUNSHINE = np.array([0.62, 0.42, -0.66])  # direction; 41 degrees over the horizon
 
 
@@ -37,8 +39,8 @@ def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
         mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
         dir=_SUNSHINE,
         ambient=[0.0, 0.0, 0.0],
-        diffuse=[0.95, 0.92, 0.84],
-        specular=[0.2, 0.2, 0.2],
+        diffuse=[0.80, 0.77, 0.70],
+        specular=[0.15, 0.15, 0.15],
         castshadow=True,
     )
     head = spec.visual.headlight

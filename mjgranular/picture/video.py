@@ -197,22 +197,22 @@ def frames_of_model(
         raise InputError(f"a film of the run's {span:g} s would be longer than {_LONGEST:g} s")
     seconds = max(film.seconds, span)
     count = max(2, round(seconds * film.fps))
-    plane = surface if isinstance(surface, Plane) else None
-    return count, _draw_model(film, model, motion, plane, count, seconds / span if span else 1.0)
+    slower = seconds / span if span else 1.0
+    return count, _draw_model(film, model, motion, surface, count, slower)
 
 
 def _draw_model(
     film: Film,
     model: mujoco.MjModel,
     motion: Motion,
-    plane: Plane | None,
+    surface: Surface | None,
     count: int,
     slower: float,
 ) -> Iterator[np.ndarray]:
     data = mujoco.MjData(model)
     view = View.of(model, data, motion.qpos)
     camera = view.camera(model, film) if film.camera == "free" else film.camera
-    look = plane and PlaneLook.of(model, plane.normal, plane.offset, view.radius)
+    ground = _Ground(model, surface, view)
     greatest = float(np.linalg.norm(motion.force, axis=2).max())
     scale = _ARROWS * view.radius / max(greatest, 1e-300)
     caption = _Captions(film)
@@ -232,8 +232,7 @@ def _draw_model(
             # What stands still is drawn once.
             if not shown.size or np.abs(now - shown).max() > _STILL * view.radius:
                 renderer.update_scene(data, camera=camera)
-                if look is not None and plane is not None:
-                    look.add(renderer.scene, plane.normal, plane.offset, view.middle)
+                ground.show(renderer.scene)
                 for point, tip in zip(motion.point[k][seen], tips[seen], strict=True):
                     _add_arrow(renderer.scene, point, tip, 0.016 * view.radius)
                 shown, picture = now, renderer.render()
@@ -295,6 +294,27 @@ class View:
         camera.distance = _MARGIN * self.radius / math.sin(angle)
         camera.azimuth, camera.elevation = 120.0, -18.0
         return camera
+
+
+class _Ground:
+    """The sand in a scene."""
+
+    def __init__(self, model: mujoco.MjModel, surface: Surface | None, view: View) -> None:
+        self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
+        if isinstance(surface, Plane):
+            self._plane = surface
+            self._look = PlaneLook.of(model, surface.normal, surface.offset, view.radius)
+        elif surface is not None:
+            self._geoms = surface.geoms(model)
+
+    def show(self, scene: mujoco.MjvScene) -> None:
+        """Adds a plane; keeps a geom that is sand from casting shadows, which would speckle it."""
+        if self._look is not None and self._plane is not None:
+            self._look.add(scene, self._plane.normal, self._plane.offset, self._middle)
+        if self._geoms:
+            for geom in scene.geoms[: scene.ngeom]:
+                if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._geoms:
+                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
 
 
 def _renderer(model: mujoco.MjModel, film: Film) -> Any:
