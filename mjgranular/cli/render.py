@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.drop import FILM
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.impact import VIDEO, film_impact
-from mjgranular.errors import GranularError, InputError, OutputError
+from mjgranular.errors import GranularError, GranularWarning, InputError, OutputError
 from mjgranular.experiment.drop import load, surface_drawn
 from mjgranular.experiment.folder import ResultFolder, read_drop, read_impact, saved_command
 from mjgranular.models import Chain
@@ -119,7 +120,9 @@ class RenderCommand:
         drop, arrays = read_drop(self.run_folder)
         if isinstance(drop.model, Chain) and drop.model.count > arrays["qpos"].shape[1]:
             raise OutputError(f"{self.run_folder} is damaged: its samples are of a shorter chain")
-        model, _ = load(drop)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", GranularWarning)  # which the run has given
+            model, _ = load(drop)
         if arrays["qpos"].shape[1] != model.nq:
             raise OutputError(
                 f"{self.run_folder} has samples of {arrays['qpos'].shape[1]} positions, "

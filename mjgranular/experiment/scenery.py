@@ -14,7 +14,7 @@ _SHADOWS = 2048  # pixels along an edge of the map of shadows
 # Radii of what moves. MuJoCo looks shadows up by a pixel off at the edge of its map, which speckles
 # what casts shadows there: what is looked at lies in the middle.
 _SHADOWED = 6.0
-_SUNSHINE = np.array([0.62, 0.42, -0.66])  # direction; 41 degrees over the horizon
+_SUNSHINE = np.array([-0.70, 0.26, -0.66])  # 41 degrees high, beside whoever looks by default
 
 
 def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:

@@ -241,7 +241,7 @@ def _draw_model(
                 f"t = {time:.3f} s",
                 f"force of the sand = {np.linalg.norm(total):.0f} N",
                 "at the speed of life"
-                if slower <= 1.0
+                if slower < 1.05
                 else f"{_two_digits(slower)} times slower than life",
             )
             yield caption.put(picture, lines)
