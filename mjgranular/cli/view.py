@@ -16,7 +16,7 @@ from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
-from mjgranular.experiment.ground import refuse_floors
+from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.experiment.scenery import place_sun
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 
@@ -80,5 +80,6 @@ class ViewCommand(SandOptions):
                 refuse_floors(bare, drop.sand)
             warnings.simplefilter("ignore", FloorWarning)
             model = spec.compile()
+            hide_replaced(model, drop.sand)
             place_sun(model)
             return model

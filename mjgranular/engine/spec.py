@@ -78,10 +78,9 @@ def show_surface(spec: mujoco.MjSpec, sand: SandSpec) -> None:
         paint(bed, material)
     of_world = spec.worldbody.geoms  # which have the first numbers
     for name in names_in(sand.instead_of):
-        if isinstance(name, str):
-            replaced = spec.geom(name)
-        else:
-            replaced = of_world[name] if 0 <= name < len(of_world) else None
+        replaced = spec.geom(str(name))
+        if replaced is None and str(name).isdecimal() and int(name) < len(of_world):
+            replaced = of_world[int(name)]
         if replaced is not None:
             replaced.group = NOT_SHOWN
 

@@ -131,9 +131,10 @@ def test_tunable_sand_is_drawn_at_its_height_and_only_where_it_is() -> None:
 
 def test_what_the_sand_replaces_is_not_shown() -> None:
     floors = '<geom name="floor" type="plane" size="1 1 1"/><geom type="box" size="1 1 0.01"/>'
-    spec = spec_of(floors)
-    add_sand(spec, instead_of=["floor", 1], **SAND)
-    assert spec.compile().geom_group.tolist() == [5, 5, 0]
+    for names in (["floor", 1], ["floor", "1"]):
+        spec = spec_of(floors)
+        add_sand(spec, instead_of=names, **SAND)
+        assert spec.compile().geom_group.tolist() == [5, 5, 0]
 
 
 def test_ground_that_stays_lies_over_the_sand() -> None:
