@@ -11,7 +11,7 @@ import mujoco
 
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
-from mjgranular.models import model_path
+from mjgranular.look import NOT_SHOWN, TILE, add_material
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
 
@@ -26,7 +26,7 @@ def put_on_sand(
     sensors: bool = True,
     tunable: bool = False,
     cut: float = 0.0,
-    tile: float = 0.5,
+    tile: float = TILE,
 ) -> mujoco.MjModel:
     """Takes the floor's contacts away and adds sand, and sensors of it.
 
@@ -67,7 +67,7 @@ def put_on_sand(
     for sand, surface in zip(sands, surfaces, strict=True):
         replaced = [*(floor.name for floor in floors), *names_in(sand.instead_of)]
         placed = combined(sand, {"surface": surface, "instead_of": replaced})
-        names.append(add_sand(spec, placed, tunable=tunable).name)
+        names.append(add_sand(spec, placed, tunable=tunable, draw=()).name)
     if sensors:
         _add_sensors(spec, names)
     with quiet():
@@ -123,7 +123,7 @@ def _paint(
     tile: float,
 ) -> None:
     """Lets floors look like sand and lie where it is."""
-    material = _sand_material(spec, tile)
+    material = add_material(spec, tile=tile)
     for surface in surfaces:
         if isinstance(surface, HeightField):
             geom = spec.geom(surface.geom)
@@ -133,7 +133,7 @@ def _paint(
     planes = [surface for surface in surfaces if isinstance(surface, Plane)]
     for floor in floors:
         if not planes:
-            floor.group = 5  # not shown
+            floor.group = NOT_SHOWN
             continue
         plane = planes[0]
         floor.material = material
@@ -142,19 +142,6 @@ def _paint(
         half = plane.slope / 2
         axis = (math.sin(plane.uphill), -math.cos(plane.uphill))
         floor.quat = [math.cos(half), axis[0] * math.sin(half), axis[1] * math.sin(half), 0]
-
-
-def _sand_material(spec: mujoco.MjSpec, tile: float) -> str:
-    """A material of sand, whose picture has edges of that length [m]; its name."""
-    name = "mjgranular_sand"
-    picture = model_path("link").parent / "assets" / "sand.png"
-    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=str(picture.resolve()))
-    material = spec.add_material(name=name)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    material.texrepeat = [1 / tile, 1 / tile]
-    material.texuniform = True
-    material.specular = material.shininess = material.reflectance = 0.0
-    return name
 
 
 def _add_sensors(spec: mujoco.MjSpec, names: Sequence[str]) -> None:

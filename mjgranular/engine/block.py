@@ -61,6 +61,13 @@ HEADER_DTYPE = np.dtype(
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
         ("ends", np.int64),  # address of room for the ends of an arrow
+        ("plane", np.int64),  # where in the scene the record of a plane begins [bytes]
+        ("tiles", np.int64),  # address: rectangles that it is drawn with (`look.TILES`)
+        ("tile_count", np.int64),
+        ("material", np.int64),  # `look.PlaneLook`
+        ("picture", np.int64),
+        ("unit", np.float64),
+        ("lowered", np.float64),
         ("tunings", np.int64),  # address: what the sand's state changes
         ("tuned", np.int64),  # whether `applied` is what the block was last made to
         ("applied", np.float64, (STATE_SIZE,)),

@@ -40,8 +40,8 @@ LONGEST = 100_000
 LARGEST = 100_000
 """Of whole numbers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
 
-DRAWINGS = ("forces", "depth")
-"""Drawings of the plugin: arrows of force, discs coloured by depth."""
+DRAWINGS = ("forces", "depth", "surface")
+"""Drawings of the plugin: arrows of force, dots coloured by depth, an endless plane of sand."""
 
 surfaces: Registry[type[Surface]] = Registry("surface")
 surfaces.add("plane", Plane)

@@ -14,6 +14,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -32,9 +33,10 @@ from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
+from mjgranular.look import TILES, PlaneLook, radius_of
 from mjgranular.medium import media
 from mjgranular.names import name_of
-from mjgranular.sand.prepare import prepare
+from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.scheme import Auto
 from mjgranular.shape.select import names_in
 from mjgranular.surface import Plane, Surface
@@ -329,11 +331,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     if config.tunable:
         with named("tunable"):
             tunings = make_tunings(sand, model)
-    drawing = {
-        "draw": _drawing(model, config.draw),
-        "arrow_scale": model.vis.map.force / model.stat.meanmass,
-        "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
-    }
+    drawing = _drawing(model, config.draw, sand)
     bodies, geoms = (dict.fromkeys(sand.elements[key].tolist()) for key in ("body", "geom"))
     return Prepared(
         make_image(model, mujoco.MjData(model), sand, tunings, drawing),
@@ -341,7 +339,7 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
         geoms={geom: name_of(model, "geom", geom) or str(geom) for geom in geoms},
         disabled=sand.disabled,
         place=None if config.tunable else _place_of(sand.surface),
-        draws=bool(config.draw),
+        draws=bool(drawing["draw"]),
         origin=sand.medium,
     )
 
@@ -351,11 +349,32 @@ def _place_of(surface: Surface) -> str:
     return "an endless plane" if isinstance(surface, Plane) else repr(surface)
 
 
-def _drawing(model: mujoco.MjModel, drawings: Sequence[str]) -> int:
-    """A bit for each of them."""
-    if not drawings:
-        return 0
+def _drawing(
+    model: mujoco.MjModel, drawings: Sequence[str], sand: PreparedSand
+) -> dict[str, float]:
+    """What is drawn, and how: fields of the header of a block. A bed is drawn as the geom it is."""
+    look, chosen = None, set(drawings)
+    if "surface" in chosen and isinstance(sand.surface, Plane):
+        plane = sand.surface
+        look = PlaneLook.of(model, plane.normal, plane.offset, radius_of(model))
+    if look is None:
+        chosen -= {"surface"}
+    if not chosen:
+        return {"draw": 0}
     from mjgranular.engine.draw import check_scene
 
     check_scene(model)
-    return sum(1 << DRAWINGS.index(drawing) for drawing in set(drawings))
+    found: dict[str, float] = {
+        "draw": sum(1 << DRAWINGS.index(drawing) for drawing in chosen),
+        "arrow_scale": model.vis.map.force / model.stat.meanmass,
+        "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
+    }
+    if look is not None:
+        fields: Any = sand.scene.dtype.fields
+        found |= vars(look)
+        found |= {
+            "plane": fields["surface"][1],
+            "tiles": TILES.ctypes.data,
+            "tile_count": len(TILES),
+        }
+    return found

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import mujoco
 
 from mjgranular.errors import InputError
+from mjgranular.look import NOT_SHOWN
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.floors import describe_floors, find_floors
 from mjgranular.surface.place import replace_geoms
-
-_NOT_SHOWN = 5  # geom group that viewers and films leave out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +83,7 @@ def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
     Raises:
         UnknownNameError: the model has no such geom; lists those there are.
     """
-    model.geom_group[find_all(model, "geom", sand.instead_of)] = _NOT_SHOWN
+    model.geom_group[find_all(model, "geom", sand.instead_of)] = NOT_SHOWN
 
 
 def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:

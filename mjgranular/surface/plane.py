@@ -66,10 +66,15 @@ class Plane(Surface):
             [-s * math.cos(self.uphill), -s * math.sin(self.uphill), math.cos(self.slope)]
         )
 
+    @property
+    def offset(self) -> float:
+        """Distance of the surface from the world's origin along the normal [m]."""
+        return self.height * math.cos(self.slope)
+
     def record(self, model: mujoco.MjModel) -> np.ndarray:
         plane = np.zeros(1, PLANE_DTYPE)
         plane["normal"] = self.normal
-        plane["offset"] = self.height * math.cos(self.slope)
+        plane["offset"] = self.offset
         return plane
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
