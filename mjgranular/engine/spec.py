@@ -12,7 +12,7 @@ from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
-from mjgranular.given import check_spec
+from mjgranular.given import check_spec, kind_of
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 
 
@@ -48,6 +48,8 @@ def add_sand(
         LayoutError: this version of MuJoCo cannot be used with the plugin.
     """
     check_spec(spec, "add_sand")
+    if name is not None and not (isinstance(name, str) and name):
+        raise InputError(f"an instance's name is a text, not {kind_of(name)}")
     check_registered()
     config = write_config(combined(sand, fields), draw=draw, tunable=tunable)
     taken = {plugin.name for plugin in spec.plugins}

@@ -59,7 +59,8 @@ def add_bed(spec: mujoco.MjSpec, surface: Plane) -> None:
     # angles are read in the unit of the model's compiler.
     half_turn = surface.slope / 2
     across = np.array([math.sin(surface.uphill), -math.cos(surface.uphill), 0.0])
-    spec.worldbody.add_geom(
+    # In a body of its own, behind all others: geoms of the model keep their numbers.
+    spec.worldbody.add_body(name=_BED).add_geom(
         name=_BED,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=[half, half, thick],
