@@ -25,6 +25,7 @@ from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
 from mjgranular.cli.numbers import number_rules
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
+from mjgranular.cli.studio import StudioCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
@@ -49,6 +50,7 @@ COMMANDS: dict[str, Any] = {
     "compare": CompareCommand,
     "render": RenderCommand,
     "warm": WarmCommand,
+    "studio": StudioCommand,
     "media": MediaCommand,
     "laws": LawsCommand,
     "policies": PoliciesCommand,
