@@ -52,9 +52,9 @@ def listed(names: Iterable[str]) -> str:
     return text if count == len(known) else f"{text}, and {len(known) - count} more"
 
 
-def _known_ones(name: object, known: Sequence[str]) -> str:
+def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> str:
     """End of a sentence on an unknown name: those that may have been meant, and those there are."""
-    near = _near(str(name)[:_LONGEST_VALUE].lower(), known)
+    near = _near(str(name)[:_LONGEST_VALUE].lower(), known) if guess else []
     if near and len(known) > _SHORT_LIST:
         return f"; did you mean {', '.join(near)}? There are {len(known)} in all"
     return f"; there are: {listed(known)}" + (f"; did you mean {near[0]}?" if near else "")
@@ -62,7 +62,9 @@ def _known_ones(name: object, known: Sequence[str]) -> str:
 
 def _near(name: str, known: Sequence[str]) -> list[str]:
     """Up to three names that resemble one, or have it in them; capitals do not count."""
-    lower = {one.lower(): one for one in known}
+    # `Hexapod-v0` is meant by somebody who leaves the namespace away, as is a robot's `foot`.
+    lower = {one.rpartition("/")[2].lower(): one for one in known}
+    lower |= {one.lower(): one for one in known}
     close = difflib.get_close_matches(name, lower, cutoff=0.6)
     within = [one for one in lower if len(name) >= _PART and name in one]
     return [lower[one] for one in (close or within)[:3]]
@@ -98,21 +100,30 @@ class UnknownNameError(GranularError, KeyError):
         name: the name as given.
         known: the valid names.
         hint: what else would do, if anything.
+        guess: whether the name may be a misspelt one of those.
     """
 
-    def __init__(self, kind: str, name: object, known: Iterable[str], hint: str = "") -> None:
+    def __init__(
+        self,
+        kind: str,
+        name: object,
+        known: Iterable[str],
+        hint: str = "",
+        guess: bool = True,
+    ) -> None:
         self.kind = kind
         self.name = name
         self.known = tuple(known)
         self.hint = hint
-        rest = _known_ones(name, self.known)
+        self.guess = guess
+        rest = _known_ones(name, self.known, guess=guess)
         super().__init__(f"no {kind} {shown(name)}{rest}{hint and ' '}{hint and f'({hint})'}")
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str]]:
-        return type(self), (self.kind, self.name, self.known, self.hint)
+    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str, bool]]:
+        return type(self), (self.kind, self.name, self.known, self.hint, self.guess)
 
 
 class UnknownArgumentError(GranularError, TypeError):

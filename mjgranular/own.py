@@ -40,8 +40,9 @@ def import_own(name: str, what: str) -> ModuleType:
         missing = error.name or name
         if name == missing or name.startswith(f"{missing}."):
             near = sorted(path.stem for path in Path(here).glob("*.py"))
-            searched = f"searched: what is installed, and the current folder, {here}"
-            raise UnknownNameError(f"module for {what}", missing, near, searched) from None
+            searched = f"what is installed, and the current folder, {here}"
+            hint = f"for {what} was searched: {searched}"
+            raise UnknownNameError("module", missing, near, hint) from None
         reason = f"it needs {missing}, which is not installed"
     except SystemExit:
         reason = "it ends the program; what it is to do as a script belongs under "

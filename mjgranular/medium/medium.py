@@ -124,6 +124,9 @@ class Medium:
             constants = self.constants[law]
         except KeyError:
             raise UnknownNameError(
-                f"constants in medium {shown(self.name)} for law", law, sorted(self.constants)
+                f"constants in medium {shown(self.name)} for law",
+                law,
+                sorted(self.constants),
+                guess=False,
             ) from None
         return {key: quantity.value for key, quantity in constants.items()}

@@ -66,7 +66,7 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
         if error.kind == "law" or not others:
             raise
         hint = f"media with constants for it: {listed(others)}"
-        raise UnknownNameError(error.kind, error.name, error.known, hint) from None
+        raise UnknownNameError(error.kind, error.name, error.known, hint, guess=False) from None
 
 
 def medium_for(law: str | Law | type[Law]) -> Medium:

@@ -166,9 +166,10 @@ def test_what_was_searched_is_said(beside: Path) -> None:
     with pytest.raises(UnknownNameError) as caught:
         environments.find_spec("my_qaud:MyQuadSand-v0")
     said = str(caught.value)
-    assert "no module for the environment my_qaud:MyQuadSand-v0 'my_qaud'" in said
+    assert "no module 'my_qaud'; there are: my_helper, my_quad, needy, script" in said
     assert "did you mean my_quad?" in said
-    assert f"searched: what is installed, and the current folder, {beside}" in said
+    assert "for the environment my_qaud:MyQuadSand-v0 was searched: what is inst" in said
+    assert f"and the current folder, {beside}" in said
 
 
 @pytest.mark.parametrize(

@@ -74,10 +74,11 @@ print("drawn", panel.wanted())
 """
 
 
-def run(script: str, *arguments: object) -> dict[str, str]:
+def run(folder: Path, script: str, *arguments: object) -> dict[str, str]:
     """What a script prints in a process of its own, by the first word of each line."""
     done = subprocess.run(
         [sys.executable, "-c", script, *map(str, arguments)],
+        cwd=folder,  # where the panel keeps how its windows lie
         capture_output=True,
         text=True,
         timeout=300,
@@ -90,15 +91,15 @@ def run(script: str, *arguments: object) -> dict[str, str]:
 def test_the_plugin_puts_sand_under_a_model(tmp_path: Path) -> None:
     path = tmp_path / "block.xml"
     path.write_text(MODEL, encoding="utf-8")
-    said = run(SCRIPT, PLUGIN, path)
+    said = run(tmp_path, SCRIPT, PLUGIN, path)
     assert said["what"] == "sand instead of floor"
     assert said["carried"] == "1.0 True"
     assert said["bad"].startswith("0 no sand: no medium 'moon'; there are: ")
     assert said["again"] == "1 sand instead of floor"
 
 
-def test_the_panel_is_drawn() -> None:
-    assert run(PANEL, PLUGIN)["drawn"].startswith("SandWanted(medium=None, law=None")
+def test_the_panel_is_drawn(tmp_path: Path) -> None:
+    assert run(tmp_path, PANEL, PLUGIN)["drawn"].startswith("SandWanted(medium=None, law=None")
 
 
 def test_the_command_prints_its_place(capsys: pytest.CaptureFixture[str]) -> None:
