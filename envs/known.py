@@ -40,7 +40,7 @@ def find_spec(env_id: Any) -> EnvSpec:
         known = sorted(gym.registry)
         ours = [one for one in known if one.startswith("mjgranular/")]
         others = [one for one in known if one not in ours]
-        near = difflib.get_close_matches(name, others, n=2, cutoff=0.5)
+        near = difflib.get_close_matches(name, others, n=5, cutoff=0.5)
         hint = f"importing {module} has registered no {name}" if colon else _how(name)
         raise UnknownNameError("environment", env_id, [*near, *ours], hint) from None
 

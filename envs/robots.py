@@ -237,8 +237,7 @@ def _find(environment: Any) -> EnvSpec:
             if error.kind != "environment":  # but a module
                 raise
             raise UnknownNameError("environment", environment, _robots(), error.hint) from None
-    made = spec.entry_point
-    base = load_env_creator(made) if isinstance(made, str) else made
+    base = _creator(spec)
     if not (isinstance(base, type) and issubclass(base, MujocoEnv)):
         raise InputError(
             f"{spec.id} is no MuJoCo environment of Gymnasium's kind: on_sand takes classes that "
@@ -255,13 +254,18 @@ def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
         UnknownArgumentError: an option of neither the sand, nor the environment, nor
             `gymnasium.make`; lists those of the sand and of the environment.
     """
-    made = spec.entry_point
-    own = inspect.signature(load_env_creator(made) if isinstance(made, str) else made).parameters
+    own = inspect.signature(_creator(spec)).parameters
     taken = {*SAND_FIELDS, *own, *inspect.signature(gym.make).parameters, *_OF_MUJOCO}
     for name in options:
-        if name not in taken and spec.entry_point:
+        if name not in taken:
             known = [*SAND_FIELDS, *(one for one in own if one not in ("args", "kwargs"))]
             raise UnknownArgumentError(f"on_sand({spec.id})", name, known)
+
+
+def _creator(spec: EnvSpec) -> Any:
+    """The class of an environment, or the function that makes it."""
+    made: Any = spec.entry_point
+    return load_env_creator(made) if isinstance(made, str) else made
 
 
 def _robots() -> list[str]:

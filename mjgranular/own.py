@@ -29,7 +29,10 @@ def import_own(name: str, what: str) -> ModuleType:
         InputError: it is no name of a module, or the module cannot be imported.
     """
     if not all(part.isidentifier() for part in name.split(".")):
-        raise InputError(f"{what} needs a module's name before the colon, as import takes it")
+        raise InputError(
+            f"the module {name!r} of {what} cannot be imported: one is named as in an import, "
+            "my_module"
+        )
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 from rich.table import Table
@@ -90,8 +90,9 @@ class LawsCommand:
 
     def _show(self, law: type[Law]) -> None:
         """Prints the parameters of a law: its fields."""
+        every: Any = fields(law)  # pyright: ignore[reportArgumentType]
         parameters = {
-            field.name: None if field.default is MISSING else field.default for field in fields(law)
+            field.name: None if field.default is MISSING else field.default for field in every
         }
         if self.json:
             print_json({**_facts(law), "parameters": parameters})

@@ -111,7 +111,7 @@ def names_in(names: Choice) -> list[str | int]:
     if names is None:
         return []
     one = isinstance(names, (str, bytes)) or not isinstance(names, Iterable)
-    several: Iterable[Any] = (names,) if one else names
+    several: Any = (names,) if one else names
     for name in several:
         if isinstance(name, bool) or not isinstance(name, (str, int, np.integer)):
             raise InputError(

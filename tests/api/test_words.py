@@ -93,6 +93,18 @@ def test_surfaces_and_schemes_in_words() -> None:
         mg.Sand(block(), surface="bed")
 
 
+def test_a_robot_starts_on_a_surface_in_words() -> None:
+    pytest.importorskip("gymnasium")
+    from mjgranular.envs import SandEnv
+
+    heights = []
+    for surface in ("plane height=0.3", mg.Plane(height=0.3)):
+        env = SandEnv("Hopper", surface=surface)
+        env.reset(seed=0)
+        heights.append(env.data.body("torso").xpos[2])
+    assert heights[0] == heights[1] > 1.4
+
+
 @pytest.mark.parametrize(
     ("law", "said"),
     [

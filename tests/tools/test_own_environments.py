@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ OWN = "my_quad:MyQuadSand-v0"
 
 
 @pytest.fixture
-def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder with the module, the current one; what the module does is undone afterwards."""
     for name, text in (
         ("my_quad.py", MODULE),
@@ -178,7 +179,7 @@ def test_what_was_searched_is_said(beside: Path) -> None:
         ("my_quad:MyQuadSnd-v0", "importing my_quad has registered no MyQuadSnd-v0"),
         ("my_quad:MyQuadSnd-v0", "did you mean MyQuadSand-v0"),
         ("my_quad:", "lacks the id behind the colon"),
-        (":MyQuad-v0", "needs a module's name before the colon"),
+        (":MyQuad-v0", "one is named as in an import, my_module"),
         ("my_quad.py", "one that my_quad.py registers is named my_quad:ID"),
         ("my_quad", "one that my_quad.py registers is named my_quad:ID"),
         ("needy:A-v0", "it needs nowhere_to_be_found, which is not installed"),

@@ -181,12 +181,12 @@ train | train needs an environment, for example mjgranular train
 train '' | no environment ''; there are: mjgranular/Ant-v0,
 train Hexapod | no environment 'Hexapod' ... did you mean mjgranular/Hexapod-v0?
 train mjgranular/Hexpod-v0 | no environment 'mjgranular/Hexpod-v0' ... did you mean
-train CartPole | no environment 'CartPole'; there are: CartPole-v1, ... did you mean CartPole-v1?
+train CartPole | no environment 'CartPole' ... did you mean CartPole-v1
 train quad | no environment 'quad'; there are: mjgranular/Ant-v0,
 train quad.py | no environment 'quad.py'; there are: mjgranular/Ant-v0,
 train quad: | 'quad:' lacks the id behind the colon: quad:My-v0
-train :Quad-v0 | the environment :Quad-v0 needs a module's name before the colon
-train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean Quad-v0?
+train :Quad-v0 | the module '' of the environment :Quad-v0 cannot be imported: one is named as
+train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean Quad-v0
 train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean quad?
 train error:Quad-v0 | the module 'error' of the environment error:Quad-v0 cannot be imported
 train CartPole-v1 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac,
