@@ -15,7 +15,7 @@ from mjgranular.law.validity import Measure
 from mjgranular.sand import SandSpec
 from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
-from mjgranular.surface import Plane
+from mjgranular.surface.choice import surface_of
 
 
 class Figures:
@@ -94,7 +94,7 @@ class _Limits:
         elements = law.elements(model, geoms, sand.resolution)
         self._limits = law.validity
         self.width = float(elements["width"].min())
-        self.tilt = (sand.surface or Plane()).tilt(model)
+        self.tilt = surface_of(sand.surface).tilt(model)
 
     def most(self, measure: Measure) -> float:
         return min((v.most for v in self._limits if v.measure == measure), default=math.inf)

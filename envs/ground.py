@@ -14,6 +14,7 @@ from mjgranular.engine.measures import SENSOR
 from mjgranular.look import NOT_SHOWN, TILE, add_material
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
+from mjgranular.surface.choice import surface_of
 
 FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
 """Sensors of all bodies together; behind a "/" the name of an instance of sand."""
@@ -56,7 +57,7 @@ def put_on_sand(
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
     _let_meet(spec)
-    surfaces = [sand.surface or _surface_of(floors) for sand in sands]
+    surfaces = [surface_of(sand.surface) if sand.surface else _surface_of(floors) for sand in sands]
     for number, floor in enumerate(floors):
         floor.name = floor.name or f"mjgranular_floor_{number}"
     _paint(spec, floors, surfaces, cut, tile)

@@ -59,6 +59,12 @@ class DropCommand(SandOptions):
         drop = record_of(Drop, self)
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
+        if self.video:
+            from mjgranular.picture.video import check_camera
+
+            check_camera(load(drop)[0], self.camera)
+        elif self.camera != "free":
+            raise InputError("--camera is for a film: add --video")
         if self.out is None:
             self._show(self._run(drop))
             return 0

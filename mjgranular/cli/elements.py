@@ -73,7 +73,7 @@ class ElementsCommand(ChoiceOptions):
             summary = self._summary(sand)
             if self.out is not None:
                 with folder.published():
-                    folder.write_config("elements", {**self._config(), "law": sand.law.name})
+                    folder.write_config("elements", {**self._config(), "law": _law(sand)})
                     folder.write(_CSV, lambda path: _write_csv(path, sand))
                     folder.write_json(SUMMARY, summary)
             self._show(summary)
@@ -114,7 +114,7 @@ class ElementsCommand(ChoiceOptions):
         rows = list(_rows(sand))
         return {
             "model": self.model.name,
-            "law": sand.law.name,
+            "law": _law(sand),
             "medium": self.medium or sand.medium.name,
             "kind": kind_of(sand),
             "elements": len(sand.elements),
@@ -157,6 +157,11 @@ class ElementsCommand(ChoiceOptions):
             )
         out.print(table)
         out.print(f"cost: {Cost(**summary['cost'])}", highlight=False)
+
+
+def _law(sand: Sand) -> str:
+    """The law as it was asked for, with its parameters, or the one that was chosen."""
+    return str(sand.spec.law or sand.law.name)
 
 
 def _rows(sand: Sand) -> Iterator[dict[str, Any]]:

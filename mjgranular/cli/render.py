@@ -98,6 +98,14 @@ class RenderCommand:
         from mjgranular.learn.policies import shipped_policies
 
         if self.run_folder.exists() or self.run_folder.as_posix() not in shipped_policies():
+            from mjgranular.cli.agents import is_environment
+
+            what = self.run_folder.as_posix()
+            if is_environment(what):
+                raise InputError(
+                    f"{what} is an environment: a film is made of a run, which mjgranular train "
+                    f"{what} makes, or of a policy that `mjgranular policies` lists"
+                )
             return saved_command(self.run_folder)
         if self.out is None:
             raise InputError(

@@ -28,7 +28,7 @@ from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
-from mjgranular.reading import check_regular
+from mjgranular.reading import check_regular, place
 from mjgranular.sand import Sand
 from mjgranular.sand.work import WorkMeter
 from mjgranular.saved import checked_fields, is_text
@@ -284,6 +284,11 @@ def read(drop: Drop) -> mujoco.MjSpec:
         spec = drop.model.spec()
     else:
         check_regular(drop.model, "the model")
+        if drop.model.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
+            raise InputError(
+                f"cannot read the model {place(drop.model)}: a model is an MJCF or URDF file, .xml "
+                "or .urdf"
+            )
         spec = mujoco.MjSpec.from_file(str(drop.model))
     if drop.timestep is not None:
         spec.option.timestep = drop.timestep
@@ -420,7 +425,7 @@ def _result(
         drop=drop,
         xml=xml,
         medium=drop.medium or sand.medium.name,
-        law=sand.law.name,
+        law=drop.law or sand.law.name,
         scheme=sand.scheme.name,
         timestep=float(model.opt.timestep),
         elements=len(sand.elements),

@@ -12,6 +12,7 @@ from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all
 from mjgranular.surface import Bed, HeightField, Plane, Surface
+from mjgranular.surface.choice import surface_of
 from mjgranular.surface.floors import describe_floors, find_floors
 from mjgranular.surface.place import replace_geoms
 
@@ -97,7 +98,7 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
         InputError: names the ground, and the options that help.
     """
     replace_geoms(model, sand.instead_of)
-    floors = find_floors(model, geoms_in_sand(model, sand), sand.surface or Plane())
+    floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
     if floors:
         names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
         raise InputError(

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
 from mjgranular.law.kernel import LawKernel
@@ -119,7 +120,7 @@ class DepthVelocityLaw(Law):
     def __post_init__(self) -> None:
         for key in _KEYS:
             value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0):
+            if not (is_finite(value) and value >= 0):
                 raise InputError(
                     f"DepthVelocityLaw: {key} must be finite and not negative, not {value}"
                 )

@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.link_kernel import (
@@ -55,7 +56,7 @@ class _LinkForm(Law):
     def __post_init__(self) -> None:
         for key in LINK_KEYS:
             value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0):
+            if not (is_finite(value) and value >= 0):
                 raise InputError(
                     f"{type(self).__name__}: {key} must be finite and not negative, not {value}"
                 )

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import exponential, logarithm
 from mjgranular.kernel.vector import vector
@@ -184,11 +185,11 @@ class Rft2dLaw(RftLaw):
     def __post_init__(self) -> None:
         self.check_options()
         for key in FOURIER_KEYS:
-            if not math.isfinite(getattr(self, key)):
+            if not is_finite(getattr(self, key)):
                 raise InputError(f"Rft2dLaw: {key} must be finite, not {getattr(self, key)}")
         for key in ("density", "scale"):
             value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0):
+            if not (is_finite(value) and value >= 0):
                 raise InputError(f"Rft2dLaw: {key} must be finite and not negative, not {value}")
 
         if self.inertia > 0 and self.density == 0:

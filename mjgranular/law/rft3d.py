@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
@@ -202,7 +203,7 @@ class Rft3dLaw(RftLaw):
             ("scale", 0.0, math.inf),
         ):
             value = getattr(self, key)
-            if not (math.isfinite(value) and low <= value <= high):
+            if not (is_finite(value) and low <= value <= high):
                 raise InputError(
                     f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not {value}"
                 )

@@ -170,6 +170,17 @@ class Motion:
     force: np.ndarray
 
 
+def check_camera(model: mujoco.MjModel, camera: str) -> None:
+    """Refuses a camera that a model does not have.
+
+    Raises:
+        UnknownNameError: lists the cameras there are.
+    """
+    known = [model.camera(c).name for c in range(model.ncam)]
+    if camera not in ("free", *known):
+        raise UnknownNameError("camera", camera, ["free", *known])
+
+
 def frames_of_model(
     film: Film, model: mujoco.MjModel, motion: Motion, surface: Surface | None = None
 ) -> tuple[int, Iterator[np.ndarray]]:
@@ -189,9 +200,7 @@ def frames_of_model(
         UnknownNameError: no such camera.
         RenderError: MuJoCo cannot draw on this machine, says what to install.
     """
-    known = [model.camera(c).name for c in range(model.ncam)]
-    if film.camera != "free" and film.camera not in known:
-        raise UnknownNameError("camera", film.camera, ["free", *known])
+    check_camera(model, film.camera)
     span = float(motion.t[-1] - motion.t[0])
     if span > _LONGEST:
         raise InputError(f"a film of the run's {span:g} s would be longer than {_LONGEST:g} s")

@@ -38,7 +38,7 @@ _POSTURE = int(
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )
 _WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_NOBODY: tuple[Callable[[], mujoco.MjData | None], int] = (lambda: None, 0)
+_NOBODY: tuple[Callable[[], object], int] = (object, 0)  # is no data, None included
 
 
 class Sand:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypedDict
 
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError, UnknownArgumentError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.scheme.scheme import SchemeChoice
@@ -27,10 +27,11 @@ class SandSpec:
         medium: a medium, its name, or a YAML file (`medium.file`); None for one that has constants
             for the law or, where there is no law either, for the bodies: `play_sand` with the link
             law if all are slender links, `quikrete_medium` with `rft3d` else (`sand.material`).
-        law: how it resists: a law, its name, or None for the medium's own.
-        surface: where it is; None for the plane z = 0.
-        scheme: how forces become a step: a scheme or its name. "auto" takes `Implicit`, but
-            `Explicit` for fine time steps (`scheme.auto`).
+        law: how it resists: a law, its name, with parameters that differ from the medium's behind
+            it ("rft3d scale=1.3"), or None for the medium's own.
+        surface: where it is, also in words ("plane height=0.1"); None for the plane z = 0.
+        scheme: how forces become a step: a scheme or its name, with options behind it. "auto" takes
+            `Implicit`, but `Explicit` for fine time steps (`scheme.auto`).
         bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
             or "all".
         geoms: names or numbers of the geoms that meet the sand; or "all".
@@ -47,7 +48,7 @@ class SandSpec:
 
     medium: str | Path | Medium | None = None
     law: str | Law | None = None
-    surface: Surface | None = None
+    surface: Surface | str | None = None
     scheme: str | SchemeChoice = "auto"
     bodies: Choice = None
     geoms: Choice = None
@@ -67,7 +68,7 @@ class SandFields(TypedDict, total=False):
 
     medium: str | Path | Medium | None
     law: str | Law | None
-    surface: Surface | None
+    surface: Surface | str | None
     scheme: str | SchemeChoice
     bodies: Choice
     geoms: Choice
@@ -94,11 +95,15 @@ def combined(spec: SandSpec | None, given: SandFields | None = None) -> SandSpec
 
     Raises:
         InputError: `spec` is something else.
+        UnknownArgumentError: a field that a sand does not have; lists those it has.
     """
     if spec is not None and not isinstance(spec, SandSpec):
         raise InputError(
             f"sand is described by a SandSpec, not by {shown(spec)}; fields of one are given by "
             "name, such as medium='play_sand'"
         )
+    for name in given or {}:
+        if name not in SAND_FIELDS:
+            raise UnknownArgumentError("a sand", name, SAND_FIELDS)
     own: Any = {} if spec is None else {name: getattr(spec, name) for name in SAND_FIELDS}
     return SandSpec(**{**own, **(given or {})})

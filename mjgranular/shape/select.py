@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import kind_of
 from mjgranular.names import name_of
 
 Choice = Sequence[str | int] | str | int | None
@@ -106,11 +108,12 @@ def names_in(names: Choice) -> list[str | int]:
     """Names and numbers one by one; anything else is refused."""
     if names is None:
         return []
-    several = names if isinstance(names, Iterable) and not isinstance(names, str) else (names,)
+    one = isinstance(names, (str, bytes)) or not isinstance(names, Iterable)
+    several: Any = (names,) if one else names
     for name in several:
         if isinstance(name, bool) or not isinstance(name, (str, int, np.integer)):
             raise InputError(
-                f"bodies and geoms are chosen by names or numbers, not by {shown(name)}"
+                f"bodies and geoms are chosen by names or numbers, not by {kind_of(name)}"
             )
     return [name if isinstance(name, str) else int(name) for name in several]
 
@@ -142,8 +145,9 @@ def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int:
         return found
     if isinstance(name, int) or name.isdecimal():
         raise InputError(f"the model has no {kind} number {name}: they go from 0 to {count - 1}")
-    known = (name_of(model, kind, i) for i in range(count))
-    raise UnknownNameError(f"{kind} of the model", name, [name for name in known if name])
+    known = [name_of(model, kind, i) for i in range(count)]
+    theirs = [name for name in known if name and not name.startswith("mjgranular_")]
+    raise UnknownNameError(f"{kind} of the model", name, theirs)
 
 
 def _of_body(model: mujoco.MjModel, body: int) -> list[int]:

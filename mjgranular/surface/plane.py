@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, shown
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, read_vector
 from mjgranular.surface.surface import Surface
@@ -50,7 +51,7 @@ class Plane(Surface):
     def __post_init__(self) -> None:
         for name in ("height", "slope", "uphill"):
             value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
+            if not is_finite(value):
                 raise InputError(f"the plane's {name} must be finite, not {shown(value)}")
         if abs(self.slope) >= math.pi / 2:
             raise InputError(

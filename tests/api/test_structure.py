@@ -38,6 +38,7 @@ ORDER = (
     "envs",
     "experiment",
     "picture",
+    "studio",
     "learn",
     "cli",
 )
