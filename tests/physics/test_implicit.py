@@ -432,7 +432,7 @@ CONTACTS = {
     for cone in ("pyramidal", "elliptic")
     for condim in (3, 6)
 }
-INTEGRATORS = ("Euler", "implicit", "implicitfast")
+INTEGRATORS = ("Euler", "implicit", "implicitfast", "discrete")
 
 
 def tree(integrator="Euler", root=FREE, joint="", world="", more="", option=""):
@@ -536,7 +536,7 @@ def test_constraints_as_dense_and_as_sparse_rows_are_the_same():
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_two_lone_free_bodies_are_foreseen(integrator):
-    # MuJoCo's implicitfast takes their gyroscopic moment implicitly too.
+    # MuJoCo's implicitfast and discrete take their gyroscopic moment implicitly too.
     box = '<body pos="{} 0 0"><freejoint/><geom type="box" size=".08 .06 .04"/></body>'
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><option timestep="0.01" integrator="{integrator}"/>'
@@ -768,11 +768,6 @@ def world(*parts, option=""):
 def test_runge_kutta_is_refused():
     with pytest.raises(InputError, match="RK4 cannot be stepped"):
         Sand(world(BLOB, option='integrator="RK4"'), law=QUADRATIC, scheme="implicit")
-
-
-def test_an_integrator_it_does_not_know_is_refused():
-    with pytest.raises(InputError, match="Euler, implicit and implicitfast"):
-        Sand(world(BLOB, option='integrator="discrete"'), law=QUADRATIC, scheme="implicit")
 
 
 def test_evaluations_must_be_one_or_more():
