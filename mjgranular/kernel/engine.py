@@ -54,8 +54,8 @@ solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _
 smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
 is_sparse = _function("mj_isSparse", _ADDRESS, result=_INT)
 actuator_damping = _function("mj_actuatorDamping", _ADDRESS, _INT, _INT, _ADDRESS, result="float64")
-# Of the integrator `discrete`; `mj_inverseSkip` is what makes metric and rows of constraints without
-# a call of the user's controller.
+# Of the integrator `discrete`. Inverse dynamics makes metric and constraint rows without a call of
+# the user's controller.
 inverse_dynamics = _function("mj_inverseSkip", _ADDRESS, _ADDRESS, _INT, _INT)
 metric_shift = _function("mj_effShift", _ADDRESS, _ADDRESS)
 add_metric_product = _function("mj_effMulAdd", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)

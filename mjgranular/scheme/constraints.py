@@ -8,8 +8,9 @@ where a is the acceleration in front of the integrator's own damping C = A - M,
 
     M a = A (v' - v) / h,    a = K (v' - v) / h,    K = 1 + M^-1 C,
 
-and with `discrete`, which solves for them in the metric A itself, K = 1. So they add (sum_i D_i J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses,
-limits, and contacts with pyramidal and elliptic cones, as in the engine's documentation.
+and with `discrete`, which solves for them in the metric A itself, K = 1. So they add (sum_i D_i
+J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses, limits, and contacts with
+pyramidal and elliptic cones, as in the engine's documentation.
 """
 
 from __future__ import annotations

@@ -99,9 +99,9 @@ def refusal(status: int, *, longest_step: float, integrators: str) -> str:
         )
     if status == BAD_METRIC:
         return (
-            "with the integrator discrete the implicit scheme foresees the constraint solvers Newton "
-            "and CG (opt.solver), without the flag ipc (opt.enableflags): set these, another "
-            "integrator, or scheme='explicit'"
+            "with the integrator discrete the implicit scheme foresees the constraint solvers "
+            "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
+            "another integrator, or scheme='explicit'"
         )
     return (
         "the sand cannot be stepped with the integrator that the model has now (opt.integrator; "

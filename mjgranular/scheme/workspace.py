@@ -34,8 +34,8 @@ STATISTICS_DTYPE = np.dtype(
 )
 
 EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT, DISCRETE = range(5)
-"""Additions of the integrator to the inertia: none, joint damping, the derivative of forces, and all
-that makes the effective metric."""
+"""Additions of the integrator to the inertia: none, joint damping, the derivative of forces, all
+that makes it the effective metric."""
 
 POLY = int(mujoco.mjNPOLY)
 """Coefficients of damping beyond the linear one."""
@@ -49,9 +49,9 @@ _INTEGERS: tuple[str, ...] = (
     "lanes", "tile_size", "tile_count",  # of tiles of elements
     "model", "data",  # addresses of `mjModel` and `mjData`
     "within",  # 1 where forces are asked for within `mj_step`, among the passive ones
-    # Of this step's options (`read_options`): one of the five above; whether the integrator adds its
-    # damping behind the constraints; whether the constraints' Jacobian is sparse; whether their
-    # solver ends no farther off than it begins; whether MuJoCo factors the effective metric
+    # Of this step's options (`read_options`): one of the five above; whether the integrator adds
+    # its damping behind the constraints; whether the constraints' Jacobian is sparse; whether
+    # their solver ends no farther off than it begins; whether MuJoCo factors the effective metric
     # wherever it makes it.
     "integrator", "damped", "sparse", "descends", "factored",
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)

@@ -120,7 +120,9 @@ def test_runge_kutta_under_way_is_refused(door):
     run.step()
     run.model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     place = run.data.qpos.copy()
-    with pytest.raises((InputError, mujoco.FatalError), match=r"RK4.*Euler, implicit, .* or discrete"):
+    with pytest.raises(
+        (InputError, mujoco.FatalError), match=r"RK4.*Euler, implicit, .* or discrete"
+    ):
         run.step()
     assert (run.data.qpos == place).all()
     run.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -132,7 +134,10 @@ def test_runge_kutta_under_way_is_refused(door):
     ("option", "told"),
     [
         ('integrator="RK4"', r"implicit(fast|, implicit| or)"),
-        ('integrator="discrete" solver="PGS"', r"discrete .* Newton and CG .* or scheme='explicit'"),
+        (
+            'integrator="discrete" solver="PGS"',
+            r"discrete .* Newton and CG .* or scheme='explicit'",
+        ),
     ],
 )
 @pytest.mark.parametrize("door", DOORS)

@@ -1,18 +1,18 @@
 """MuJoCo's integrator `discrete` under the implicit scheme: its effective metric is foreseen."""
 
-import math
+from functools import partial
 
 import mujoco
 import numpy as np
 import pytest
 
-from mjgranular import DepthVelocityLaw, InputError, Sand, add_sand
+from mjgranular import DepthVelocityLaw, Sand, add_sand
 
 BLOB = DepthVelocityLaw(constant=0.3, stiffness=30.0, exponent=1.0, linear=0.1, quadratic=2.0)
 STEPS = 40
-DOORS = ("step", "plugin")
 
-# Two trees and a loose body; what is in the metric is drawn into the gaps.
+# Two trees and a loose body; what is in the metric is drawn into the gaps. The tolerance is not 0:
+# with it MuJoCo's own solve for the acceleration without constraints may end in NaN.
 MODEL = """
 <mujoco>
   <option integrator="discrete" timestep="{timestep}" tolerance="1e-14" iterations="200" {option}/>
@@ -75,7 +75,11 @@ OPTIONS = (
     'jacobian="sparse" cone="elliptic"',
 )
 FLOORS = ("", '<geom type="plane" size="2 2 .1" pos="0 0 -.06"/>')
-EQUALITIES = ("", '<connect body1="d" body2="world" anchor="0 0 0"/>', '<joint joint1="b" joint2="e"/>')
+EQUALITIES = (
+    "",
+    '<connect body1="d" body2="world" anchor="0 0 0"/>',
+    '<joint joint1="b" joint2="e"/>',
+)
 
 
 def drawn(seed, **sand):
@@ -99,6 +103,9 @@ def drawn(seed, **sand):
     spec = mujoco.MjSpec.from_string(xml)
     if rng.random() < 0.3:
         spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_DIAGEXACT)
+    if rng.random() < 0.3:
+        off = rng.choice(["SPRING", "DAMPER", "GRAVITY", "WARMSTART"])
+        spec.option.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{off}"))
     if sand:
         add_sand(spec, **sand)
     return spec.compile()
@@ -129,8 +136,8 @@ def test_drawn_steps_are_foreseen_and_take_energy(seed):
         # In parts of the speeds at hand, beyond what the solver says it has left.
         size = max(abs(data.qvel).max(), abs(data.qvel - before).max())
         unlike = abs(data.qvel - arrays["velocity"]).max() / size
-        # Measured over 200 models: at most 4e-9; MuJoCo's solver stops on its own account.
-        assert unlike <= 1e-7 + 1000 * account["residual"]
+        # Measured over 200 models: nothing beyond that.
+        assert unlike <= 1e-9 + 1000 * account["residual"]
         assert arrays["sand"] @ data.qvel <= 1e-12
     assert wet > STEPS / 2
 
@@ -145,11 +152,77 @@ def test_both_doors_give_the_same_steps(seed):
     )
     rng = np.random.default_rng(seed)
     mine.qvel[:] = rng.normal(scale=0.5, size=model.nv)
-    for step in range(STEPS):
+    for _ in range(STEPS):
         push(model, mine, rng)
         mujoco.mj_copyState(model, mine, theirs, mujoco.mjtState.mjSTATE_INTEGRATION)
         sand.step(mine)
         mujoco.mj_step(with_sand, theirs)
         size = abs(mine.qvel).max()
-        print(seed, step, abs(mine.qvel-theirs.qvel).max()/size)
-        np.testing.assert_allclose(theirs.qvel, mine.qvel, rtol=1e-9, atol=1e-9 * size)
+        np.testing.assert_allclose(theirs.qvel, mine.qvel, rtol=0, atol=1e-12 * size)
+
+
+FLEX = """
+<mujoco>
+  <option integrator="discrete" timestep="0.002" tolerance="1e-14" iterations="200"/>
+  <worldbody>
+    <body name="ball" pos="0 0 .03"><freejoint/><geom size=".05"/></body>
+    <flexcomp name="flex" type="grid" count="{count}" spacing=".05 .05 .05" pos="0 0 {height}"
+        radius=".01" mass=".2" dim="{dim}">
+      <elasticity young="2e4" poisson=".3" damping=".01" {more}/>
+    </flexcomp>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.errors.UnfeltWarning")
+@pytest.mark.parametrize(
+    ("count", "height", "dim", "more"),
+    [("4 4 1", 0.1, 2, 'thickness="1e-2" elastic2d="both"'), ("3 3 3", 0.14, 3, "")],
+)
+def test_what_meets_a_flex_is_foreseen(count, height, dim, more):
+    model = mujoco.MjModel.from_xml_string(
+        FLEX.format(count=count, height=height, dim=dim, more=more)
+    )
+    sand, data = Sand(model, law=BLOB, scheme="implicit"), mujoco.MjData(model)
+    contacts = 0
+    for _ in range(60):
+        before = data.qvel.copy()
+        sand.step(data)
+        contacts = max(contacts, data.ncon)
+        workspace = sand._bindings[data].workspace
+        size = max(abs(data.qvel).max(), abs(data.qvel - before).max())
+        unlike = abs(data.qvel - workspace.arrays["velocity"]).max() / size
+        assert unlike <= 1e-7 + 1000 * workspace.statistics[0]["residual"]
+    assert contacts > 0
+
+
+@pytest.mark.parametrize("door", ["step", "plugin"])
+def test_a_controller_is_called_once_in_a_step(door):
+    # Metric and constraint rows are asked for without a step of MuJoCo's.
+    model = drawn(4, law=BLOB, scheme="implicit") if door == "plugin" else drawn(4)
+    step = partial(mujoco.mj_step, model)
+    if door == "step":
+        step = Sand(model, law=BLOB, scheme="implicit").step
+    data, calls = mujoco.MjData(model), []
+    mujoco.set_mjcb_control(lambda model, data: calls.append(data.time))
+    try:
+        for _ in range(5):
+            step(data)
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert len(calls) == 5
+
+
+def test_a_loop_that_changes_to_it_between_the_halves_of_a_step_goes_on():
+    # There is no metric in that step: MuJoCo makes it in the first half.
+    model = drawn(4)
+    sand, data = Sand(model, law=BLOB, scheme="implicit"), mujoco.MjData(model)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    mujoco.mj_step1(model, data)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    sand.apply(data)
+    mujoco.mj_step2(model, data)
+    for _ in range(20):
+        sand.step(data)
+    assert np.isfinite(data.qpos).all()
