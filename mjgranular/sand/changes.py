@@ -87,20 +87,6 @@ class Original:
         return {name: hashlib.blake2b(getattr(model, name).tobytes()).digest() for name in names}
 
 
-def are_equal(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
-    """Tells whether two models are the same in all that a model's file holds."""
-    return one is other or (
-        mujoco.mj_sizeModel(one) == mujoco.mj_sizeModel(other)
-        and np.array_equal(_image(one), _image(other))
-    )
-
-
-def _image(model: mujoco.MjModel) -> np.ndarray:
-    image = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, image)
-    return image
-
-
 def warn_of_missed_steps(time: float, last: float | None, timestep: float) -> None:
     """Warns where time has gone on without the sand.
 

@@ -18,7 +18,7 @@ from mjgranular.kernel.compiled import entry
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.sand.binding import Binding, bind
-from mjgranular.sand.changes import Original, are_equal, warn_of_missed_steps
+from mjgranular.sand.changes import Original, warn_of_missed_steps
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import geoms_in_sand, prepare
 from mjgranular.sand.report import Names, Report, Solver, describe
@@ -306,13 +306,11 @@ class Sand:
 
     def _check_owner(self, data: mujoco.MjData) -> None:
         check_data(data, "Sand")
-        if data.model is self._model or data.model._address == self._model._address:
-            return
-        # Deep copies and pickles bring a model of their own.
-        if self._bindings.get(data) is None and not are_equal(data.model, self._model):
+        if data.model is not self._model and data.model._address != self._model._address:
             raise InputError(
-                "this MjData belongs to another model, which is not equal to the one that Sand "
-                "was made for: make it with MjData(model) from that"
+                "this MjData belongs to another model, as a deep copy or a pickle of one always "
+                "does: make it with MjData(model) from the model that Sand was made for, and fill "
+                "it with mj_copyData; copy.copy(data) does both"
             )
 
     def _bind(self, data: mujoco.MjData) -> int:
