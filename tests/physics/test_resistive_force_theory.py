@@ -18,6 +18,7 @@ from mjgranular.kernel.vector import read_vector
 from mjgranular.law.rft import stress_of
 from mjgranular.law.rft2d import planar_response
 from mjgranular.law.rft3d import C1, C2, C3, polynomial_slope
+from mjgranular.shape import facets_from_model
 
 PUBLISHED = json.loads(
     (Path(__file__).parents[1] / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")
@@ -607,13 +608,24 @@ def paddle_of_triangles(cuts):
     return spec.compile()
 
 
+def of_triangles(law):
+    """The law, for which each triangle of a mesh is an element."""
+
+    def elements(self, model, geoms, resolution=None):
+        return facets_from_model(model, geoms, meshes="triangles")
+
+    kind = type(law)
+    return type(kind.__name__, (kind,), {"elements": elements})(**dataclasses.asdict(law))
+
+
 @each_law
 def test_surface_is_lowered_behind_a_paddle(law):
     # The rear half: where the velocity of the middle points away from the element. By
     # r (r w^2 / g) of the element's own distance from the axle, which is along y.
     turn, (position, _, velocity) = -18.0, PADDLING
-    plain = Moved(paddle_of_triangles(20), LAWS[law])
-    risen = Moved(plain.sand.model, dataclasses.replace(LAWS[law], rise=True))
+    kind = of_triangles(LAWS[law])
+    plain = Moved(paddle_of_triangles(20), kind)
+    risen = Moved(plain.sand.model, dataclasses.replace(kind, rise=True))
     lowered = dried = same = 0
     for before, after in zip(
         plain.report(*PADDLING, [0, turn, 0]).elements,
