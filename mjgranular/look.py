@@ -195,7 +195,10 @@ def radius_of(model: mujoco.MjModel) -> float:
     """Radius of a ball around what moves, where the model stands at `qpos0` [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    low, high = boxes_of(model, data, moving_geoms(model))
+    moving = moving_geoms(model)
+    if not len(moving):
+        return float(model.stat.extent)
+    low, high = boxes_of(model, data, moving)
     size = float(np.linalg.norm(high.max(axis=0) - low.min(axis=0))) / 2
     return size if math.isfinite(size) and size > 0 else float(model.stat.extent)
 

@@ -8,7 +8,7 @@ import importlib.util
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -28,6 +28,24 @@ FOLDER = Path(__file__).resolve().parent
 # The same examples on every machine, and no limit to their time: a first call compiles.
 hypothesis.settings.register_profile("mjgranular", derandomize=True, deadline=None, database=None)
 hypothesis.settings.load_profile("mjgranular")
+
+
+# Modules that users of the pages and of the tests have beside them.
+OWN_MODULES = ("my_quad", "my_helper", "quad")
+
+
+@pytest.fixture(autouse=True)
+def own_modules() -> Iterator[None]:
+    """Has each test begin without modules of users, and without what they have registered."""
+    yield
+    found = [name for name in OWN_MODULES if sys.modules.pop(name, None)]
+    gym = sys.modules.get("gymnasium")
+    if found and gym is not None:
+        for name, spec in list(gym.registry.items()):
+            entry = spec.entry_point
+            module = entry.partition(":")[0] if isinstance(entry, str) else entry.__module__
+            if module in OWN_MODULES or name == "Quad-v0":
+                del gym.registry[name]
 
 
 def _load(name: str) -> ModuleType:

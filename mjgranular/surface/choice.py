@@ -52,5 +52,7 @@ def surface_from_words(text: str) -> Surface:
     missing = [f.name for f in options if f.default is MISSING and f.name not in given]
     if missing:
         name = text.split(maxsplit=1)[0]
-        raise InputError(f"the surface {name!r} needs {missing[0]}=...")
+        raise InputError(
+            f"the surface {name!r} needs {missing[0]}=..., such as '{name} {missing[0]}=NAME'"
+        )
     return cls(**given)

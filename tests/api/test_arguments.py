@@ -49,7 +49,7 @@ MISTAKES = {
     "nothing to report": (lambda: Sand(model(), **SAND).report(None), "not None"),
     "nothing to apply to": (lambda: Sand(model(), **SAND).apply("x"), "not 'x'"),
     "height for surface": (lambda: Sand(model(), surface=0.1, **SAND), r"Plane\(height=0.1\)"),
-    "name for surface": (lambda: Sand(model(), surface="bed", **SAND), r"Bed\('bed'\)"),
+    "name for surface": (lambda: Sand(model(), surface="bed", **SAND), r"bed geom=NAME"),
     "class for surface": (lambda: Sand(model(), surface=Plane, **SAND), "not the class Plane"),
     "the same for a spec": (lambda: add_sand(spec(), surface=0.1), r"Plane\(height=0.1\)"),
     "words for resolution": (lambda: Sand(model(), resolution="fine", **SAND), "whole number"),

@@ -121,7 +121,7 @@ def test_options_of_a_law_in_mjcf_find_the_medium_too():
 def test_a_refusal_names_the_media_that_would_do():
     with pytest.raises(InputError, match=r"slender bodies.*quikrete_medium"):
         Sand(model_of(ROBOT), medium="play_sand")
-    with pytest.raises(UnknownNameError, match=r"constants for it: quikrete_medium$") as found:
+    with pytest.raises(UnknownNameError, match=r"constants for it: quikrete_medium\)$") as found:
         Sand(model_of(ROBOT), medium="play_sand", law="rft3d")
     assert str(pickle.loads(pickle.dumps(found.value))) == str(found.value)
     spec = mujoco.MjSpec.from_string(xml(ROBOT))

@@ -49,7 +49,6 @@ FILES = {
         "<extension><plugin plugin='mjgranular.sand'><instance name='s'>"
         "<config key='law' value='rft3d scael=2'/></instance></plugin></extension><worldbody>",
     ),
-    "rk4.xml": BLOCK.replace("<worldbody>", "<option integrator='RK4'/><worldbody>"),
     "notes.txt": "my notes",
     "mine.yaml": MEDIUM,
     "typo.yaml": MEDIUM.replace("scale", "scael"),
@@ -79,7 +78,6 @@ drop nobody.xml | no geom of the model can meet the sand: a body with a joint an
 drop fixed.xml | no geom of the model can meet the sand: a body with a joint and a collision geom
 drop floor.xml | the model's own geom 'floor'
 drop sand.xml | config 'law': the law 'rft3d' has no option 'scael'
-drop rk4.xml | the integrator RK4 cannot be stepped with a force from outside: mj_step1 and
 drop mine.yaml | cannot read the model mine.yaml: a model is an MJCF or URDF file
 drop block.xml --height -0.1 | the height must be finite and not negative
 drop block.xml --height nan | the height must be finite and not negative
@@ -118,8 +116,8 @@ drop block.xml --scheme 'implicit tolerance=0' | the scheme 'implicit' has no op
 drop block.xml --bodies blok | no body of the model 'blok' ... did you mean block?
 drop block.xml --bodies '' | no body of the model ''; there are: world,
 drop block.xml --bodies world | body 'world' is fixed to the world: sand cannot act on it
-drop block.xml --geoms 99 | the model has no geom number 99: they go from 0 to 1
-drop block.xml --groups 7 | no collision geoms of bodies that can move in geom group 7
+drop block.xml --geoms 99 | the model has no geom number 99: they go from 0 to 0
+drop block.xml --groups 7 | no geoms of bodies that can move in geom group 7; there are: 0
 drop block.xml --resolution 0 | the resolution must be at least 2
 drop block.xml --resolution fine | a whole number is needed, not 'fine'
 drop block.xml --bed block | geom 'block' is on body 'block'
