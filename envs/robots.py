@@ -107,7 +107,6 @@ def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) ->
     return sandy(environment)(sand, **options)
 
 
-@cache
 def sandy(environment: str | type) -> type[OnSand]:
     """The class of an environment with sand in the place of its floor.
 
@@ -115,6 +114,11 @@ def sandy(environment: str | type) -> type[OnSand]:
         environment: its class, or `module:Class`, which worker processes find as well.
     """
     base: Any = load_env_creator(environment) if isinstance(environment, str) else environment
+    return _sandy(base, environment)
+
+
+@cache  # by the class, which may be another one by the same name when a module is imported again
+def _sandy(base: Any, environment: str | type) -> type[OnSand]:
     return type(f"{base.__name__}OnSand", (OnSand, base), {"environment": environment})
 
 

@@ -244,7 +244,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "nothing for data": (lambda: sand().step(None), "Sand takes a mujoco.MjData, not None; use"),
     "another's data": (
         lambda: sand().step(DATA),
-        "this MjData belongs to another model, as a deep copy or a pickle of one always does: make it",
+        "this MjData belongs to another model, as a deep copy or a pickle of one always does",
     ),
     "model for report": (
         lambda: sand().report(MODEL),
