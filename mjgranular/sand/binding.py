@@ -12,6 +12,7 @@ from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.kernel.snapshot import Snapshot
+from mjgranular.relief.footprint import Footprint, footprint_of
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme.scheme import Workspace
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
@@ -32,6 +33,9 @@ class Binding:
     contacts: np.ndarray
     snapshot: Snapshot
     workspace: Workspace
+    scene: np.ndarray
+    relief: np.ndarray  # state of the surface (`relief.grid`)
+    footprint: Footprint | None
 
 
 def bind(
@@ -68,13 +72,22 @@ def bind(
     # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
     anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
+    scene, footprint = sand.scene, None
+    relief = np.zeros(sand.surface.state_size)
+    if sand.update:
+        footprint = footprint_of(model, elements, sand.surface.memory.cell)
+        scene = scene.copy()
+        scene["surface"]["state"] = relief.ctypes.data
+        scene["surface"]["footprint"] = footprint.points.ctypes.data
+        scene["surface"]["bodies"] = footprint.feet.ctypes.data
+        scene["surface"]["body_count"] = len(footprint.feet)
     table = simulation_table(
         model,
         data,
         packed=sand.packed,
         count=len(elements),
         bodies=bodies,
-        scene=sand.scene,
+        scene=scene,
         contacts=contacts,
         spans=snapshot.spans,
         workspace=workspace.record,
@@ -82,4 +95,6 @@ def bind(
         integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
         longest_step=nanoseconds(scheme.step_limit),
     )
-    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace)
+    return Binding(
+        table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, relief, footprint
+    )

@@ -30,6 +30,11 @@ def guarded_step(program, address, lead):
 
 
 @compiled
+def call_step_of(program, address, lead):
+    return call_step(program, address, lead)
+
+
+@compiled
 def finish_step(address):
     """Takes the wrenches back when `mj_step2` is through; `FINE`, or `BAD_STATE` if it was not."""
     take_back_wrenches(address)

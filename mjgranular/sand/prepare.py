@@ -14,6 +14,8 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
 from mjgranular.sand.material import elements_of, material_of
 from mjgranular.sand.ranges import warn_of_ranges
+from mjgranular.relief.probe import Relief
+from mjgranular.relief.update import update_program
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
@@ -40,6 +42,7 @@ class PreparedSand:
         scene: parameters of law and surface, shape (1,).
         kernel: of the law under this surface.
         program: address of the scheme's compiled program (`Scheme.program`).
+        update: address of the program that updates the relief after a step; 0 without memory.
         disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
     """
 
@@ -53,6 +56,7 @@ class PreparedSand:
     scene: np.ndarray
     kernel: LawKernel
     program: int
+    update: int
     disabled: tuple[int, ...]
 
 
@@ -76,6 +80,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scheme = _scheme_within_step(scheme, model)
     scheme.check(model)
     geoms = geoms_in_sand(model, spec)
+    if spec.memory is not None:
+        surface = Relief(surface, spec.memory)
     medium, law = material_of(model, geoms, spec)
     replaced = replace_geoms(model, spec.instead_of)
     warn_of_floors(model, geoms, surface)
@@ -98,6 +104,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scene=scene,
         kernel=kernel,
         program=program_address(program, STEP, what),
+        update=update_program(surface, scene.dtype),
         disabled=(*surface.geoms(model), *replaced),
     )
 

@@ -19,7 +19,7 @@ from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.changes import Original, warn_of_missed_steps
-from mjgranular.sand.guard import finish_step, guarded_step
+from mjgranular.sand.guard import call_step_of, finish_step, guarded_step
 from mjgranular.sand.prepare import geoms_in_sand, prepare
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.sand.sharing import refuse_sand_of_the_model, registry_of
@@ -88,6 +88,7 @@ class Sand:
         self._scheme = sand.scheme
         self._program = sand.program
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
+        self._update = entry(call_step_of, "int64(int64, int64, float64)") if sand.update else None
         self._finish = entry(finish_step, "int64(int64)")
         self._lead = self._scheme.lead
         self._shared = shared
@@ -177,6 +178,8 @@ class Sand:
         failed = self._guarded(self._program, address, self._lead * timestep)
         if failed != FINE:
             raise self._failure(data, failed)
+        if self._update is not None:
+            self._update(self._sand.update, address, 0.0)
         _step2(model, data)
         failed = self._finish(address)
         if failed != FINE:

@@ -1,0 +1,5 @@
+"""Sand that remembers: what bodies have pressed down and heaped up, as heights over a surface."""
+
+from mjgranular.relief.memory import Memory
+
+__all__ = ["Memory"]
