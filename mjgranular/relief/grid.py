@@ -17,12 +17,12 @@ from mjgranular.kernel.compiled import compiled
 HIGHEST, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE = range(7)
 HEADER = 8
 
-# Arrays of a number for each node: height of the sand over the surface [m], of the sand around a
-# body over that under it [m], the key, marks. Then lists of nodes: those under bodies, those where
-# sand may flow.
-HEIGHT, FILL, KEY, MARK = range(4)
-COVERED_LIST, ACTIVE_LIST = 4, 5
-ARRAYS = 6
+# Arrays of a number for each node: height of the sand over the surface [m], the key, marks. Then
+# lists of nodes: those under bodies, those where sand may flow. Behind them, for each block of
+# nodes, the sum of their heights.
+HEIGHT, KEY, MARK = range(3)
+COVERED_LIST, ACTIVE_LIST = 3, 4
+ARRAYS = 5
 
 # Marks.
 UNMARKED, FLOWS, LIES_UNDER = 0.0, 1.0, 2.0
@@ -30,9 +30,9 @@ UNMARKED, FLOWS, LIES_UNDER = 0.0, 1.0, 2.0
 _BIAS, _STRIDE = 1 << 20, 1 << 21  # node numbers from -2^20 to 2^20: 10 km of cells of 10 mm
 
 
-def state_size(size: int) -> int:
-    """Number of numbers of the state of a grid with so many cells along a side."""
-    return HEADER + ARRAYS * size * size
+def state_size(size: int, blocks: int) -> int:
+    """Number of numbers of the state of a grid with so many cells and blocks along a side."""
+    return HEADER + ARRAYS * size * size + blocks * blocks
 
 
 @partial(compiled, inline=True)
@@ -84,17 +84,51 @@ def corner_of(cell, u, v):
 
 
 @compiled
-def heights_at(state, size, cell, u, v):
-    """Height of the sand, and of the sand around, over the surface at a place [m], bilinear."""
+def height_at(state, size, cell, u, v):
+    """Height of the sand over the surface at a place [m], bilinear."""
     i, j, a, b = corner_of(cell, u, v)
-    heights, fills = start_of(size, HEIGHT), start_of(size, FILL)
-    keys = start_of(size, KEY)
-    height, around = 0.0, 0.0
+    heights, keys = start_of(size, HEIGHT), start_of(size, KEY)
+    height = 0.0
     for di in range(2):
         for dj in range(2):
             k = place_of(size, i + di, j + dj)
             if state[keys + k] == key_of(i + di, j + dj):
                 weight = (a if di else 1.0 - a) * (b if dj else 1.0 - b)
                 height += weight * state[heights + k]
-                around += weight * (state[heights + k] + state[fills + k])
-    return height, around
+    return height
+
+
+@compiled
+def mean_at(state, size, blocks, cell, u, v):
+    """Mean height around a place [m]: of nine blocks, with the weights of a quadratic spline."""
+    width = size // blocks
+    # Block 0 has the nodes 0 to width - 1: its middle is at (width - 1) / 2.
+    a = (u / cell - 0.5 * (width - 1)) / width
+    b = (v / cell - 0.5 * (width - 1)) / width
+    i, j = int(math.floor(a + 0.5)), int(math.floor(b + 0.5))
+    a, b = a - i, b - j
+    sums = start_of(size, ARRAYS)
+    total = 0.0
+    for di in range(-1, 2):
+        for dj in range(-1, 2):
+            k = ((i + di) % blocks) * blocks + (j + dj) % blocks
+            total += spline(a, di) * spline(b, dj) * state[sums + k]
+    return total / (width * width)
+
+
+@partial(compiled, inline=True)
+def spline(a, d):
+    """Weight of the block before (-1), at (0) and behind (1) a place at -1/2 to 1/2 of it."""
+    if d == 0:
+        return 0.75 - a * a
+    return 0.5 * (0.5 + d * a) * (0.5 + d * a)
+
+
+@partial(compiled, inline=True)
+def add_height(state, size, blocks, i, j, amount):
+    """Adds to the height of a node that has been claimed [m]."""
+    k = place_of(size, i, j)
+    state[start_of(size, HEIGHT) + k] += amount
+    width = size // blocks
+    block = ((i % size) // width) * blocks + (j % size) // width
+    state[start_of(size, ARRAYS) + block] += amount

@@ -19,6 +19,7 @@ class Memory:
         cell: side of a cell [m]; several to the width of a foot.
         extent: side of the square that is remembered [m]. The grid is wrapped around: who walks
             farther writes over what lies this far behind.
+        surroundings: side of the blocks over which the mean level is taken [m].
         repose: angle of repose [rad]; steeper slopes flow down.
         bulking: volume that sand takes when it is moved, in parts of what it took before.
 
@@ -28,6 +29,7 @@ class Memory:
 
     cell: float = 0.01
     extent: float = 2.0
+    surroundings: float = 0.1
     repose: float = REPOSE
     bulking: float = 1.0
 
@@ -53,8 +55,17 @@ class Memory:
 
     @property
     def size(self) -> int:
-        """Number of cells along a side, at least 8."""
-        return max(math.ceil(self.extent / self.cell), 8)
+        """Number of cells along a side."""
+        return self.blocks * self._width
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks along a side, over which means are taken; at least 4."""
+        return max(math.ceil(self.extent / (self._width * self.cell)), 4)
+
+    @property
+    def _width(self) -> int:
+        return max(round(self.surroundings / self.cell), 1)
 
 
 MOST_CELLS = 2048

@@ -28,7 +28,7 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import floats
 from mjgranular.kernel.vector import dot, norm, read_vector
-from mjgranular.relief.grid import HIGHEST, heights_at, state_size
+from mjgranular.relief.grid import HIGHEST, height_at, mean_at, state_size
 from mjgranular.relief.memory import Memory
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
@@ -52,7 +52,7 @@ def relief_dtype(base: np.dtype) -> np.dtype:
     """The record of a relief over a surface with that record."""
     vectors = [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
     numbers = ("cell", "slack", "repose", "bulking", "half_along", "half_across")
-    integers = ("size", "state", "footprint", "bodies", "body_count")
+    integers = ("size", "blocks", "state", "footprint", "bodies", "body_count")
     return np.dtype(
         [
             ("base", base),
@@ -103,8 +103,10 @@ def look_kernel(probe: Any, is_flat: bool) -> Any:
             return depth, normal
         if z < 0.0 and depth < 0.0 and is_flat:
             return depth, normal
-        state = floats(relief.state, state_size_of(relief.size))
-        height, around = heights_at(state, relief.size, relief.cell, u, v)
+        size, blocks, cell = relief.size, relief.blocks, relief.cell
+        state = floats(relief.state, state_length(size, blocks))
+        height = height_at(state, size, cell, u, v)
+        around = max(mean_at(state, size, blocks, cell, u, v), -1e9)
         base = level(relief, u, v)
         above, deep = base + height - z, base + around - z
         if not above > 0.0:
@@ -117,13 +119,8 @@ def look_kernel(probe: Any, is_flat: bool) -> Any:
     return look
 
 
-@partial(compiled, inline=True)
-def state_size_of(size):
-    """`state_size` for kernels."""
-    return state_size_kernel(size)
-
-
-state_size_kernel = compiled(state_size, inline=True)
+state_length = compiled(state_size)
+"""`state_size` for kernels."""
 
 
 @cache
@@ -200,7 +197,7 @@ class Relief(Surface):
 
     @property
     def state_size(self) -> int:
-        return state_size(self.memory.size)
+        return state_size(self.memory.size, self.memory.blocks)
 
     @property
     def is_flat(self) -> bool:
@@ -216,7 +213,7 @@ class Relief(Surface):
             relief[name] = value
         relief["cell"], relief["slack"] = memory.cell, SLACK * memory.cell
         relief["repose"], relief["bulking"] = SETTLED * np.tan(memory.repose), memory.bulking
-        relief["size"] = memory.size
+        relief["size"], relief["blocks"] = memory.size, memory.blocks
         return relief
 
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:

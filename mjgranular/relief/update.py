@@ -22,7 +22,6 @@ from mjgranular.relief.grid import (
     ACTIVE_LIST,
     COVERED,
     COVERED_LIST,
-    FILL,
     FLOWS,
     FORGOTTEN,
     HEAPED,
@@ -34,14 +33,15 @@ from mjgranular.relief.grid import (
     PRESSED,
     UNMARKED,
     WAITING,
+    add_height,
     corner_of,
-    heights_at,
+    height_at,
     key_of,
     node_of,
     place_of,
     start_of,
 )
-from mjgranular.relief.probe import STEEP, Relief, level_kernel, state_size_of
+from mjgranular.relief.probe import STEEP, Relief, level_kernel, state_length
 
 FOOTPRINT_DTYPE = np.dtype(
     [
@@ -64,15 +64,15 @@ _EIGHT = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
 
 @compiled
-def claim(state, size, area, i, j):
+def claim(state, size, blocks, area, i, j):
     """The place of a node, which is its own from now on: what was there is forgotten."""
     k = place_of(size, i, j)
     keys, key = start_of(size, KEY), key_of(i, j)
     if state[keys + k] != key:
         heights = start_of(size, HEIGHT)
         state[FORGOTTEN] += area * state[heights + k]
+        add_height(state, size, blocks, i, j, -state[heights + k])
         state[heights + k] = 0.0
-        state[start_of(size, FILL) + k] = 0.0
         state[keys + k] = key
     return k
 
@@ -97,11 +97,10 @@ def is_under(state, size, k):
 @compiled
 def uncover(state, size):
     """Takes the marks of all places under bodies; sand may flow there."""
-    marks, fills = start_of(size, MARK), start_of(size, FILL)
+    marks = start_of(size, MARK)
     covered = start_of(size, COVERED_LIST)
     for n in range(int(state[COVERED])):
         k = int(state[covered + n])
-        state[fills + k] = 0.0
         was_active = state[marks + k] == LIES_UNDER + FLOWS
         state[marks + k] = FLOWS if was_active else UNMARKED
         activate(state, size, k)
@@ -109,9 +108,9 @@ def uncover(state, size):
 
 
 @compiled
-def press_node(state, size, area, i, j, target):
+def press_node(state, size, blocks, area, i, j, target):
     """Marks a node as under a body, and presses it down to a height; gives the volume."""
-    k = claim(state, size, area, i, j)
+    k = claim(state, size, blocks, area, i, j)
     heights, mark = start_of(size, HEIGHT), start_of(size, MARK) + k
     if state[mark] < LIES_UNDER:
         count = int(state[COVERED])
@@ -121,7 +120,7 @@ def press_node(state, size, area, i, j, target):
     lowered = state[heights + k] - target
     if not lowered > 0.0:
         return 0.0
-    state[heights + k] = target
+    add_height(state, size, blocks, i, j, -lowered)
     return area * lowered
 
 
@@ -139,7 +138,7 @@ def update_kernel(probe: Any, is_plane: bool, scene_dtype: np.dtype) -> Any:
     @compiled
     def press(state, relief, position, rotation, point):
         """Presses the nodes around a point of the skin down; the volume [m^3]."""
-        cell, size = relief.cell, relief.size
+        cell, size, blocks = relief.cell, relief.size, relief.blocks
         n = read_vector(relief.normal, 0)
         along, across = read_vector(relief.along, 0), read_vector(relief.across, 0)
         place = position + rotation @ read_vector(point.point, 0)
@@ -147,7 +146,7 @@ def update_kernel(probe: Any, is_plane: bool, scene_dtype: np.dtype) -> Any:
         u, v, z = dot(place, along), dot(place, across), dot(place, n)
         if not (abs(u) <= relief.half_along and abs(v) <= relief.half_across):
             return 0.0
-        height, _ = heights_at(state, size, cell, u, v)
+        height = height_at(state, size, cell, u, v)
         if not z < level(relief, u, v) + height:
             return 0.0
         outward = rotation @ read_vector(point.normal, 0)
@@ -165,85 +164,49 @@ def update_kernel(probe: Any, is_plane: bool, scene_dtype: np.dtype) -> Any:
                 if abs(x) <= relief.half_along and abs(y) <= relief.half_across:
                     skin = z + slope_u * (x - u) + slope_v * (y - v) + relief.slack
                     volume += press_node(
-                        state, size, area, i + di, j + dj, skin - level(relief, x, y)
+                        state, size, blocks, area, i + di, j + dj, skin - level(relief, x, y)
                     )
         return volume
 
     @compiled
-    def fill(state, relief, first, volume):
-        """Finds the sand around a body from its rim, and heaps up there what it has displaced.
-
-        A plane is fitted to the rim's heights.
-        """
-        cell, size = relief.cell, relief.size
-        heights, fills, keys = start_of(size, HEIGHT), start_of(size, FILL), start_of(size, KEY)
+    def heap(state, relief, first, volume):
+        """Heaps up what a body has displaced on the nodes around it, as much on each."""
+        cell, size, blocks = relief.cell, relief.size, relief.blocks
+        heights, keys = start_of(size, HEIGHT), start_of(size, KEY)
         covered, last = start_of(size, COVERED_LIST), int(state[COVERED])
-        if first == last:
-            state[WAITING] += volume
-            return
-        middle_i, middle_j = node_of(state[keys + int(state[covered + first])])
-        n, su, sv, suu, suv, svv, sz, suz, svz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for m in range(first, last):
-            i, j = node_of(state[keys + int(state[covered + m])])
-            for di, dj in _EIGHT:
-                a, b = i + di, j + dj
-                k = place_of(size, a, b)
-                owned = state[keys + k] == key_of(a, b)
-                if owned and is_under(state, size, k):
-                    continue
-                u, v = a * cell, b * cell
-                if not (abs(u) <= relief.half_along and abs(v) <= relief.half_across):
-                    continue
-                z = level(relief, u, v) + (state[heights + k] if owned else 0.0)
-                u, v = 1.0 * (a - middle_i), 1.0 * (b - middle_j)
-                n += 1.0
-                su += u
-                sv += v
-                suu += u * u
-                suv += u * v
-                svv += v * v
-                sz += z
-                suz += u * z
-                svz += v * z
-        if n == 0.0:
-            state[WAITING] += volume
-            return
-        # About the mean; where the rim has no width in a direction there is no slope.
-        mu, mv, mz = su / n, sv / n, sz / n
-        suu, suv, svv = suu / n - mu * mu, suv / n - mu * mv, svv / n - mv * mv
-        suz, svz = suz / n - mu * mz, svz / n - mv * mz
-        suu, svv = suu + 1e-3, svv + 1e-3
-        bottom = suu * svv - suv * suv
-        slope_u = (svv * suz - suv * svz) / bottom
-        slope_v = (suu * svz - suv * suz) / bottom
-        share = (volume + state[WAITING]) / (n * cell * cell)
-        state[HEAPED] += volume + state[WAITING]
+        volume += state[WAITING]
         state[WAITING] = 0.0
-        for m in range(first, last):
-            k = int(state[covered + m])
-            i, j = node_of(state[keys + k])
-            around = mz + slope_u * (i - middle_i - mu) + slope_v * (j - middle_j - mv)
-            base = level(relief, i * cell, j * cell)
-            state[fills + k] = max(around - base - state[heights + k], 0.0)
-            if share == 0.0:
-                continue
-            for di, dj in _EIGHT:
-                a, b = i + di, j + dj
-                k = place_of(size, a, b)
-                if state[keys + k] == key_of(a, b) and is_under(state, size, k):
-                    continue
-                u, v = a * cell, b * cell
-                if not (abs(u) <= relief.half_along and abs(v) <= relief.half_across):
-                    continue
-                k = claim(state, size, cell * cell, a, b)
-                state[heights + k] += share
-                state[HIGHEST] = max(state[HIGHEST], state[heights + k])
-                activate(state, size, k)
+        if not volume > 0.0:
+            return
+        share = 0.0
+        for turn in range(2):
+            count = 0
+            for m in range(first, last):
+                i, j = node_of(state[keys + int(state[covered + m])])
+                for di, dj in _EIGHT:
+                    a, b = i + di, j + dj
+                    u, v = a * cell, b * cell
+                    if not (abs(u) <= relief.half_along and abs(v) <= relief.half_across):
+                        continue
+                    k = place_of(size, a, b)
+                    if state[keys + k] == key_of(a, b) and is_under(state, size, k):
+                        continue
+                    count += 1
+                    if turn == 1:
+                        k = claim(state, size, blocks, cell * cell, a, b)
+                        add_height(state, size, blocks, a, b, share)
+                        state[HIGHEST] = max(state[HIGHEST], state[heights + k])
+                        activate(state, size, k)
+            if count == 0:
+                state[WAITING] += volume
+                return
+            share = volume / (count * cell * cell)
+        state[HEAPED] += volume
 
     @compiled
     def flow(state, relief, rate):
         """Has sand flow down between neighbours that are steeper than repose."""
-        cell, size = relief.cell, relief.size
+        cell, size, blocks = relief.cell, relief.size, relief.blocks
         heights, keys, marks = start_of(size, HEIGHT), start_of(size, KEY), start_of(size, MARK)
         active = start_of(size, ACTIVE_LIST)
         up = vector(
@@ -274,10 +237,10 @@ def update_kernel(probe: Any, is_plane: bool, scene_dtype: np.dtype) -> Any:
                     excess = abs(rise) - relief.repose * run
                     if excess > _REST * cell:
                         moved = True
-                        q = claim(state, size, cell * cell, a, b)
+                        q = claim(state, size, blocks, cell * cell, a, b)
                         amount = math.copysign(0.25 * rate * excess, rise)
-                        state[heights + k] += amount
-                        state[heights + q] -= amount
+                        add_height(state, size, blocks, i, j, amount)
+                        add_height(state, size, blocks, a, b, -amount)
                         state[HIGHEST] = max(
                             state[HIGHEST], max(state[heights + q], state[heights + k])
                         )
@@ -298,7 +261,7 @@ def update_kernel(probe: Any, is_plane: bool, scene_dtype: np.dtype) -> Any:
         table = table_at(address)
         relief = scene_records(table[SCENE], 1)[0].surface
         size = relief.size
-        state = floats(relief.state, state_size_of(size))
+        state = floats(relief.state, state_length(size, relief.blocks))
         feet = _feet(relief.bodies, relief.body_count)
         points = _points(relief.footprint, feet[len(feet) - 1].end)
         n, origin = read_vector(relief.normal, 0), read_vector(relief.origin, 0)
@@ -317,7 +280,7 @@ def update_kernel(probe: Any, is_plane: bool, scene_dtype: np.dtype) -> Any:
                 volume += press(state, relief, position, rotation, points[m])
             first = foot.end
             state[PRESSED] += volume
-            fill(state, relief, begin, relief.bulking * volume)
+            heap(state, relief, begin, relief.bulking * volume)
         options = options_at(table)
         g = options.gravity
         g = math.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])

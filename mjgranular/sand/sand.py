@@ -245,6 +245,8 @@ class Sand:
         mujoco.mj_fwdPosition(model, probe)
         mujoco.mj_fwdVelocity(model, probe)
         binding.bodies["written"] = np.nan  # what is there now is the user's
+        bound = self._bindings.get(data)
+        binding.relief[:] = 0.0 if bound is None else bound.relief
         failed = self._guarded(self._program, binding.address, lead)
         if failed != FINE:
             raise self._failure(data, failed, binding)
