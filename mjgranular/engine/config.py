@@ -21,6 +21,7 @@ from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.law import Law, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
+from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
 from mjgranular.scheme import schemes
@@ -31,6 +32,9 @@ from mjgranular.surface.choice import surface_of
 
 KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""
+
+STATE_KEYS = ("memory", "tunable")
+"""Keys that say how many numbers an instance has in MuJoCo's state."""
 
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
 
@@ -85,6 +89,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
         "groups": lambda text: [_value(word, int, "a group") for word in _words(text)],
         "resolution": _read_resolution,
         "instead_of": _words,
+        "memory": _read_memory,
         "draw": _read_draw,
         "tunable": lambda text: _value(text, bool, "tunable"),
     }
@@ -97,6 +102,11 @@ def read_config(texts: Mapping[str, str]) -> Config:
         with named("law"):
             read["law"] = _read_law(given["law"], read.get("medium"))
     draw, tunable = read.pop("draw", ()), read.pop("tunable", False)
+    if tunable and "memory" in read:
+        raise InputError(
+            "sand with memory cannot be tunable, as heights lie over a surface that stays where it "
+            "is: leave one of the two out"
+        )
     return Config(SandSpec(**read), draw, tunable)
 
 
@@ -123,6 +133,7 @@ def write_config(
         "groups": lambda groups: _write_words(np.atleast_1d(groups).tolist()),
         "resolution": str,
         "instead_of": lambda geoms: _write_words(names_in(geoms)),
+        "memory": _write_memory,
         "draw": _write_words,
         "tunable": lambda _: "true",
     }
@@ -178,9 +189,9 @@ def _value(text: str, kind: Any, name: str) -> Any:
         if text not in ("true", "false"):
             raise InputError(f"{name} must be true or false, not {shown(text)}")
         return text == "true"
-    if kind in (int, float):
+    if kind in (int, float, float | None):
         try:
-            value = kind(text)
+            value = int(text) if kind is int else float(text)
         except ValueError:
             word = "a whole number" if kind is int else "a number"
             raise InputError(f"{name} must be {word}, not {shown(text)}") from None
@@ -228,6 +239,20 @@ def _read_resolution(text: str) -> int:
     if resolution < 1:
         raise InputError(f"resolution must be at least 1, not {shown(resolution)}")
     return resolution
+
+
+def _read_memory(text: str) -> Memory:
+    words = _words(text)
+    if len(words) == 1 and "=" not in words[0]:
+        return Memory() if words[0] == "true" else Memory(cell=_value(words[0], float, "the cell"))
+    return Memory(**_options(words, Memory, "memory"))
+
+
+def _write_memory(memory: Memory | float | bool) -> str:
+    read = as_memory(memory)
+    default = Memory()
+    given = [f.name for f in fields(Memory) if getattr(read, f.name) != getattr(default, f.name)]
+    return " ".join(_write_field(read, name) for name in given) or "true"
 
 
 def _read_draw(text: str) -> tuple[str, ...]:

@@ -8,43 +8,47 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any
 
 from mjgranular.kernel.compiled import compiled
 
-# Numbers before the arrays: the highest that anything has risen above the surface; volumes that
-# were pressed down, heaped up, forgotten where the grid is wrapped around [m^3], and that wait for
-# a rim to be heaped up on; lengths of both lists.
-HIGHEST, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE = range(7)
+# Numbers before the arrays: the highest that anything has risen above the surface [m]; volumes that
+# were pressed down, heaped up, forgotten where the grid is wrapped around, and that wait for a rim
+# to be heaped up on [m^3]; lengths of both lists; time of the last update [s], by which a `Sand`
+# knows that a simulation has begun anew.
+HIGHEST, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE, TIME = range(8)
 HEADER = 8
 
-# Arrays of a number for each node: height of the sand over the surface [m], the key, marks. Then
-# lists of nodes: those under bodies, those where sand may flow. Behind them, for each block of
-# nodes, the sum of their heights.
-HEIGHT, KEY, MARK = range(3)
-COVERED_LIST, ACTIVE_LIST = 3, 4
-ARRAYS = 5
+# Arrays of a number for each node: height of the sand over the surface [m]; key and mark; lists of
+# places: those under bodies from the begin on, those where sand may flow from the end. Behind them,
+# for each block of nodes, the sum of their heights.
+HEIGHT, KEY, LISTS = range(3)
+ARRAYS = 3
 
-# Marks.
-UNMARKED, FLOWS, LIES_UNDER = 0.0, 1.0, 2.0
+# Marks: sand may flow there; a body is there; a body was there in the last step.
+UNMARKED, FLOWS, UNDER, WAS_UNDER = range(4)
 
 _BIAS, _STRIDE = 1 << 20, 1 << 21  # node numbers from -2^20 to 2^20: 10 km of cells of 10 mm
 
 
-def state_size(size: int, blocks: int) -> int:
-    """Number of numbers of the state of a grid with so many cells and blocks along a side."""
-    return HEADER + ARRAYS * size * size + blocks * blocks
+def state_size(size: int) -> int:
+    """Number of numbers of the state of a grid with so many nodes along a side."""
+    return HEADER + ARRAYS * size * size + (size // 4) ** 2
+
+
+def node_keys(i: Any, j: Any) -> Any:
+    """Keys of nodes, each a number above 0."""
+    return (i + _BIAS) * _STRIDE + (j + _BIAS) + 1
+
+
+key_of = compiled(node_keys, inline=True)
+"""`node_keys` for kernels."""
 
 
 @partial(compiled, inline=True)
-def key_of(i, j):
-    """The key of a node; no number but 0 is none."""
-    return np_float((i + _BIAS) * _STRIDE + (j + _BIAS) + 1)
-
-
-@partial(compiled, inline=True)
-def np_float(number):
-    """An integer below 2^53 as a float."""
-    return 1.0 * number
+def node_of(key):
+    """The node (i, j) of a key."""
+    return (key - 1) // _STRIDE - _BIAS, (key - 1) % _STRIDE - _BIAS
 
 
 @partial(compiled, inline=True)
@@ -60,10 +64,22 @@ def start_of(size, array):
 
 
 @partial(compiled, inline=True)
-def node_of(key):
-    """The node (i, j) of a key."""
-    number = int(key) - 1
-    return number // _STRIDE - _BIAS, number % _STRIDE - _BIAS
+def key_at(state, size, k):
+    """The key of the node that is kept at a place; 0 for none."""
+    return int(state[start_of(size, KEY) + k]) >> 2
+
+
+@partial(compiled, inline=True)
+def mark_at(state, size, k):
+    """The mark of a place."""
+    return int(state[start_of(size, KEY) + k]) & 3
+
+
+@partial(compiled, inline=True)
+def set_mark(state, size, k, mark):
+    """Marks a place."""
+    number = int(state[start_of(size, KEY) + k])
+    state[start_of(size, KEY) + k] = 1.0 * ((number & ~3) | mark)
 
 
 @compiled
@@ -87,12 +103,12 @@ def corner_of(cell, u, v):
 def height_at(state, size, cell, u, v):
     """Height of the sand over the surface at a place [m], bilinear."""
     i, j, a, b = corner_of(cell, u, v)
-    heights, keys = start_of(size, HEIGHT), start_of(size, KEY)
+    heights = start_of(size, HEIGHT)
     height = 0.0
     for di in range(2):
         for dj in range(2):
             k = place_of(size, i + di, j + dj)
-            if state[keys + k] == key_of(i + di, j + dj):
+            if key_at(state, size, k) == key_of(i + di, j + dj):
                 weight = (a if di else 1.0 - a) * (b if dj else 1.0 - b)
                 height += weight * state[heights + k]
     return height
@@ -100,7 +116,12 @@ def height_at(state, size, cell, u, v):
 
 @compiled
 def mean_at(state, size, blocks, cell, u, v):
-    """Mean height around a place [m]: of nine blocks, with the weights of a quadratic spline."""
+    """Mean height over a square of four blocks' side around a place [m].
+
+    The blocks at the edges count by how far the square reaches into them, so the mean changes
+    steadily with the place. A crater with its heap that lies no farther away than a block, whatever
+    their shapes, adds nothing to it.
+    """
     width = size // blocks
     # Block 0 has the nodes 0 to width - 1: its middle is at (width - 1) / 2.
     a = (u / cell - 0.5 * (width - 1)) / width
@@ -109,19 +130,28 @@ def mean_at(state, size, blocks, cell, u, v):
     a, b = a - i, b - j
     sums = start_of(size, ARRAYS)
     total = 0.0
-    for di in range(-1, 2):
-        for dj in range(-1, 2):
-            k = ((i + di) % blocks) * blocks + (j + dj) % blocks
-            total += spline(a, di) * spline(b, dj) * state[sums + k]
-    return total / (width * width)
+    for di in range(-2, 3):
+        row = sums + ((i + di) % blocks) * blocks
+        part = 0.0
+        for dj in range(-2, 3):
+            part += share_of(b, dj) * state[row + (j + dj) % blocks]
+        total += share_of(a, di) * part
+    return total / (16.0 * width * width)
 
 
 @partial(compiled, inline=True)
-def spline(a, d):
-    """Weight of the block before (-1), at (0) and behind (1) a place at -1/2 to 1/2 of it."""
-    if d == 0:
-        return 0.75 - a * a
-    return 0.5 * (0.5 + d * a) * (0.5 + d * a)
+def share_of(a, d):
+    """Share of a block, `d` behind that of a place, that lies within two blocks of the place.
+
+    Args:
+        a: how far the place is from the middle of its own block [blocks], -1/2 to 1/2.
+        d: -2 to 2.
+    """
+    if d == -2:
+        return 0.5 - a
+    if d == 2:
+        return 0.5 + a
+    return 1.0
 
 
 @partial(compiled, inline=True)

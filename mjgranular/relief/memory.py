@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from mjgranular.errors import InputError, shown
+from mjgranular.relief.grid import state_size
 
 REPOSE = math.radians(32)
-"""Angle of repose of dry sand [rad]. Chosen within the published range of 29 to 35 degrees."""
+"""Angle of repose of dry sand [rad]. Chosen within the published range of 29 to 35 degrees
+(docs/memory.md)."""
+
+MOST_CELLS = 2000
+"""Along a side. Chosen: 100 MB for each simulation."""
+
+_MULTIPLE = 20  # of cells along a side, so that blocks of several sizes fill it
+_WINDOW = 5  # blocks along a side that a mean may look at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,9 +26,10 @@ class Memory:
 
     Attributes:
         cell: side of a cell [m]; several to the width of a foot.
-        extent: side of the square that is remembered [m]. The grid is wrapped around: who walks
-            farther writes over what lies this far behind.
-        surroundings: side of the blocks over which the mean level is taken [m].
+        extent: side of the square that is remembered [m], rounded up to a multiple of 20 cells. The
+            grid is wrapped around: who walks farther writes over what lies this far behind.
+        surroundings: how far around a place the sand counts for its level [m]: the mean is that of
+            a square of four times this. None for the width of the widest geom and four cells.
         repose: angle of repose [rad]; steeper slopes flow down.
         bulking: volume that sand takes when it is moved, in parts of what it took before.
 
@@ -29,44 +39,76 @@ class Memory:
 
     cell: float = 0.01
     extent: float = 2.0
-    surroundings: float = 0.1
+    surroundings: float | None = None
     repose: float = REPOSE
     bulking: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("cell", 0.0, math.inf),
-            ("extent", 0.0, math.inf),
-            ("repose", 0.0, math.pi / 2),
-            ("bulking", 0.0, math.inf),
+        for name, high in (
+            ("cell", math.inf),
+            ("extent", math.inf),
+            ("surroundings", math.inf),
+            ("repose", math.pi / 2),
+            ("bulking", math.inf),
         ):
             value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not low < value < high:
+            if name == "surroundings" and value is None:
+                continue
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not is_number or not 0.0 < value < high:
                 raise InputError(
-                    f"Memory: {name} must be a number above {low:g}"
-                    f"{'' if math.isinf(high) else f' and below {high:.3g}'}, not {shown(value)}"
+                    f"the memory's {name} must be a number above 0"
+                    f"{'' if math.isinf(high) else f' and below {high:.4g}'}, not {shown(value)}"
                 )
-        if self.size > MOST_CELLS:
+        if not self.extent / self.cell <= MOST_CELLS:
+            count = self.extent / self.cell
             raise InputError(
-                f"Memory: {self.extent:g} m in cells of {self.cell:g} m are {self.size} x "
-                f"{self.size} cells, {8e-6 * 6 * self.size**2:.0f} MB for each simulation; at most "
-                f"{MOST_CELLS} x {MOST_CELLS}: cells of {self.extent / MOST_CELLS:.2g} m would fit"
+                f"a memory of {self.extent:g} m in cells of {self.cell:g} m has {count:.3g} cells "
+                f"along a side, and {8.0 * 3 * count * count:.3g} bytes for each simulation; at "
+                f"most {MOST_CELLS} are kept: cells of {self.extent / MOST_CELLS:.2g} m would fit"
             )
 
     @property
     def size(self) -> int:
         """Number of cells along a side."""
-        return self.blocks * self._width
+        return _MULTIPLE * max(math.ceil(self.extent / (_MULTIPLE * self.cell) - 1e-9), 1)
 
     @property
-    def blocks(self) -> int:
-        """Number of blocks along a side, over which means are taken; at least 4."""
-        return max(math.ceil(self.extent / (self._width * self.cell)), 4)
+    def state_size(self) -> int:
+        """Number of numbers of the state."""
+        return state_size(self.size)
 
-    @property
-    def _width(self) -> int:
-        return max(round(self.surroundings / self.cell), 1)
+    def blocks(self, surroundings: float) -> int:
+        """Number of blocks along a side, of at least that width [m].
+
+        Raises:
+            InputError: the extent is too small for so wide ones.
+        """
+        size = self.size
+        # A quarter of the cells at most: so many have room in the state.
+        for count in range(size // 4, _WINDOW - 1, -1):
+            if size % count == 0 and size // count * self.cell >= surroundings * (1 - 1e-9):
+                return count
+        raise InputError(
+            f"a memory of {size * self.cell:g} m is too small for surroundings of "
+            f"{surroundings:.3g} m: it needs an extent of at least {_WINDOW * surroundings:.3g} m"
+        )
 
 
-MOST_CELLS = 2048
-"""Chosen: 200 MB for each simulation."""
+def as_memory(memory: Any) -> Memory | None:
+    """A memory as it may be given: a `Memory`, the side of a cell [m], True, None or False.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    if memory is None or memory is False:
+        return None
+    if memory is True:
+        return Memory()
+    if isinstance(memory, (int, float)):
+        return Memory(cell=float(memory))
+    if isinstance(memory, Memory):
+        return memory
+    raise InputError(
+        f"memory is a Memory, the side of a cell [m] or True, not {shown(memory)}"
+    )

@@ -1,4 +1,4 @@
-"""A surface with a relief: what a body meets of it.
+"""Kernels that find depth under a surface with a relief.
 
 Resistance goes with the depth below the sand *around* the body, not below what it has pressed down
 itself. And there is none where there is no sand: a face that has moved away from the sand that it
@@ -6,10 +6,10 @@ pressed moves freely until it meets sand again. So
 
     depth = (around - z) min((height - z) / min(slack, around - z), 1)
 
-with z the place's own height, `height` that of the sand there, and `around` that of the sand around
-the body. On untouched sand `height` is `around`, and the depth is that below the surface, exactly.
-`slack` is what is left of the depth of a print: sand is pressed down to within it, so that who
-stands still in his print is held by all of it, and force falls to nothing as he rises by as much.
+with z the place's own height, `height` that of the sand there, and `around` the mean around the
+body. On untouched sand both are 0, and the depth is that below the surface, exactly. `slack` is
+what is left of the depth of a print: sand is pressed down to within it, so that who stands still in
+his print is held by all of it, and force falls to nothing as he rises by as much.
 
 What resists a steep face is the sand ahead of it, a cell and a half away; what resists a flat one
 is under it.
@@ -17,55 +17,34 @@ is under it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
-
-import mujoco
-import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import floats
 from mjgranular.kernel.vector import dot, norm, read_vector
 from mjgranular.relief.grid import HIGHEST, height_at, mean_at, state_size
-from mjgranular.relief.memory import Memory
-from mjgranular.surface import Bed, HeightField, Plane, Surface
 
 AHEAD = 1.5
 """How far ahead of a steep face its sand is looked at [cells]: beyond all nodes that the body
 itself has pressed down. Chosen."""
 
 STEEP = 0.7
-"""Sine of the tilt above which a face looks ahead, and presses nothing down: 45 degrees. Chosen."""
+"""Sine of the tilt from which on a face looks as far ahead, and presses nothing down: 45 degrees.
+Chosen."""
 
-SLACK = 0.1
-"""Depth of what stands in its print below the sand that it has pressed down [cells]. Chosen."""
-
-SETTLED = 0.96
-"""Share of the tangent of repose at which sand flows between neighbours: eight directions allow a
-slope that is up to 8 % steeper between them. Chosen so that both lie about the angle alike."""
+state_length = compiled(state_size)
+"""`state_size` for kernels."""
 
 
 @cache
-def relief_dtype(base: np.dtype) -> np.dtype:
-    """The record of a relief over a surface with that record."""
-    vectors = [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
-    numbers = ("cell", "slack", "repose", "bulking", "half_along", "half_across")
-    integers = ("size", "blocks", "state", "footprint", "bodies", "body_count")
-    return np.dtype(
-        [
-            ("base", base),
-            *vectors,
-            *((name, np.float64) for name in numbers),
-            *((name, np.int64) for name in integers),
-        ]
-    )
+def level_kernel(probe: Any, is_flat: bool) -> Any:
+    """Makes a kernel `level(relief, u, v)`: the surface's height over its own plane [m].
 
-
-@cache
-def level_kernel(probe: Any, is_plane: bool) -> Any:
-    """Makes a kernel `level(relief, u, v)`: the surface's height over its own plane [m]."""
+    Args:
+        probe: of the surface itself.
+        is_flat: whether that is plane where it is.
+    """
 
     @compiled
     def level(relief, u, v):
@@ -78,86 +57,95 @@ def level_kernel(probe: Any, is_plane: bool) -> Any:
     def none(relief, u, v):
         return 0.0
 
-    return none if is_plane else level
+    return none if is_flat else level
 
 
 @cache
-def look_kernel(probe: Any, is_flat: bool) -> Any:
-    """Makes a kernel `look(relief, point, ahead)`: depth of a point, by the sand ahead; the normal.
+def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
+    """Makes a kernel `look(relief, point, ahead)`: depth of a point [m], and the normal above it.
 
     Args:
         probe: of the surface itself.
         is_flat: whether that is plane where it is.
+        height: kernel `height(relief, state, u, v, ahead)`: of the sand that counts there [m].
     """
     level = level_kernel(probe, is_flat)
 
     @compiled
     def look(relief, point, ahead):
         depth, normal = probe(relief.base, point)
+        n = read_vector(relief.normal, 0)
         place = point - read_vector(relief.origin, 0)
-        z = dot(place, read_vector(relief.normal, 0))
-        place = place + ahead
+        z = dot(place, n)
         u, v = dot(place, read_vector(relief.along, 0)), dot(place, read_vector(relief.across, 0))
         # Beside a bed, or under it, there is no sand.
         if not (abs(u) <= relief.half_along and abs(v) <= relief.half_across):
             return depth, normal
-        if z < 0.0 and depth < 0.0 and is_flat:
+        if is_flat and z < 0.0 and depth < 0.0:
             return depth, normal
         size, blocks, cell = relief.size, relief.blocks, relief.cell
-        state = floats(relief.state, state_length(size, blocks))
-        height = height_at(state, size, cell, u, v)
-        around = max(mean_at(state, size, blocks, cell, u, v), -1e9)
-        base = level(relief, u, v)
-        above, deep = base + height - z, base + around - z
+        state = floats(relief.state, state_length(size))
+        z -= level(relief, u, v)
+        above = height(relief, state, u, v, ahead) - z
         if not above > 0.0:
             return above, normal
+        deep = mean_at(state, size, blocks, cell, u, v) - z
         if not deep > 0.0:
             return deep, normal
-        share = min(above / min(relief.slack, deep), 1.0)
-        return share * deep * dot(normal, read_vector(relief.normal, 0)), normal
+        return min(above / min(relief.slack, deep), 1.0) * deep * dot(normal, n), normal
 
     return look
 
 
-state_length = compiled(state_size)
-"""`state_size` for kernels."""
-
-
 @cache
 def toward_kernel(probe: Any, is_flat: bool) -> Any:
-    """Makes a kernel `toward(relief, point, outward)`: `look` from a face with that normal."""
-    look = look_kernel(probe, is_flat)
+    """Makes a kernel `toward(relief, point, outward)`: `look` from a face with that normal.
+
+    The more a face is tilted, the farther ahead it looks: a cell is too coarse to tell what is
+    under one side of it from what is under the other.
+    """
+
+    @partial(compiled, inline=True)
+    def height(relief, state, u, v, ahead):
+        u += dot(ahead, read_vector(relief.along, 0))
+        v += dot(ahead, read_vector(relief.across, 0))
+        return height_at(state, relief.size, relief.cell, u, v)
+
+    look = look_kernel(probe, is_flat, height)
 
     @compiled
     def toward(relief, point, outward):
         n = read_vector(relief.normal, 0)
         level = outward - dot(outward, n) * n
         tilt = norm(level)
-        ahead = 0.0 * level
-        if tilt > STEEP:
-            ahead = (AHEAD * relief.cell * (tilt - STEEP) / ((1.0 - STEEP) * tilt)) * level
-        return look(relief, point, ahead)
+        far = AHEAD * relief.cell / max(tilt, STEEP)
+        return look(relief, point, far * level)
 
     return toward
 
 
 @cache
 def around_kernel(probe: Any, is_flat: bool) -> Any:
-    """Makes a kernel `around(relief, point)`: the deepest of `look` to four sides and under it.
+    """Makes a kernel `around(relief, point)`: `look` at the highest sand under and beside a point.
 
     For elements without a face, such as the axis of a rod: sand on any side resists them.
     """
-    look = look_kernel(probe, is_flat)
+
+    @partial(compiled, inline=True)
+    def height(relief, state, u, v, ahead):
+        size, cell = relief.size, relief.cell
+        far = AHEAD * cell
+        highest = height_at(state, size, cell, u, v)
+        highest = max(highest, height_at(state, size, cell, u + far, v))
+        highest = max(highest, height_at(state, size, cell, u - far, v))
+        highest = max(highest, height_at(state, size, cell, u, v + far))
+        return max(highest, height_at(state, size, cell, u, v - far))
+
+    look = look_kernel(probe, is_flat, height)
 
     @compiled
     def around(relief, point):
-        depth, normal = look(relief, point, 0.0 * point)
-        along = (AHEAD * relief.cell) * read_vector(relief.along, 0)
-        across = (AHEAD * relief.cell) * read_vector(relief.across, 0)
-        depth = max(depth, look(relief, point, along)[0])
-        depth = max(depth, look(relief, point, -along)[0])
-        depth = max(depth, look(relief, point, across)[0])
-        return max(depth, look(relief, point, -across)[0]), normal
+        return look(relief, point, point)
 
     return around
 
@@ -172,88 +160,3 @@ def ceiling_kernel(probe: Any) -> Any:
         return depth + floats(relief.state, 1)[HIGHEST], normal
 
     return ceiling
-
-
-@dataclass(frozen=True)
-class Relief(Surface):
-    """A surface that remembers.
-
-    Attributes:
-        base: the surface without memory.
-        memory: how it remembers.
-    """
-
-    base: Surface
-    memory: Memory
-
-    def probe_kernel(self) -> Any:
-        return around_kernel(type(self.base).probe, self.is_flat)
-
-    def toward_kernel(self) -> Any:
-        return toward_kernel(type(self.base).probe, self.is_flat)
-
-    def ceiling_kernel(self) -> Any:
-        return ceiling_kernel(type(self.base).probe) if type(self.base).is_plane else None
-
-    @property
-    def state_size(self) -> int:
-        return state_size(self.memory.size, self.memory.blocks)
-
-    @property
-    def is_flat(self) -> bool:
-        """Whether the surface itself is plane where it is."""
-        return isinstance(self.base, (Plane, Bed))
-
-    def record(self, model: mujoco.MjModel) -> np.ndarray:
-        base, memory = self.base.record(model), self.memory
-        relief = np.zeros(1, relief_dtype(base.dtype))
-        relief["base"] = base
-        frame = frame_of(self.base, base[0])
-        for name, value in frame.items():
-            relief[name] = value
-        relief["cell"], relief["slack"] = memory.cell, SLACK * memory.cell
-        relief["repose"], relief["bulking"] = SETTLED * np.tan(memory.repose), memory.bulking
-        relief["size"], relief["blocks"] = memory.size, memory.blocks
-        return relief
-
-    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
-        return self.base.geoms(model)
-
-    def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
-        return self.base.shape(model)
-
-    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
-        raise NotImplementedError
-
-    def tilt(self, model: mujoco.MjModel) -> float:
-        return self.base.tilt(model)
-
-
-def frame_of(surface: Surface, record: Any) -> dict[str, Any]:
-    """The plane that heights are over: origin, axes, half its extents [m]."""
-    if isinstance(surface, Plane):
-        normal = record["normal"]
-        along = np.array([1.0, 0.0, 0.0])
-        along = along - normal[0] * normal
-        along /= np.linalg.norm(along)
-        return {
-            "origin": record["offset"] * normal,
-            "along": along,
-            "across": np.cross(normal, along),
-            "normal": normal,
-            "half_along": np.inf,
-            "half_across": np.inf,
-        }
-    if isinstance(surface, Bed):
-        names = ("along", "across", "normal", "half_along", "half_across")
-        return {"origin": record["top"], **{name: record[name] for name in names}}
-    assert isinstance(surface, HeightField)
-    axes = record["axes"].reshape(3, 3)
-    return {
-        "origin": record["position"],
-        "along": axes[:, 0],
-        "across": axes[:, 1],
-        "normal": axes[:, 2],
-        "half_along": record["half_x"],
-        "half_across": record["half_y"],
-    }

@@ -12,7 +12,6 @@ from mjgranular.kernel.memory import simulation_table
 from mjgranular.kernel.options import options_address
 from mjgranular.kernel.records import BODY_DTYPE, CONTACT_DTYPE
 from mjgranular.kernel.snapshot import Snapshot
-from mjgranular.relief.footprint import Footprint, footprint_of
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme.scheme import Workspace
 from mjgranular.scheme.status import EVERY_INTEGRATOR, bits_of, nanoseconds
@@ -34,8 +33,7 @@ class Binding:
     snapshot: Snapshot
     workspace: Workspace
     scene: np.ndarray
-    relief: np.ndarray  # state of the surface (`relief.grid`)
-    footprint: Footprint | None
+    state: np.ndarray  # of the surface (`relief.grid`); empty without memory
 
 
 def bind(
@@ -44,6 +42,7 @@ def bind(
     sand: PreparedSand,
     *,
     within: bool = False,
+    state: np.ndarray | None = None,
 ) -> Binding:
     """Makes the binding of a prepared sand to a simulation.
 
@@ -52,6 +51,7 @@ def bind(
         data: the simulation.
         sand: that was prepared for the model.
         within: whether forces are asked for among MuJoCo's passive ones, inside its step.
+        state: room for that of the surface; None for an array of its own, of untouched sand.
 
     Raises:
         InputError: elements that do not come body by body.
@@ -72,15 +72,12 @@ def bind(
     # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
     anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
-    scene, footprint = sand.scene, None
-    relief = np.zeros(sand.surface.state_size)
-    if sand.update:
-        footprint = footprint_of(model, elements, sand.surface.memory.cell)
+    scene = sand.scene
+    if state is None:
+        state = np.zeros(sand.surface.state_size)
+    if sand.footprint is not None:
         scene = scene.copy()
-        scene["surface"]["state"] = relief.ctypes.data
-        scene["surface"]["footprint"] = footprint.points.ctypes.data
-        scene["surface"]["bodies"] = footprint.feet.ctypes.data
-        scene["surface"]["body_count"] = len(footprint.feet)
+        scene["surface"]["state"] = state.ctypes.data
     table = simulation_table(
         model,
         data,
@@ -94,7 +91,9 @@ def bind(
         options=options_address(model),
         integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
         longest_step=nanoseconds(scheme.step_limit),
+        state=state,
+        update=sand.update,
     )
     return Binding(
-        table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, relief, footprint
+        table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state
     )

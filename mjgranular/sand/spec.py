@@ -43,8 +43,8 @@ class SandSpec:
         instead_of: names or numbers of geoms that the sand replaces, such as the model's own floor.
             They must be fixed to the world. Their contacts are switched off in the model; what is
             drawn stays.
-        memory: how the sand remembers what has been pressed down; None for sand that closes behind
-            what has passed.
+        memory: how the sand remembers what has been pressed down: a `Memory`, the side of a cell
+            [m], or True for one of defaults; None for sand that closes behind what has passed.
     """
 
     medium: str | Path | Medium | None = None
@@ -56,7 +56,7 @@ class SandSpec:
     groups: Sequence[int] | int | None = None
     resolution: int | None = None
     instead_of: Choice = None
-    memory: Memory | None = None
+    memory: Memory | float | bool | None = None
 
     def __repr__(self) -> str:
         """Short: what differs from the defaults."""
@@ -77,7 +77,7 @@ class SandFields(TypedDict, total=False):
     groups: Sequence[int] | int | None
     resolution: int | None
     instead_of: Choice
-    memory: Memory | None
+    memory: Memory | float | bool | None
 
 
 SAND_FIELDS = tuple(field.name for field in fields(SandSpec))
