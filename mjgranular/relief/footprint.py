@@ -33,11 +33,11 @@ FOOT_DTYPE = np.dtype(
 
 @dataclass(frozen=True)
 class Footprint:
-    """Points of the skin, body by body.
+    """Points of the skin, geom by geom.
 
     Attributes:
         points: rows of `POINT_DTYPE`.
-        feet: rows of `FOOT_DTYPE`, one for each body.
+        feet: rows of `FOOT_DTYPE`, one for each geom, body by body.
     """
 
     points: np.ndarray
@@ -86,22 +86,22 @@ def footprint_of(
     """
     names = elements.dtype.names or ()
     if "half_length" in names:
-        parts = [(int(rod["body"]), _on_rod(rod, cell)) for rod in elements]
+        parts = [(int(rod["geom"]), _on_rod(rod, cell)) for rod in elements]
     else:
         facets = elements if "edges" in names else facets_from_model(model, geoms)
-        parts = [(int(facet["body"]), _on_facet(facet, cell)) for facet in facets]
+        parts = [(int(facet["geom"]), _on_facet(facet, cell)) for facet in facets]
         meshes = [g for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH]
         # Facets of a mesh do not tell how far they reach.
-        parts += [(int(model.geom_bodyid[geom]), _on_mesh(model, geom, cell)) for geom in meshes]
+        parts += [(geom, _on_mesh(model, geom, cell)) for geom in meshes]
     points, feet, count = [], [], 0
-    for body in dict.fromkeys(elements["body"].tolist()):
-        mine = [part for owner, part in parts if owner == body]
+    for geom in dict.fromkeys(elements["geom"].tolist()):
+        mine = [part for owner, part in parts if owner == geom]
         points.extend(mine)
         here = np.concatenate(mine)
         count += len(here)
         check_count(count)
         low, high = here["point"].min(axis=0), here["point"].max(axis=0)
-        feet.append((body, count, (low + high) / 2, (high - low) / 2))
+        feet.append((model.geom_bodyid[geom], count, (low + high) / 2, (high - low) / 2))
     return Footprint(np.concatenate(points), np.array(feet, FOOT_DTYPE))
 
 

@@ -12,12 +12,15 @@ from typing import Any
 
 from mjgranular.kernel.compiled import compiled
 
-# Numbers before the arrays: the highest that anything has risen above the surface [m]; volumes that
-# were pressed down, heaped up, forgotten where the grid is wrapped around, and that wait for a rim
-# to be heaped up on [m^3]; lengths of both lists; time of the last update [s], by which a `Sand`
-# knows that a simulation has begun anew.
-HIGHEST, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE, TIME = range(8)
-HEADER = 8
+# Numbers before the arrays: a height that nothing is above [m], and one that nothing is above that
+# does not flow; the highest of the rows that were looked through since that was found, and the
+# next row; volumes that were pressed down, heaped up, forgotten where the grid is wrapped around,
+# and that wait for a rim to be heaped up on [m^3]; lengths of both lists; how much time has gone by
+# since bodies last pressed, and since sand last flowed, in units of sqrt(cell / g); time of the
+# last step [s], by which a `Sand` knows that a simulation has begun anew.
+HIGHEST, SETTLED, SEEN, ROW, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE = range(10)
+SINCE_PRESSED, SINCE_FLOWED, TIME = range(10, 13)
+HEADER = 14
 
 # Arrays of a number for each node: height of the sand over the surface [m]; key and mark; lists of
 # places: those under bodies from the begin on, those where sand may flow from the end. Behind them,
@@ -55,6 +58,14 @@ def node_of(key):
 def place_of(size, i, j):
     """Where a node is kept among its array's."""
     return (i % size) * size + j % size
+
+
+@partial(compiled, inline=True)
+def wrapped(n, size):
+    """A row or column that is one beside the grid at most, within it: quicker than a remainder."""
+    if n < 0:
+        return n + size
+    return n - size if n >= size else n
 
 
 @partial(compiled, inline=True)
@@ -96,18 +107,18 @@ def corner_of(cell, u, v):
     """
     a, b = u / cell, v / cell
     i, j = math.floor(a), math.floor(b)
-    return int(i), int(j), a - i, b - j
+    return i, j, a - i, b - j
 
 
 @compiled
 def height_at(state, size, cell, u, v):
     """Height of the sand over the surface at a place [m], bilinear."""
     i, j, a, b = corner_of(cell, u, v)
-    heights = start_of(size, HEIGHT)
+    heights, row, column = start_of(size, HEIGHT), i % size, j % size
     height = 0.0
     for di in range(2):
         for dj in range(2):
-            k = place_of(size, i + di, j + dj)
+            k = wrapped(row + di, size) * size + wrapped(column + dj, size)
             if key_at(state, size, k) == key_of(i + di, j + dj):
                 weight = (a if di else 1.0 - a) * (b if dj else 1.0 - b)
                 height += weight * state[heights + k]
@@ -126,16 +137,18 @@ def mean_at(state, size, blocks, cell, u, v):
     # Block 0 has the nodes 0 to width - 1: its middle is at (width - 1) / 2.
     a = (u / cell - 0.5 * (width - 1)) / width
     b = (v / cell - 0.5 * (width - 1)) / width
-    i, j = int(math.floor(a + 0.5)), int(math.floor(b + 0.5))
+    i, j = math.floor(a + 0.5), math.floor(b + 0.5)
     a, b = a - i, b - j
+    row, first = (i - 2) % blocks, (j - 2) % blocks
     sums = start_of(size, ARRAYS)
     total = 0.0
     for di in range(-2, 3):
-        row = sums + ((i + di) % blocks) * blocks
-        part = 0.0
+        begin, column, part = sums + row * blocks, first, 0.0
         for dj in range(-2, 3):
-            part += share_of(b, dj) * state[row + (j + dj) % blocks]
+            part += share_of(b, dj) * state[begin + column]
+            column = wrapped(column + 1, blocks)
         total += share_of(a, di) * part
+        row = wrapped(row + 1, blocks)
     return total / (16.0 * width * width)
 
 
@@ -155,10 +168,10 @@ def share_of(a, d):
 
 
 @partial(compiled, inline=True)
-def add_height(state, size, blocks, i, j, amount):
-    """Adds to the height of a node that has been claimed [m]."""
-    k = place_of(size, i, j)
+def add_height(state, size, blocks, k, amount):
+    """Adds to the height at a place that has been claimed [m]."""
     state[start_of(size, HEIGHT) + k] += amount
-    width = size // blocks
-    block = ((i % size) // width) * blocks + (j % size) // width
+    row = int((k + 0.5) / size)
+    per_node = blocks / size
+    block = int((row + 0.5) * per_node) * blocks + int((k - row * size + 0.5) * per_node)
     state[start_of(size, ARRAYS) + block] += amount

@@ -21,9 +21,7 @@ from mjgranular.relief.grid import (
     WAS_UNDER,
     add_height,
     key_at,
-    key_of,
     mark_at,
-    place_of,
     set_mark,
     start_of,
 )
@@ -49,18 +47,16 @@ def is_full(state, size):
 
 
 @compiled
-def claim(state, size, blocks, area, i, j):
-    """The place of a node, which is its own from now on: what was there is forgotten."""
-    k, key = place_of(size, i, j), key_of(i, j)
+def claim(state, size, blocks, area, k, key):
+    """Makes a place that of a node: what was there before is forgotten."""
     if key_at(state, size, k) != key:
         height = state[start_of(size, HEIGHT) + k]
         state[FORGOTTEN] += area * height
-        add_height(state, size, blocks, i, j, -height)
+        add_height(state, size, blocks, k, -height)
         state[start_of(size, HEIGHT) + k] = 0.0
         # Where sand may flow stands in a list.
         mark = FLOWS if mark_at(state, size, k) == FLOWS else UNMARKED
         state[start_of(size, KEY) + k] = 4.0 * key + mark
-    return k
 
 
 @compiled

@@ -109,6 +109,4 @@ def as_memory(memory: Any) -> Memory | None:
         return Memory(cell=float(memory))
     if isinstance(memory, Memory):
         return memory
-    raise InputError(
-        f"memory is a Memory, the side of a cell [m] or True, not {shown(memory)}"
-    )
+    raise InputError(f"memory is a Memory, the side of a cell [m] or True, not {shown(memory)}")

@@ -94,6 +94,4 @@ def bind(
         state=state,
         update=sand.update,
     )
-    return Binding(
-        table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state
-    )
+    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)

@@ -51,8 +51,8 @@ class Sand:
     Everything is checked and prepared here, once. One `Sand` serves any number of `MjData` of its
     model, also from several threads (one `MjData` a thread, as for MuJoCo itself).
 
-    With `memory` the sand keeps the prints of what has stood in it, for each `MjData` its own, until
-    time goes back (`mj_resetData`), or the `MjData` is let go (`release`). A copy of an `MjData`
+    With `memory` the sand keeps the prints of what has stood in it, for each `MjData` its own,
+    until time goes back (`mj_resetData`), or the `MjData` is let go (`release`). A copy of an `MjData`
     begins with untouched sand unless `copy_memory` is called; so does a pickled `Sand`. After an
     `UnstableError` the sand is as the step that failed has left it.
 
@@ -229,9 +229,7 @@ class Sand:
             self._recent = _NOBODY
             registry_of(data).remove(self, binding)
 
-    def relief(
-        self, data: mujoco.MjData, middle: tuple[float, float] | None = None
-    ) -> Heights:
+    def relief(self, data: mujoco.MjData, middle: tuple[float, float] | None = None) -> Heights:
         """What the sand of a simulation remembers: heights over its surface.
 
         Args:
