@@ -80,14 +80,11 @@ def facet_kernel(
     turning body is lowered.
     """
 
-    if toward is None:
+    @partial(compiled, inline=True)
+    def straight_up(surface, point, outward):
+        return probe(surface, point)
 
-        @partial(compiled, inline=True)
-        def look(surface, point, outward):
-            return probe(surface, point)
-
-    else:
-        look = toward
+    look = straight_up if toward is None else toward
 
     @partial(compiled, inline=True)
     def facet_sample(facet, pose, law, surface, g):

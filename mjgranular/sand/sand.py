@@ -18,6 +18,7 @@ from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import UPDATE
 from mjgranular.law import Law
 from mjgranular.medium import Medium
+from mjgranular.relief.grid import TIME
 from mjgranular.relief.heights import Heights, heights_of
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief
@@ -52,9 +53,9 @@ class Sand:
     model, also from several threads (one `MjData` a thread, as for MuJoCo itself).
 
     With `memory` the sand keeps the prints of what has stood in it, for each `MjData` its own,
-    until time goes back (`mj_resetData`), or the `MjData` is let go (`release`). A copy of an `MjData`
-    begins with untouched sand unless `copy_memory` is called; so does a pickled `Sand`. After an
-    `UnstableError` the sand is as the step that failed has left it.
+    until time goes back (`mj_resetData`), or the `MjData` is let go (`release`). A copy of an
+    `MjData` begins with untouched sand unless `copy_memory` is called; so does a pickled `Sand`.
+    After an `UnstableError` the sand is as the step that failed has left it.
 
     Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each
     once between `mj_step1` and `mj_step2`: a `step` of each would be two steps of time. They may
@@ -260,7 +261,9 @@ class Sand:
         self._remembering()
         self._bind(origin)
         self._bind(to)
-        self._bindings[to].state[:] = self._bindings[origin].state
+        state = self._bindings[to].state
+        state[:] = self._bindings[origin].state
+        state[TIME] = to.time  # whatever it is: what is copied is not forgotten
 
     def _remembering(self) -> Relief:
         surface = self._sand.surface
