@@ -11,16 +11,13 @@ import mujoco
 
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
-from mjgranular.models import model_path
-from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.look import NOT_SHOWN, TILE, add_material
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
+from mjgranular.surface.choice import surface_of
 
 FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
 """Sensors of all bodies together; behind a "/" the name of an instance of sand."""
-
-BODY_FORCE, BODY_MOMENT = "sand/force of ", "sand/moment of "
-"""Sensors of one body, with its name and the instance behind."""
 
 
 def put_on_sand(
@@ -28,10 +25,9 @@ def put_on_sand(
     sands: Sequence[SandSpec],
     *,
     sensors: bool = True,
-    wrenches: bool = False,
     tunable: bool = False,
     cut: float = 0.0,
-    tile: float = 0.5,
+    tile: float = TILE,
 ) -> mujoco.MjModel:
     """Takes the floor's contacts away and adds sand, and sensors of it.
 
@@ -45,7 +41,6 @@ def put_on_sand(
         sands: one or several, of which each has an instance `sand`, `sand_2`, ...; without a
             surface it is the level plane where the floor was.
         sensors: whether the sand is to be measured by sensors of the model (`envs.figures`).
-        wrenches: whether the force and the moment on each body are to be measured as well.
         tunable: whether instances are to be tuned while they run.
         cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
         tile: edge of the picture of sand on the ground [m].
@@ -62,7 +57,7 @@ def put_on_sand(
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
     _let_meet(spec)
-    surfaces = [sand.surface or _surface_of(floors) for sand in sands]
+    surfaces = [surface_of(sand.surface) if sand.surface else _surface_of(floors) for sand in sands]
     for number, floor in enumerate(floors):
         floor.name = floor.name or f"mjgranular_floor_{number}"
     _paint(spec, floors, surfaces, cut, tile)
@@ -73,9 +68,9 @@ def put_on_sand(
     for sand, surface in zip(sands, surfaces, strict=True):
         replaced = [*(floor.name for floor in floors), *names_in(sand.instead_of)]
         placed = combined(sand, {"surface": surface, "instead_of": replaced})
-        names.append(add_sand(spec, placed, tunable=tunable).name)
+        names.append(add_sand(spec, placed, tunable=tunable, draw=()).name)
     if sensors:
-        _add_sensors(spec, names, sands[0], wrenches=wrenches)
+        _add_sensors(spec, names)
     with quiet():
         return spec.compile()
 
@@ -129,7 +124,7 @@ def _paint(
     tile: float,
 ) -> None:
     """Lets floors look like sand and lie where it is."""
-    material = _sand_material(spec, tile)
+    material = add_material(spec, tile=tile)
     for surface in surfaces:
         if isinstance(surface, HeightField):
             geom = spec.geom(surface.geom)
@@ -139,7 +134,7 @@ def _paint(
     planes = [surface for surface in surfaces if isinstance(surface, Plane)]
     for floor in floors:
         if not planes:
-            floor.group = 5  # not shown
+            floor.group = NOT_SHOWN
             continue
         plane = planes[0]
         floor.material = material
@@ -150,29 +145,8 @@ def _paint(
         floor.quat = [math.cos(half), axis[0] * math.sin(half), axis[1] * math.sin(half), 0]
 
 
-def _sand_material(spec: mujoco.MjSpec, tile: float) -> str:
-    """A material of sand, whose picture has edges of that length [m]; its name."""
-    name = "mjgranular_sand"
-    picture = model_path("link").parent / "assets" / "sand.png"
-    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=str(picture.resolve()))
-    material = spec.add_material(name=name)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    material.texrepeat = [1 / tile, 1 / tile]
-    material.texuniform = True
-    material.specular = material.shininess = material.reflectance = 0.0
-    return name
-
-
-def _add_sensors(
-    spec: mujoco.MjSpec, names: Sequence[str], sand: SandSpec, *, wrenches: bool
-) -> None:
+def _add_sensors(spec: mujoco.MjSpec, names: Sequence[str]) -> None:
     spec.activate_plugin(SENSOR)
-    bodies: list[str] = []
-    if wrenches:
-        with quiet():
-            model = spec.copy().compile()
-        met = geoms_in_sand(model, sand)
-        bodies = [model.body(b).name for b in sorted({int(model.geom_bodyid[g]) for g in met})]
     for instance in names:
         for measure, name in (
             ("force", FORCE),
@@ -180,21 +154,10 @@ def _add_sensors(
             ("power", POWER),
             ("speed", SPEED),
         ):
-            _add_sensor(spec, f"{name}/{instance}", measure, instance)
-        for body in bodies:
-            _add_sensor(spec, f"{BODY_FORCE}{body}/{instance}", "force", instance, body)
-            _add_sensor(spec, f"{BODY_MOMENT}{body}/{instance}", "moment", instance, body)
-
-
-def _add_sensor(
-    spec: mujoco.MjSpec, name: str, measure: str, sand: str, body: str | None = None
-) -> None:
-    instance = f"{measure} of {sand}"
-    if all(plugin.name != instance for plugin in spec.plugins):
-        plugin = spec.add_plugin(name=instance, plugin_name=SENSOR, active=True)
-        plugin.config = {"measure": measure, "sand": sand}
-    sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_PLUGIN)
-    if body is not None:
-        sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_BODY, body
-    sensor.plugin.active = True
-    sensor.plugin.plugin_name, sensor.plugin.name = SENSOR, instance
+            plugin = spec.add_plugin(
+                name=f"{measure} of {instance}", plugin_name=SENSOR, active=True
+            )
+            plugin.config = {"measure": measure, "sand": instance}
+            sensor = spec.add_sensor(name=f"{name}/{instance}", type=mujoco.mjtSensor.mjSENS_PLUGIN)
+            sensor.plugin.active = True
+            sensor.plugin.plugin_name, sensor.plugin.name = SENSOR, plugin.name

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
 
-from mjgranular.envs.figures import Wrenches
 from mjgranular.envs.gym_planar import Robot, place_in_plane
 from mjgranular.envs.task import State
 
@@ -20,7 +18,6 @@ from mjgranular.envs.task import State
 class _Spatial(Robot):
     """Ant and Humanoid: free in space, paid and charged alike."""
 
-    wrenches: ClassVar[bool] = True
     hidden: ClassVar[int] = 2
 
     ctrl_cost_weight: float = 0.5
@@ -30,23 +27,9 @@ class _Spatial(Robot):
     include_cfrc_ext_in_observation: bool = True
     frame_skip: int = 5
 
-    @cached_property
-    def sand_wrenches(self) -> Wrenches:
-        """Reader of the sand's force on each body."""
-        return Wrenches.of_sensors(self.model)
-
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
         reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a metre across
         qpos[2] += max(height(float(qpos[0]) + x, float(qpos[1]) + y) for x in reach for y in reach)
-
-    def external(self, state: State) -> np.ndarray:
-        """Moments and forces on bodies from outside, shape (n, nbody, 6)."""
-        return self.once(state, "external", self._external)
-
-    def _external(self, state: State) -> np.ndarray:
-        return self.sand_wrenches.of(
-            state.sensordata, state.xipos, state.subtree_com, self.model.nbody
-        )
 
     def healthy(self, state: State) -> np.ndarray:
         """Tells whether the robot is at its height, shape (n,)."""
@@ -122,7 +105,7 @@ class Ant(_Spatial):
     title: ClassVar[str] = "Gymnasium's Ant on sand"
     xml: ClassVar[str] = "ant.xml"
     gaussian: ClassVar[bool] = True
-    reads: ClassVar[tuple[str, ...]] = ("xpos", "xipos", "subtree_com")
+    reads: ClassVar[tuple[str, ...]] = ("xpos", "cfrc_ext")
     camera: ClassVar[dict[str, Any]] = {"trackbodyid": 1, "distance": 4.0, "elevation": -20.0}
 
     reset_noise_scale: float = 0.1
@@ -142,7 +125,7 @@ class Ant(_Spatial):
         return self.once(state, "felt", self._felt)
 
     def _felt(self, state: State) -> np.ndarray:
-        forces = np.clip(self.external(state), *self.contact_force_range)
+        forces = np.clip(state.cfrc_ext, *self.contact_force_range)
         return forces.reshape(len(forces), -1)
 
     def observe(self, state: State) -> np.ndarray:
@@ -195,8 +178,7 @@ class Humanoid(_Spatial):
     title: ClassVar[str] = "Gymnasium's Humanoid on sand"
     xml: ClassVar[str] = "humanoid.xml"
     reads: ClassVar[tuple[str, ...]] = (
-        "xipos", "subtree_com", "cinert", "cvel", "qfrc_actuator", "cfrc_ext", "ten_length",
-        "ten_velocity",
+        "xipos", "cinert", "cvel", "qfrc_actuator", "cfrc_ext", "ten_length", "ten_velocity",
     )  # fmt: skip
     camera: ClassVar[dict[str, Any]] = {
         "trackbodyid": 1, "distance": 4.0, "lookat": (0.0, 0.0, 2.0), "elevation": -20.0,
@@ -213,24 +195,9 @@ class Humanoid(_Spatial):
     include_cvel_in_observation: bool = True
     include_qfrc_actuator_in_observation: bool = True
 
-    def robot(self) -> mujoco.MjSpec:
-        spec = super().robot()
-        # MuJoCo works out `cfrc_ext` only where a sensor needs it.
-        spec.body("torso").add_site(name="needs cfrc_ext")
-        spec.add_sensor(
-            name="needs cfrc_ext",
-            type=mujoco.mjtSensor.mjSENS_FORCE,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            objname="needs cfrc_ext",
-        )
-        return spec
-
     @cached_property
     def _mass(self) -> tuple[np.ndarray, float]:
         return self.model.body_mass, self.model.body_mass.sum()
-
-    def _external(self, state: State) -> np.ndarray:
-        return state.cfrc_ext + super()._external(state)
 
     def healthy(self, state: State) -> np.ndarray:
         low, high = self.healthy_z_range
@@ -252,11 +219,11 @@ class Humanoid(_Spatial):
         if self.include_qfrc_actuator_in_observation:
             parts.append(state.qfrc_actuator[:, 6:])
         if self.include_cfrc_ext_in_observation:
-            parts.append(self.external(state)[:, 1:].reshape(count, -1))
+            parts.append(state.cfrc_ext[:, 1:].reshape(count, -1))
         return np.concatenate(parts, axis=1)
 
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
-        forces = self.external(state).reshape(len(state.qpos), -1)
+        forces = state.cfrc_ext.reshape(len(state.qpos), -1)
         contact = np.clip(
             self.contact_cost_weight * np.square(forces).sum(axis=1), *self.contact_cost_range
         )

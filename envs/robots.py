@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -12,10 +13,12 @@ import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
+from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
-from mjgranular.envs.figures import Figures, Wrenches
+from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand, quiet
+from mjgranular.envs.known import find_spec
 from mjgranular.envs.ranges import (
     Sample,
     SandRanges,
@@ -27,8 +30,7 @@ from mjgranular.envs.ranges import (
     told,
 )
 from mjgranular.envs.single import first_of
-from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
@@ -37,7 +39,7 @@ accuracy."""
 
 
 def on_sand(
-    environment: str,
+    environment: str | type[MujocoEnv],
     sand: SandSpec = ROBOT_SAND,
     *,
     randomise: SandRanges | None = None,
@@ -59,7 +61,8 @@ def on_sand(
     Healthy ranges are as they were: robots sink in by millimetres to centimetres.
 
     Args:
-        environment: id of an environment whose class derives from `MujocoEnv`.
+        environment: a class that derives from `MujocoEnv`, or the id of an environment of such a
+            class, of Gymnasium's or of your own (`my_module:My-v0` imports the module).
         sand: the sand; without a surface it is the level plane where the floor was. It replaces
             the floor without a word, and `instead_of` names other geoms. The default is medium sand
             of Quikrete's, its resolution coarse and quick; with a law's name alone, the medium
@@ -75,10 +78,12 @@ def on_sand(
 
     Raises:
         UnknownNameError: no such environment; lists Gymnasium's MuJoCo robots.
+        UnknownArgumentError: an option of neither the sand, nor the environment.
         InputError: an environment that is not a `MujocoEnv`, or one without a floor where no
             surface is given; what `add_sand` refuses.
     """
     spec = _find(environment)
+    _check_options(spec, options)
     fields: Any = {name: options.pop(name) for name in SAND_FIELDS if name in options}
     if sand is ROBOT_SAND and isinstance(fields.get("law"), (str, type)):
         fields.setdefault("medium", None)  # it follows from the law
@@ -92,26 +97,28 @@ def on_sand(
         entry_point="mjgranular.envs.robots:make_robot",
         reward_threshold=None,  # that of rigid ground says nothing
         max_episode_steps=spec.max_episode_steps,
-        kwargs={**spec.kwargs, "environment": spec.id, "sand": described},
+        kwargs={**spec.kwargs, "environment": spec.entry_point, "sand": described},
     )
     return gym.make(ours, **options)
 
 
-def make_robot(environment: str, sand: dict[str, Any], **options: Any) -> gym.Env:
+def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) -> gym.Env:
     """Makes the environment itself, without wrappers; what `on_sand` says."""
-    return sandy(_find(environment).id)(sand, **options)
+    return sandy(environment)(sand, **options)
 
 
 @cache
-def sandy(environment: str) -> type[OnSand]:
-    """The class of an environment of Gymnasium's, with sand in the place of its floor."""
-    base: Any = load_env_creator(str(_find(environment).entry_point))
-    if not (isinstance(base, type) and issubclass(base, MujocoEnv)):
-        raise InputError(
-            f"{environment} is no MuJoCo environment of Gymnasium's: on_sand takes those, such as "
-            f"{', '.join(_robots())}"
-        )
+def sandy(environment: str | type) -> type[OnSand]:
+    """The class of an environment with sand in the place of its floor.
+
+    Args:
+        environment: its class, or `module:Class`, which worker processes find as well.
+    """
+    base: Any = load_env_creator(environment) if isinstance(environment, str) else environment
     return type(f"{base.__name__}OnSand", (OnSand, base), {"environment": environment})
+
+
+_OF_MUJOCO = tuple(inspect.signature(MujocoEnv).parameters)  # what a class hands on to it
 
 
 class OnSand(MujocoEnv):
@@ -125,7 +132,7 @@ class OnSand(MujocoEnv):
         sands: in the model, by the order of their instances.
     """
 
-    environment: str
+    environment: str | type
 
     def __init__(self, sand: dict[str, Any], **options: Any) -> None:
         self._made_of = sand, options
@@ -155,21 +162,15 @@ class OnSand(MujocoEnv):
         screen = model.vis.global_
         screen.offwidth = max(screen.offwidth, self.width)
         screen.offheight = max(screen.offheight, self.height)
-        bodies = sorted({int(model.geom_bodyid[g]) for g in geoms_in_sand(model, self.sands[0])})
-        self._readings = SandReadings(model, sands_in(model), len(bodies))
+        self._readings = SandReadings(model, sands_in(model))
         self._figures = Figures(model, self.sands, self._readings)
         self._strength = float(np.linalg.norm(model.opt.gravity))
-        self._wrenches = Wrenches(model, bodies, self._readings.each)
         return model, mujoco.MjData(model)
 
     def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:
         super()._step_mujoco_simulation(ctrl, n_frames)
-        self._add_wrenches()
-
-    def set_state(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        super().set_state(qpos, qvel)
-        mujoco.mj_rnePostConstraint(self.model, self.data)
-        self._add_wrenches()
+        # There Gymnasium calls MuJoCo's own function, which leaves the sand out.
+        rne_post_constraint(self.model, self.data)
 
     def reset_model(self) -> Any:
         if self._ranges is not None:
@@ -185,12 +186,6 @@ class OnSand(MujocoEnv):
             )
         self._episodes += 1
         return super().reset_model()
-
-    def _add_wrenches(self) -> None:
-        data = self.data
-        data.cfrc_ext += self._wrenches.of(
-            self._readings.read(data), data.xipos[None], data.subtree_com[None], self.model.nbody
-        )[0]
 
     def step(self, action: Any) -> Any:
         observation, reward, terminated, truncated, info = super().step(action)
@@ -210,15 +205,55 @@ class OnSand(MujocoEnv):
         return first_of(read)
 
 
-def _again(environment: str, sand: dict[str, Any], options: dict[str, Any]) -> gym.Env:
+def _again(environment: str | type, sand: dict[str, Any], options: dict[str, Any]) -> gym.Env:
     return sandy(environment)(sand, **options)
 
 
-def _find(environment: str) -> EnvSpec:
-    try:
-        return gym.spec(environment)
-    except gym.error.Error:
-        raise UnknownNameError("environment", environment, _robots()) from None
+def _find(environment: Any) -> EnvSpec:
+    """The facts of an environment whose class takes sand.
+
+    Raises:
+        UnknownNameError: no such environment, or no such module.
+        InputError: its class does not derive from `MujocoEnv`.
+    """
+    if isinstance(environment, type):
+        spec = EnvSpec(environment.__name__, environment)
+    else:
+        try:
+            spec = find_spec(environment)
+        except UnknownNameError as error:
+            if error.kind != "environment":  # but a module
+                raise
+            raise UnknownNameError("environment", environment, _robots(), error.hint) from None
+    base = _creator(spec)
+    if not (isinstance(base, type) and issubclass(base, MujocoEnv)):
+        raise InputError(
+            f"{spec.id} is no MuJoCo environment of Gymnasium's kind: on_sand takes classes that "
+            f"derive from MujocoEnv, such as {', '.join(_robots())}; for any other there is "
+            "add_sand, for its MjSpec"
+        )
+    return spec
+
+
+def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
+    """Refuses options that nobody takes.
+
+    Raises:
+        UnknownArgumentError: an option of neither the sand, nor the environment, nor
+            `gymnasium.make`; lists those of the sand and of the environment.
+    """
+    own = inspect.signature(_creator(spec)).parameters
+    taken = {*SAND_FIELDS, *own, *inspect.signature(gym.make).parameters, *_OF_MUJOCO}
+    for name in options:
+        if name not in taken:
+            known = [*SAND_FIELDS, *(one for one in own if one not in ("args", "kwargs"))]
+            raise UnknownArgumentError(f"on_sand({spec.id})", name, known)
+
+
+def _creator(spec: EnvSpec) -> Any:
+    """The class of an environment, or the function that makes it."""
+    made: Any = spec.entry_point
+    return load_env_creator(made) if isinstance(made, str) else made
 
 
 def _robots() -> list[str]:

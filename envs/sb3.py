@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from mjgranular.envs.known import find_spec
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
 from mjgranular.extras import need
@@ -134,9 +135,10 @@ def make_vec_env(
         **options: of the environment.
 
     Raises:
+        UnknownNameError: no such environment.
         InputError: an id that has no batch of ours.
     """
-    spec = gym.spec(environment)
+    spec = find_spec(environment)
     if spec.vector_entry_point != "mjgranular.envs.vector:SandVectorEnv":
         raise InputError(
             f"{environment} has no batch of mjgranular's; "

@@ -38,6 +38,7 @@ from mjgranular.envs.ranges import (
     sands_of,
     told,
 )
+from mjgranular.surface.choice import surface_of
 
 State = SimpleNamespace
 """Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and of
@@ -90,8 +91,6 @@ class Task(SandSpec, ABC):
     """Steps after which `gymnasium.make` has an episode end."""
     reads: ClassVar[tuple[str, ...]] = ()
     """Fields of `MjData` that are read beside qpos, qvel, userdata and sensordata."""
-    wrenches: ClassVar[bool] = False
-    """Tells whether the sand's force on each body is measured."""
     dunes: ClassVar[Dunes] = Dunes()
     """The dunes that are drawn."""
     cut: ClassVar[float] = 0.0
@@ -197,7 +196,6 @@ class Task(SandSpec, ABC):
         model = put_on_sand(
             spec,
             sands,
-            wrenches=self.wrenches,
             tunable=self.randomise is not None,
             cut=self.cut,
             tile=self.tile,
@@ -312,7 +310,7 @@ class Task(SandSpec, ABC):
             sample: what was drawn; None for the sand that is always the same.
         """
         if sample is None or self.choices[sample.number].surface != "dunes":
-            return self.start(random, _height_of(self.surface))
+            return self.start(random, _height_of(surface_of(self.surface)))
         start = self.start(random, lambda x, y: self.dunes.height(x + sample.place, y))
         start.qpos[0] += sample.place  # x comes first in all of our models
         return start
@@ -342,7 +340,7 @@ class Task(SandSpec, ABC):
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
-def _height_of(surface: Surface | None) -> Callable[[float, float], float]:
+def _height_of(surface: Surface) -> Callable[[float, float], float]:
     """The height of a surface over the floor; of a model's own geom, nothing is known: zero."""
     if not isinstance(surface, Plane):
         return lambda x, y: 0.0

@@ -8,13 +8,14 @@ from __future__ import annotations
 import difflib
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 # Texts of files, models and arguments stand in messages: what a message shows of them is bounded.
 _LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
 _LONGEST_LIST = 1000  # of the names that there are
 _LONGEST_MESSAGE = 2000
 _SHORT_LIST = 12  # names that are listed even if one of them is near
+_PART = 3  # characters of a name that are looked for in others
 
 
 def shown(value: object) -> str:
@@ -51,6 +52,24 @@ def listed(names: Iterable[str]) -> str:
     return text if count == len(known) else f"{text}, and {len(known) - count} more"
 
 
+def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> str:
+    """End of a sentence on an unknown name: those that may have been meant, and those there are."""
+    near = _near(str(name)[:_LONGEST_VALUE].lower(), known) if guess else []
+    if near and len(known) > _SHORT_LIST:
+        return f"; did you mean {', '.join(near)}? There are {len(known)} in all"
+    return f"; there are: {listed(known)}" + (f"; did you mean {near[0]}?" if near else "")
+
+
+def _near(name: str, known: Sequence[str]) -> list[str]:
+    """Up to three names that resemble one, or have it in them; capitals do not count."""
+    # `Hexapod-v0` is meant by somebody who leaves the namespace away, as is a robot's `foot`.
+    lower = {one.rpartition("/")[2].lower(): one for one in known}
+    lower |= {one.lower(): one for one in known}
+    close = difflib.get_close_matches(name, lower, cutoff=0.6)
+    within = [one for one in lower if len(name) >= _PART and name in one]
+    return [lower[one] for one in (close or within)[:3]]
+
+
 def _cut(text: str, longest: int) -> str:
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
@@ -81,25 +100,48 @@ class UnknownNameError(GranularError, KeyError):
         name: the name as given.
         known: the valid names.
         hint: what else would do, if anything.
+        guess: whether the name may be a misspelt one of those.
     """
 
-    def __init__(self, kind: str, name: object, known: Iterable[str], hint: str = "") -> None:
+    def __init__(
+        self,
+        kind: str,
+        name: object,
+        known: Iterable[str],
+        hint: str = "",
+        guess: bool = True,
+    ) -> None:
         self.kind = kind
         self.name = name
         self.known = tuple(known)
         self.hint = hint
-        near = difflib.get_close_matches(str(name)[:_LONGEST_VALUE], self.known, cutoff=0.6)
-        if near and len(self.known) > _SHORT_LIST:
-            rest = f"did you mean {', '.join(near)}? There are {len(self.known)} in all"
-        else:
-            rest = f"there are: {listed(self.known)}"
-        super().__init__(f"no {kind} {shown(name)}; {rest}{hint and '; '}{hint}")
+        self.guess = guess
+        rest = _known_ones(name, self.known, guess=guess)
+        super().__init__(f"no {kind} {shown(name)}{rest}{hint and ' '}{hint and f'({hint})'}")
 
     def __str__(self) -> str:  # KeyError would show the message in quotes
         return str(self.args[0])
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str]]:
-        return type(self), (self.kind, self.name, self.known, self.hint)
+    def __reduce__(self) -> tuple[type, tuple[str, object, tuple[str, ...], str, bool]]:
+        return type(self), (self.kind, self.name, self.known, self.hint, self.guess)
+
+
+class UnknownArgumentError(GranularError, TypeError):
+    """A keyword argument that a call does not take, told together with those that it does.
+
+    Args:
+        call: name of what was called.
+        name: the argument as given.
+        known: the arguments that there are.
+    """
+
+    def __init__(self, call: str, name: str, known: Iterable[str]) -> None:
+        self.call, self.name, self.known = call, name, tuple(known)
+        rest = _known_ones(name, self.known)
+        super().__init__(f"{call} has no argument {shown(name)}{rest}")
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, tuple[str, ...]]]:
+        return type(self), (self.call, self.name, self.known)
 
 
 class UnstableError(GranularError, ArithmeticError):
@@ -141,6 +183,14 @@ class GranularWarning(UserWarning):
 
 class FloorWarning(GranularWarning):
     """Ground of the model's own carries bodies at or above the sand's surface."""
+
+
+class PointsWarning(GranularWarning):
+    """Bodies meet the sand with geoms that are points beside what is drawn, and will sink."""
+
+
+class CostWarning(GranularWarning):
+    """So many elements that steps take long."""
 
 
 class MissedStepWarning(GranularWarning):

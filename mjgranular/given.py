@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from mjgranular.errors import InputError, shown
 
@@ -55,6 +57,11 @@ def check_data(data: Any, who: str) -> None:
         raise InputError(
             f"{who} takes a mujoco.MjData, not {kind_of(data)}; use mujoco.MjData(model)"
         )
+
+
+def is_finite(value: Any) -> bool:
+    """Tells whether a value is a number, and a finite one."""
+    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
 
 
 def kind_of(value: Any) -> str:

@@ -25,6 +25,8 @@ def check_regular(path: Path, what: str) -> None:
         mode = path.stat().st_mode
     except (OSError, ValueError):
         return
+    if stat.S_ISDIR(mode):
+        raise InputError(f"cannot read {what} {place(path)}: it is a folder, not a file")
     if not stat.S_ISREG(mode):
         raise _not_regular(path, what)
 

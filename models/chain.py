@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.models.link import Link, model_path
 
 Base = Literal["free", "hinge", "slide", "level"]
@@ -100,7 +101,7 @@ class Chain:
             ("kv", "N m s/rad"),
         ):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
+            if not (is_finite(value) and value >= 0):
                 raise InputError(
                     f"the chain's {name} must be finite and not negative, not {value} {unit}"
                 )
@@ -109,7 +110,7 @@ class Chain:
         if self.height is not None:
             if self.base not in ("hinge", "level"):
                 raise InputError(f"a chain with base {self.base!r} has no height; its joints say")
-            if not math.isfinite(self.height):
+            if not is_finite(self.height):
                 raise InputError(f"the chain's height must be finite, not {self.height} m")
         if self.spatial and self.base == "level":
             raise InputError("a chain with base 'level' stays in its plane: it cannot be spatial")
@@ -286,7 +287,7 @@ class Chain:
                     actuator.set_to_motor()
                 else:
                     actuator.set_to_position(kp=self.kp, kv=self.kv)
-                if math.isfinite(self.torque):
+                if is_finite(self.torque):
                     actuator.forcelimited = True
                     actuator.forcerange = [-self.torque, self.torque]
                     if self.actuators == "motor":

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.models.link import model_path
 
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
@@ -69,7 +69,7 @@ class Hexapod:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (math.isfinite(value) and value > 0):
+            if not (is_finite(value) and value > 0):
                 raise InputError(f"the hexapod's {name} must be positive, not {value}")
 
     @property

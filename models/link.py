@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import is_finite
 
 _FOLDER = Path(__file__).resolve().parent
 _PAPER_LENGTH = 0.2  # of the link in link.xml [m]; scenery is scaled with the length
@@ -48,7 +49,7 @@ class Link:
     def __post_init__(self) -> None:
         for name, unit in (("length", "m"), ("diameter", "m"), ("density", "kg/m^3")):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if not (is_finite(value) and value > 0):
                 raise InputError(
                     f"the link's {name} must be positive and finite, not {value} {unit}"
                 )

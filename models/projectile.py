@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import mujoco
 
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import is_finite
 from mjgranular.models.link import Link
 
 Shape = Literal["link", "sphere", "box", "cylinder", "capsule", "ellipsoid", "plate"]
@@ -42,7 +43,7 @@ class Projectile(Link):
             return
         for name, unit in (("length", "m"), ("diameter", "m"), ("density", "kg/m^3")):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if not (is_finite(value) and value > 0):
                 raise InputError(
                     f"the {self.shape}'s {name} must be positive and finite, not {value} {unit}"
                 )

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.models.chain import Chain
 
 Posture = Literal["level", "upright"]
@@ -74,9 +75,9 @@ class Worm:
             )
         for name in ("length", "width", "density", "bend", "stiffness", "torque", "speed"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if not (is_finite(value) and value > 0):
                 raise InputError(f"the worm's {name} must be positive, not {value}")
-        if not (math.isfinite(self.depth) and math.isfinite(self.armature) and self.armature >= 0):
+        if not (is_finite(self.depth) and is_finite(self.armature) and self.armature >= 0):
             raise InputError(
                 "the worm's depth and armature must be finite, the latter not negative"
             )

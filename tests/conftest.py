@@ -54,6 +54,12 @@ def kernels() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
+def check_printed() -> Callable[[str, str], None]:
+    """Asserts that what was printed is what a page shows: `printed.py`."""
+    return _load("printed").check_printed
+
+
+@pytest.fixture(scope="session")
 def paper() -> dict[str, Any]:
     """Published numbers: `data/paper.json`."""
     return json.loads((FOLDER / "data" / "paper.json").read_text(encoding="utf-8"))

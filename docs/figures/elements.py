@@ -10,8 +10,7 @@ from matplotlib import pyplot as plt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from style import save
 
-from mjgranular import Plane, Sand
-from mjgranular.experiment.scenery import add_bed
+from mjgranular import Sand
 from mjgranular.models import model_path
 from mjgranular.picture.elements import add_elements, draw_elements
 
@@ -19,6 +18,8 @@ _WIDTH, _HEIGHT = 640, 560  # of one panel [pixels]
 
 FOOT = """
 <mujoco><visual><headlight ambient="0.5 0.5 0.5" diffuse="0.5 0.5 0.5" specular="0 0 0"/></visual>
+<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.96 0.97" rgb2="0.76 0.82 0.88"
+  width="128" height="128"/></asset>
 <worldbody><light pos="-0.3 -0.5 1" dir="0.3 0.5 -1" diffuse="0.4 0.4 0.4" castshadow="false"/>
   <body name="foot" pos="0 0 0.005"><freejoint/>
     <geom name="sole" type="box" size="0.08 0.05 0.015"/>
@@ -39,19 +40,17 @@ def drawn(sand: Sand, qpos: np.ndarray | None = None) -> np.ndarray:
 def rendered() -> np.ndarray:
     """A scene with the elements and the sand's force on each."""
     spec = mujoco.MjSpec.from_string(FOOT)
-    add_bed(spec, Plane())
     spec.visual.global_.offwidth, spec.visual.global_.offheight = _WIDTH, _HEIGHT
     model = spec.compile()
     sand = Sand(model, medium="quikrete_medium")
     data = mujoco.MjData(model)
     data.qvel[[0, 2]] = 0.3, -0.2
     mujoco.mj_forward(model, data)
-    camera, options = mujoco.MjvCamera(), mujoco.MjvOption()
+    camera = mujoco.MjvCamera()
     camera.lookat[:] = 0.0, 0.0, 0.055
     camera.distance, camera.azimuth, camera.elevation = 0.43, 118.0, -16.0
-    options.geomgroup[1] = 0  # the bed would hide what is in it
     with mujoco.Renderer(model, _HEIGHT, _WIDTH) as renderer:
-        renderer.update_scene(data, camera, options)
+        renderer.update_scene(data, camera)
         add_elements(renderer.scene, sand, data, forces=True)
         return renderer.render()
 

@@ -11,6 +11,7 @@ from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.policies import Policy, load_policy
+from mjgranular.learn.run import Run
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def find_actor(
         try:
             return _policy(what, load_policy(what), environment, trust)
         except UnknownNameError as error:
-            if not _is_environment(what):
+            if not is_environment(what):
                 raise
             raise InputError(
                 f"{what} is an environment: say who acts in it, with --agent "
@@ -62,8 +63,8 @@ def find_actor(
     if environment is not None:
         raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
     env_id, arguments = what, {}
-    if not _is_environment(what):
-        run = replace(load_policy(what).run, trusted=trust)
+    if not is_environment(what):
+        run = replace(_run_of(what), trusted=trust)
         run.check_environment()
         env_id, arguments = run.environment, dict(run.settings.environment)
     return Actor(agent, env_id, arguments, lambda env: make_baseline(agent, env_id, env, gait=gait))
@@ -80,9 +81,26 @@ def _policy(what: str, policy: Policy, environment: str | None, trust: bool) -> 
     return Actor(what, env_id, arguments, lambda env: policy.checked(env_id, env))
 
 
-def _is_environment(what: str) -> bool:
+def _run_of(what: str) -> Run:
+    """The run in whose environment a baseline acts; what is no run is told of as an environment."""
+    try:
+        return load_policy(what).run
+    except UnknownNameError:
+        environments.find_spec(what)
+        raise
+
+
+def is_environment(what: str) -> bool:
+    """Tells whether a word is the id of an environment, and not a folder.
+
+    Raises:
+        GranularError: the module before a colon cannot be imported, or registers no such id.
+    """
     if Path(what).exists():
         return False
+    if ":" in what:  # no run has such a name
+        environments.find_spec(what)
+        return True
     try:
         environments.find_spec(what)
     except (UnknownNameError, OutputError):

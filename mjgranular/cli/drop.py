@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +14,8 @@ from rich.text import Text
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.options import SandOptions, record_of
-from mjgranular.errors import GranularError, InputError, MissingExtraError
-from mjgranular.experiment.drop import Drop, DropResult, load, run_drop
+from mjgranular.errors import GranularError, GranularWarning, InputError, MissingExtraError
+from mjgranular.experiment.drop import Drop, DropResult, load, run_drop, surface_drawn
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
 
 FIGURE = "drop.png"
@@ -58,6 +59,12 @@ class DropCommand(SandOptions):
         drop = record_of(Drop, self)
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
+        if self.video:
+            from mjgranular.picture.video import check_camera
+
+            check_camera(load(drop)[0], self.camera)
+        elif self.camera != "free":
+            raise InputError("--camera is for a film: add --video")
         if self.out is None:
             self._show(self._run(drop))
             return 0
@@ -109,9 +116,16 @@ def film(folder: ResultFolder, result: DropResult, camera: str) -> list[Granular
     from mjgranular.picture.video import Film, Motion, frames_of_model
 
     options = Film(camera=camera, seconds=1.0)
-    model, _ = load(result.drop)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GranularWarning)  # which the run has given
+        model, _ = load(result.drop)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    return write_film(folder, FILM, options, lambda: frames_of_model(options, model, motion))
+    return write_film(
+        folder,
+        FILM,
+        options,
+        lambda: frames_of_model(options, model, motion, surface_drawn(result.drop)),
+    )
 
 
 def show(result: DropResult) -> None:

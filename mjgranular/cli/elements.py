@@ -21,7 +21,9 @@ from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
+from mjgranular.sand.cost import Cost
 from mjgranular.sand.report import Names
+from mjgranular.scheme import Implicit
 
 _CSV = "elements.csv"
 _FIGURE = "elements.png"
@@ -71,7 +73,7 @@ class ElementsCommand(ChoiceOptions):
             summary = self._summary(sand)
             if self.out is not None:
                 with folder.published():
-                    folder.write_config("elements", {**self._config(), "law": sand.law.name})
+                    folder.write_config("elements", {**self._config(), "law": _law(sand)})
                     folder.write(_CSV, lambda path: _write_csv(path, sand))
                     folder.write_json(SUMMARY, summary)
             self._show(summary)
@@ -112,12 +114,13 @@ class ElementsCommand(ChoiceOptions):
         rows = list(_rows(sand))
         return {
             "model": self.model.name,
-            "law": sand.law.name,
+            "law": _law(sand),
             "medium": self.medium or sand.medium.name,
             "kind": kind_of(sand),
             "elements": len(sand.elements),
             "area": _total(rows, "area"),
             "length": _total(rows, "length"),
+            "cost": asdict(Cost.of(len(sand.elements), Implicit())),
             "geoms": rows,
         }
 
@@ -153,6 +156,12 @@ class ElementsCommand(ChoiceOptions):
                 f"{row['width'] * 1e3:.4g}",
             )
         out.print(table)
+        out.print(f"cost: {Cost(**summary['cost'])}", highlight=False)
+
+
+def _law(sand: Sand) -> str:
+    """The law as it was asked for, with its parameters, or the one that was chosen."""
+    return str(sand.spec.law or sand.law.name)
 
 
 def _rows(sand: Sand) -> Iterator[dict[str, Any]]:

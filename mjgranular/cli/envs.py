@@ -25,10 +25,13 @@ class EnvsCommand:
     def run(self) -> int:
         """Runs the command."""
         from mjgranular.envs.ids import id_of, name_of
+        from mjgranular.envs.known import find_spec
         from mjgranular.envs.tasks import tasks
 
         if self.id is not None:
-            name = name_of(self.id)
+            name = name_of(self.id.rpartition(":")[2])
+            if ":" in self.id:
+                find_spec(self.id)  # has its module imported, which registers it
             if name not in tasks:
                 raise UnknownNameError("environment", self.id, map(id_of, tasks))
             row = _row(id_of(name), tasks[name])

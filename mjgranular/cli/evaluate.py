@@ -15,6 +15,7 @@ from mjgranular.cli.agents import find_actor
 from mjgranular.cli.console import out, print_json, progress_bar
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
+from mjgranular.learn import environments
 from mjgranular.learn.evaluate import FIRST_SEED, Score, evaluate, parse_variant
 
 _SPEED = "x_velocity"
@@ -94,6 +95,9 @@ class EvaluateCommand:
             for what in self.policies
         ]
         jobs = [(actor, variant) for actor in actors for variant in ("", *self.on)]
+        for actor, variant in jobs:  # a mistake in one is told before the others are run
+            given = {**actor.arguments, **parse_variant(variant)}
+            environments.one(actor.environment, given).close()
         scores: list[Score] = []
         with progress_bar("running episodes", len(jobs) * self.seeds) as show:
             for actor, variant in jobs:

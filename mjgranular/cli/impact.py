@@ -197,7 +197,7 @@ def remarks(result: ImpactResult) -> list[str]:
     elif impact.until == "rest" and result.rest is None:
         omega = float(result.trajectory.omega[-1])
         line = f"not at rest after {impact.duration:g} s: it turns at {omega:.1f} rad/s"
-        if result.law == "link":
+        if result.law.split()[0] == "link":
             line += "; the lumped law does not resist turning about E, --law link_distributed does"
         lines.append(line)
     return lines

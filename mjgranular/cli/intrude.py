@@ -13,7 +13,7 @@ from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, show_error
 from mjgranular.cli.options import LawOptions, record_of
-from mjgranular.errors import MissingExtraError
+from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
 
@@ -32,10 +32,11 @@ class IntrudeCommand(LawOptions):
 
     medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
     """The sand, or a YAML file; `mjgranular media` lists what there is."""
-    intruder: Literal["plate", "sphere", "cylinder", "capsule", "box"] = "plate"
-    """Shape, if no model is given; a cylinder or capsule stands upright, a quarter as thick."""
-    size: Annotated[float, tyro.conf.arg(metavar="M")] = 0.04
-    """Edge or diameter or height of that shape [m]; a plate is a tenth as thick."""
+    intruder: Literal["plate", "sphere", "cylinder", "capsule", "box"] | None = None
+    """Shape, if no model is given; a cylinder or capsule stands upright, a quarter as thick.
+    Default: plate."""
+    size: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Edge or diameter or height of that shape [m]; a plate is a tenth as thick. Default: 0.04."""
     model: Annotated[Path | None, tyro.conf.arg(metavar="MODEL.xml")] = None
     """MJCF file to take the intruder from."""
     geom: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
@@ -63,7 +64,7 @@ class IntrudeCommand(LawOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        intrusion = record_of(Intrusion, self)
+        intrusion = self._intrusion()
         if self.out is None:
             self._show(run_intrusion(intrusion))
             return 0
@@ -96,7 +97,18 @@ class IntrudeCommand(LawOptions):
     def _what(self) -> str:
         if self.model is not None:
             return self.geom or self.model.name
-        return f"{self.intruder} of {self.size * 1e3:g} mm"
+        intrusion = self._intrusion()
+        return f"{intrusion.intruder} of {intrusion.size * 1e3:g} mm"
+
+    def _intrusion(self) -> Intrusion:
+        shape = {"intruder": self.intruder, "size": self.size}
+        given = {name: value for name, value in shape.items() if value is not None}
+        if self.model is not None and given:
+            raise InputError(
+                f"the intruder is a shape or of a model: leave --model or --{min(given)} away"
+            )
+        own = {name: getattr(Intrusion, name) for name in shape}
+        return record_of(Intrusion, self, **{**own, **given})
 
     def _show(self, result: IntrusionResult) -> None:
         rows = result.rows()

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Annotated
+from dataclasses import MISSING, asdict, dataclass, fields
+from typing import Annotated, Any
 
 import tyro
 from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import out, print_json
-from mjgranular.law import laws
+from mjgranular.cli.options import law_named
+from mjgranular.law import Law, check_constants, law_in, laws
 from mjgranular.medium import Medium, get_medium, media
 
 
@@ -19,14 +20,16 @@ class MediaCommand:
     """The media there are; with a name, every value of that medium with its source."""
 
     name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = None
-    """A medium."""
+    """A medium, or a YAML file of your own, whose names are checked."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print JSON instead of a table."""
 
     def run(self) -> int:
         """Runs the command."""
         if self.name is not None:
-            _show_medium(get_medium(self.name), as_json=self.json)
+            medium = get_medium(self.name)
+            check_constants(medium)
+            _show_medium(medium, as_json=self.json)
         elif self.json:
             print_json([asdict(medium) for medium in media.values()])
         else:
@@ -60,17 +63,19 @@ def _show_medium(medium: Medium, *, as_json: bool) -> None:
 
 @dataclass(frozen=True)
 class LawsCommand:
-    """The force laws there are, with their sources."""
+    """The force laws there are, with their sources; with a name, the parameters of one."""
 
+    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[LAW]")] = None
+    """A law, or my_laws:Mud for one of your own."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print JSON instead of a table."""
 
     def run(self) -> int:
         """Runs the command."""
-        rows = [
-            {"name": law.name, "title": law.title, "citation": law.citation}
-            for law in laws.values()
-        ]
+        if self.name is not None:
+            self._show(law_in(law_named(self.name) or "")[0])
+            return 0
+        rows = [_facts(law) for law in laws.values()]
         if self.json:
             print_json(rows)
             return 0
@@ -82,6 +87,32 @@ class LawsCommand:
             table.add_row(*row.values())
         out.print(table)
         return 0
+
+    def _show(self, law: type[Law]) -> None:
+        """Prints the parameters of a law: its fields."""
+        every: Any = fields(law)  # pyright: ignore[reportArgumentType]
+        parameters = {
+            field.name: None if field.default is MISSING else field.default for field in every
+        }
+        if self.json:
+            print_json({**_facts(law), "parameters": parameters})
+            return
+        table = Table(title=f"{law.name}: {law.title}", title_justify="left")
+        table.add_column("parameter", no_wrap=True)
+        table.add_column("default", justify="right")
+        table.add_column("media with a value")
+        for name, default in parameters.items():
+            known = [
+                f"{medium.name} {medium.constants[law.name][name].value:g}"
+                for medium in media.values()
+                if name in medium.constants.get(law.name, {})
+            ]
+            table.add_row(name, "" if default is None else f"{default}", ", ".join(known))
+        out.print(table)
+
+
+def _facts(law: type[Law]) -> dict[str, str]:
+    return {"name": law.name, "title": law.title, "citation": law.citation}
 
 
 @dataclass(frozen=True)

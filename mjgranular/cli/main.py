@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Union
 
 import tyro
 
@@ -22,37 +22,43 @@ from mjgranular.cli.gait import GaitCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
+from mjgranular.cli.numbers import number_rules
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
+from mjgranular.cli.studio import StudioCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
 from mjgranular.cli.warm import WarmCommand
-from mjgranular.errors import GranularError, GranularWarning, one_line
+from mjgranular.errors import GranularError, GranularWarning, UnknownNameError, one_line
 from mjgranular.reading import place
 from mjgranular.signals import signal_of, stopped_by_signals
 
 PIPE_CLOSED = 141  # what a shell expects when the reader went away: 128 + SIGPIPE
 
-Command = (
-    Annotated[ImpactCommand, tyro.conf.subcommand("impact")]
-    | Annotated[SweepCommand, tyro.conf.subcommand("sweep")]
-    | Annotated[ReproduceCommand, tyro.conf.subcommand("reproduce")]
-    | Annotated[DropCommand, tyro.conf.subcommand("drop")]
-    | Annotated[ViewCommand, tyro.conf.subcommand("view")]
-    | Annotated[IntrudeCommand, tyro.conf.subcommand("intrude")]
-    | Annotated[ElementsCommand, tyro.conf.subcommand("elements")]
-    | Annotated[TrainCommand, tyro.conf.subcommand("train")]
-    | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
-    | Annotated[GaitCommand, tyro.conf.subcommand("gait")]
-    | Annotated[CompareCommand, tyro.conf.subcommand("compare")]
-    | Annotated[RenderCommand, tyro.conf.subcommand("render")]
-    | Annotated[WarmCommand, tyro.conf.subcommand("warm")]
-    | Annotated[MediaCommand, tyro.conf.subcommand("media")]
-    | Annotated[LawsCommand, tyro.conf.subcommand("laws")]
-    | Annotated[PoliciesCommand, tyro.conf.subcommand("policies")]
-    | Annotated[EnvsCommand, tyro.conf.subcommand("envs")]
-)
+COMMANDS: dict[str, Any] = {
+    "impact": ImpactCommand,
+    "sweep": SweepCommand,
+    "reproduce": ReproduceCommand,
+    "drop": DropCommand,
+    "view": ViewCommand,
+    "intrude": IntrudeCommand,
+    "elements": ElementsCommand,
+    "train": TrainCommand,
+    "evaluate": EvaluateCommand,
+    "gait": GaitCommand,
+    "compare": CompareCommand,
+    "render": RenderCommand,
+    "warm": WarmCommand,
+    "studio": StudioCommand,
+    "media": MediaCommand,
+    "laws": LawsCommand,
+    "policies": PoliciesCommand,
+    "envs": EnvsCommand,
+}
+_Command: Any = Union[  # noqa: UP007 - of a list
+    tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())
+]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -72,13 +78,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not all(_is_text(argument) for argument in given):
         show_error("an argument is not UTF-8: names and paths are to be, for MuJoCo too")
         return 2
+    if given and not given[0].startswith("-") and given[0] not in COMMANDS:
+        show_error(str(UnknownNameError("command", given[0], COMMANDS)))
+        return 2
     command = tyro.cli(
-        Command,  # pyright: ignore[reportArgumentType]
+        _Command,
         prog="mjgranular",
         description="Sand for MuJoCo: drops, sweeps, the paper's table, films. SI units; angles "
         "in degrees.",
         args=given,
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        registry=number_rules(),
     )
     show_compilation()
     try:

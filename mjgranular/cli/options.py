@@ -8,7 +8,10 @@ from typing import Annotated, Any, TypeVar
 
 import tyro
 
+from mjgranular.errors import UnknownNameError
 from mjgranular.experiment import Impact
+from mjgranular.law import Law, laws, register_law
+from mjgranular.own import import_own
 
 T = TypeVar("T")
 _DEGREES = {"slope", "uphill", "tilt", "direction"}  # options that records have in radians
@@ -24,8 +27,31 @@ def record_of(kind: type[T], command: object, **others: Any) -> T:
     """
     names = [field.name for field in fields(kind)]  # pyright: ignore[reportArgumentType]
     given = {name: getattr(command, name) for name in names if hasattr(command, name)}
+    if "law" in given:
+        given["law"] = law_named(given["law"])
     angles = {name: math.radians(given[name]) for name in _DEGREES & given.keys()}
     return kind(**{**given, **angles, **others})
+
+
+def law_named(text: str | None) -> str | None:
+    """A law as the library knows it: of `my_laws:Drag k=2` the module is imported.
+
+    Raises:
+        UnknownNameError: no such module, or no such law in it; lists those there are.
+        InputError: the module cannot be imported.
+    """
+    named, _, options = (text or "").strip().partition(" ")
+    module, colon, name = named.partition(":")
+    if not colon:
+        return text
+    things = vars(import_own(module, f"the law {named}"))
+    found = {key: one for key, one in things.items() if isinstance(one, type)}
+    found = {key: one for key, one in found.items() if issubclass(one, Law) and one is not Law}
+    if name not in found and name in laws:
+        return f"{name} {options}".strip()
+    if name not in found:
+        raise UnknownNameError(f"law in the module {module}", name, sorted(found))
+    return f"{register_law(found[name]).name} {options}".strip()
 
 
 @dataclass(frozen=True)
@@ -46,8 +72,9 @@ class LinkOptions:
     """Density of the link [kg/m^3]."""
     medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "play_sand"
     """The sand; `mjgranular media` lists what there is."""
-    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
+    law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
+    """The force law; `mjgranular laws` lists what there is, "rft3d scale=1.3" has other parameters
+    than the medium, my_laws:Mud is one of your own. Default: the medium's own."""
     scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "explicit"
     """How forces become a step."""
     timestep: Annotated[float, tyro.conf.arg(metavar="S")] = 1e-5
@@ -67,8 +94,9 @@ class LinkOptions:
 class LawOptions:
     """How sand resists, and how finely a law cuts what meets it."""
 
-    law: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The force law; `mjgranular laws` lists what there is. Default: the medium's own."""
+    law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
+    """The force law; `mjgranular laws` lists what there is, "rft3d scale=1.3" has other parameters
+    than the medium, my_laws:Mud is one of your own. Default: the medium's own."""
     resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """How finely bodies are cut into elements. Default: the law's."""
 
@@ -81,11 +109,11 @@ class ChoiceOptions(LawOptions):
     """The sand, or a YAML file; `mjgranular media` lists what there is. Default: by law and bodies,
     play_sand for slender links and quikrete_medium for all else."""
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Bodies that meet the sand. Default: all that can move."""
+    """Bodies that meet the sand, by name or number. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Geoms that meet the sand."""
+    """Geoms that meet the sand, by name or number, visual or not; `all` is all that collide."""
     groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
-    """Geom groups whose collision geoms meet the sand."""
+    """Geom groups whose collision geoms meet the sand; of a group of visual ones, all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,5 +134,8 @@ class SandOptions(ChoiceOptions):
     """Hfield geom of the model that is the sand."""
     instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
     """Geoms that the sand replaces, such as a floor that would carry the model above the sand."""
+    memory: Annotated[str | None, tyro.conf.arg(metavar="CELL")] = None
+    """Let the sand remember what has been pressed down, on cells of this side [m], or as in
+    "cell=0.01 extent=4". Default: it closes behind what has passed."""
     keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Let the model stand on ground of its own at or above the surface of the sand."""

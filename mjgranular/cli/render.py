@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +14,8 @@ from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.drop import FILM
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.impact import VIDEO, film_impact
-from mjgranular.errors import GranularError, InputError, OutputError
-from mjgranular.experiment.drop import load
+from mjgranular.errors import GranularError, GranularWarning, InputError, OutputError
+from mjgranular.experiment.drop import load, surface_drawn
 from mjgranular.experiment.folder import ResultFolder, read_drop, read_impact, saved_command
 from mjgranular.models import Chain
 
@@ -41,9 +42,9 @@ class RenderCommand:
     """Camera: of the link side, close or corner; of other models theirs, or free."""
     seconds: Annotated[float, tyro.conf.arg(metavar="S")] = 5.0
     """Length of the film from release to the stop [s]; what follows takes as long again."""
-    width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 800
+    width: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 640
     """Width of the picture."""
-    height: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 600
+    height: Annotated[int, tyro.conf.arg(metavar="PIXELS")] = 480
     """Height of the picture."""
     fps: Annotated[int, tyro.conf.arg(metavar="N")] = 30
     """Frames a second."""
@@ -97,6 +98,14 @@ class RenderCommand:
         from mjgranular.learn.policies import shipped_policies
 
         if self.run_folder.exists() or self.run_folder.as_posix() not in shipped_policies():
+            from mjgranular.cli.agents import is_environment
+
+            what = self.run_folder.as_posix()
+            if is_environment(what):
+                raise InputError(
+                    f"{what} is an environment: a film is made of a run, which mjgranular train "
+                    f"{what} makes, or of a policy that `mjgranular policies` lists"
+                )
             return saved_command(self.run_folder)
         if self.out is None:
             raise InputError(
@@ -119,14 +128,16 @@ class RenderCommand:
         drop, arrays = read_drop(self.run_folder)
         if isinstance(drop.model, Chain) and drop.model.count > arrays["qpos"].shape[1]:
             raise OutputError(f"{self.run_folder} is damaged: its samples are of a shorter chain")
-        model, _ = load(drop)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", GranularWarning)  # which the run has given
+            model, _ = load(drop)
         if arrays["qpos"].shape[1] != model.nq:
             raise OutputError(
                 f"{self.run_folder} has samples of {arrays['qpos'].shape[1]} positions, "
                 f"{drop.title} has {model.nq}: it is not the model that ran"
             )
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
-        count, pictures = frames_of_model(film, model, motion)
+        count, pictures = frames_of_model(film, model, motion, surface_drawn(drop))
         return lambda folder, name: write_film(folder, name, film, lambda: (count, pictures))
 
     def _policy(self, film: Film) -> Draw:
@@ -139,7 +150,7 @@ class RenderCommand:
         arguments = {**actor.arguments, **parse_variant(self.on)}
 
         def draw(folder: ResultFolder, name: str) -> list[GranularError]:
-            with progress_bar("filming", film.seconds * film.fps) as show:
+            with progress_bar("filming", film.seconds * film.fps, remaining=True) as show:
                 folder.write(
                     name,
                     lambda path: film_episode(

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
 from mjgranular.cli.impact import release_to_stop, title
+from mjgranular.cli.options import law_named
 from mjgranular.errors import MissingExtraError
 from mjgranular.experiment import CASES, Impact, ImpactResult, Sweep, reproduce, run_sweep
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
@@ -47,7 +48,7 @@ class ReproduceCommand:
 
     def run(self) -> int:
         """Runs the command."""
-        base = Impact(timestep=self.timestep, scheme=self.scheme, law=self.law)
+        base = Impact(timestep=self.timestep, scheme=self.scheme, law=law_named(self.law))
         if self.out is None:
             self._show(self._reproduce(base))
             return 0

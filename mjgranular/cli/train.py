@@ -48,6 +48,8 @@ class TrainCommand:
     """Settings to read in place of the environment's own."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
+    processes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Step each environment in a process of its own: for your own, which are no batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Of all random numbers. Default: 0."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -85,6 +87,8 @@ class TrainCommand:
         settings = change(self._settings(self.environment), self.set)
         if self.total_steps is not None:
             settings = replace(settings, total_steps=self.total_steps)
+        if self.processes:
+            settings = replace(settings, processes=True)
         seed = 0 if self.seed is None else self.seed
         short = self.environment.replace(":", "/").rpartition("/")[2]
         path = self.out or Path("runs") / f"{short}-{settings.algorithm}-{seed}"
@@ -102,6 +106,7 @@ class TrainCommand:
             "--algorithm": self.algorithm,
             "--settings": self.settings,
             "--set": self.set or None,
+            "--processes": self.processes or None,
             "--seed": self.seed,
             "--out": self.out,
         }

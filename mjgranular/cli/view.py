@@ -15,8 +15,9 @@ from mjgranular.cli.console import err
 from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
-from mjgranular.experiment.drop import Drop, loading, read, show_bed, start_from
+from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
 from mjgranular.experiment.ground import hide_replaced, refuse_floors
+from mjgranular.experiment.scenery import place_sun
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 
 
@@ -60,7 +61,7 @@ class ViewCommand(SandOptions):
         return 0
 
     def load(self) -> mujoco.MjModel:
-        """The model with sand in it, and a visible bed if it has none.
+        """The model with sand in it, by daylight.
 
         Raises:
             InputError: MuJoCo cannot load it, the sand does not fit it, or ground of its own
@@ -72,12 +73,13 @@ class ViewCommand(SandOptions):
             if any(plugin.plugin_name == NAME for plugin in spec.plugins):
                 err.print("The model has sand of its own, and is shown with that.", style="dim")
                 return spec.compile()
-            show_bed(spec, drop)
+            make_ready(spec, drop)
             bare = spec.compile()
-            add_sand(spec, drop.sand, draw=self.draw)
+            add_sand(spec, drop.sand, draw=("surface", *self.draw))
             if not self.keep_floor:
                 refuse_floors(bare, drop.sand)
             warnings.simplefilter("ignore", FloorWarning)
             model = spec.compile()
             hide_replaced(model, drop.sand)
+            place_sun(model)
             return model

@@ -14,7 +14,7 @@ import mujoco
 import tyro
 
 from mjgranular.cli.console import err, progress_bar
-from mjgranular.cli.options import SandOptions, record_of
+from mjgranular.cli.options import SandOptions, law_named, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import GranularWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read
@@ -51,7 +51,8 @@ class WarmCommand(SandOptions):
     model: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[MODEL.xml]")] = None
     """An MJCF file: what it needs with the options of the sand that are given."""
     env: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ...")] = ()
-    """Environments: mjgranular's, such as mjgranular/Hexapod-v0, or for on_sand, such as Ant-v5."""
+    """Environments: mjgranular's, such as mjgranular/Hexapod-v0, for on_sand, such as Ant-v5, or
+    your own, my_module:My-v0, as they are."""
     over: Annotated[
         tuple[Literal["plane", "bed", "height_field"], ...],
         tyro.conf.arg(metavar="{plane,bed,height_field} ..."),
@@ -89,7 +90,8 @@ class WarmCommand(SandOptions):
             for identity in self.env:
                 yield identity, partial(_step_environment, identity)
             return
-        for law in [self.law] if self.law else laws:
+        named = law_named(self.law)
+        for law in [named] if named else laws:
             medium = self.medium or medium_for(law)
             for scheme in [self.scheme] if self.scheme != "auto" else ["implicit", "explicit"]:
                 get_scheme(scheme)
@@ -124,9 +126,13 @@ def _step_environment(identity: str) -> None:
     from mjgranular.envs import SandEnv, on_sand
     from mjgranular.envs.ids import name_of
     from mjgranular.envs.tasks import tasks
+    from mjgranular.learn import environments
 
     name = name_of(identity)
-    env = SandEnv(name) if name in tasks else on_sand(identity)
+    if ":" in identity:
+        env = environments.one(identity, {})
+    else:
+        env = SandEnv(name) if name in tasks else on_sand(identity)
     try:
         env.reset(seed=0)
         env.step(env.action_space.sample())

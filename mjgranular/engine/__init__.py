@@ -3,13 +3,15 @@
 `spec` writes the MJCF and `config` reads it; `plugin` registers with MuJoCo, by `trampolines` that
 stand before Python; `loader` prepares the sand when an `mjData` is made, `block` lays it out in
 memory, `handles` tells which block belongs to which simulation; `callbacks` is what runs at each
-step, `sensor` and `draw` read its results. `tuning` is sand with state of its own, `adjust` has a
-block follow it. `layout` and `library` know MuJoCo's memory and functions. `pickles` has models
-bring mjgranular along.
+step, `sensor`, `touch` and `draw` read its results, `external` shows them to MuJoCo's own sensors.
+`tuning` is sand with state of its own, `adjust` has a block follow it. `layout` and `library` know
+MuJoCo's memory and functions. `pickles` has models bring mjgranular along.
 """
 
+from mjgranular.engine.external import rne_post_constraint as rne_post_constraint
 from mjgranular.engine.instances import NAME as NAME
 from mjgranular.engine.instances import bodies_of_sands
+from mjgranular.engine.instances import relief_of as relief_of
 from mjgranular.engine.pickles import register as register_pickles
 from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand

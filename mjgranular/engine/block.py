@@ -46,16 +46,28 @@ HEADER_DTYPE = np.dtype(
         ("program", np.int64),  # address of machine code
         ("table", np.int64),  # address
         ("qfrc", np.int64),  # address of qfrc_passive
+        ("xfrc", np.int64),  # address of xfrc_applied
         ("awake", np.int64),  # address of body_awake
+        ("instances", np.int64),  # of all plugins in the model
+        ("senses", np.int64),  # whether the model has sensors that may read forces on bodies
+        ("telling", np.int64),  # whether those are being computed again (`external`)
         ("size", np.int64),  # of the block [bytes]
         ("image", np.int64),  # number of the image that it is a copy of
         ("results", np.int64),  # address of what a step leaves behind: bodies, contacts
         ("results_size", np.int64),  # [bytes]
         ("slots", np.int64),  # address: for each element its row in `bodies`
+        ("geoms", np.int64),  # address: for each element its geom
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
         ("ends", np.int64),  # address of room for the ends of an arrow
+        ("plane", np.int64),  # where in the scene the record of a plane begins [bytes]
+        ("tiles", np.int64),  # address: rectangles that it is drawn with (`look.TILES`)
+        ("tile_count", np.int64),
+        ("material", np.int64),  # `look.PlaneLook`
+        ("picture", np.int64),
+        ("unit", np.float64),
+        ("lowered", np.float64),
         ("tunings", np.int64),  # address: what the sand's state changes
         ("tuned", np.int64),  # whether `applied` is what the block was last made to
         ("applied", np.float64, (STATE_SIZE,)),
@@ -139,14 +151,15 @@ def make_image(
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.
     """
-    slots, texts = sand.elements["slot"].astype(np.int64), refusals(sand.scheme)
+    slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
+    texts = refusals(sand.scheme)
     shape = sand.surface.shape(model)
     first = int(model.plugin_stateadr[instance])
     state = data.plugin_state[first : first + sand.surface.state_size]
     binding = bind(model, data, sand, within=True, state=state)
     head = np.zeros(1, HEADER_DTYPE)
     table, workspace = binding.table, binding.workspace
-    # In the engine xfrc_applied is all the user's, MuJoCo itself deals with a bad state, and
+    # In the engine forces do not go by xfrc_applied, MuJoCo itself deals with a bad state, and
     # nobody asks for the last good one.
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
@@ -172,10 +185,14 @@ def make_image(
         "shape_count": len(shapes),
         "table": table.ctypes.data,
         "qfrc": data.qfrc_passive.ctypes.data,
+        "xfrc": data.xfrc_applied.ctypes.data,
         "awake": data.body_awake.ctypes.data,
+        "instances": model.nplugin,
+        "senses": senses_forces(model),
         "results": binding.bodies.ctypes.data,
         "results_size": places[binding.scene.ctypes.data] - places[binding.bodies.ctypes.data],
         "slots": slots.ctypes.data,
+        "geoms": geoms.ctypes.data,
         "ends": ends.ctypes.data,
         "tunings": tunings.ctypes.data if len(tunings) else 0,
         "tuning_count": len(tunings),
@@ -200,10 +217,18 @@ def make_image(
     live[:] = relocations[reads_model]
     begin = places[live.ctypes.data]
     content[begin : begin + live.nbytes] = _bytes(live)
-    shared = [sand.packed, slots, tunings, texts]
+    shared = [sand.packed, slots, geoms, tunings, texts]
     if sand.footprint is not None:
         shared += [sand.footprint.points, sand.footprint.feet]
     return Image(content.view(np.float64), relocations[~reads_model], tuple(shared))
+
+
+def senses_forces(model: mujoco.MjModel) -> bool:
+    """Tells whether a model has sensors that may read the external forces on bodies."""
+    kinds = mujoco.mjtSensor
+    readers = (kinds.mjSENS_FORCE, kinds.mjSENS_TORQUE, kinds.mjSENS_USER, kinds.mjSENS_PLUGIN)
+    late = model.sensor_needstage == int(mujoco.mjtStage.mjSTAGE_ACC)
+    return bool((late & np.isin(model.sensor_type, [int(kind) for kind in readers])).any())
 
 
 def refusals(scheme: Scheme) -> np.ndarray:

@@ -17,6 +17,7 @@ from mjgranular.engine.block import (
     RELOCATION_DTYPE,
     SHAPE_DTYPE,
 )
+from mjgranular.engine.external import ASLEEP, sensor_teller
 from mjgranular.engine.handles import (
     ROW_COUNT,
     block_finder,
@@ -63,7 +64,7 @@ Callbacks = dict[str, tuple[Any, str]]
 """Compiled functions by their fields in `mjpPlugin`, and their signatures."""
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
-_ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
+_SENSOR = 1 << 1  # mjPLUGIN_SENSOR
 
 _header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
@@ -127,7 +128,7 @@ def add_wrenches(table, qfrc, awake):
     states = ints(awake, table[NBODY])
     for slot in range(len(bodies)):
         body = bodies[slot]
-        if states[body.body] == _ASLEEP:
+        if states[body.body] == ASLEEP:
             continue
         fx, fy, fz = body.wrench[0], body.wrench[1], body.wrench[2]
         mx, my, mz = body.wrench[3], body.wrench[4], body.wrench[5]
@@ -205,7 +206,7 @@ def life(layout: Layout) -> Callbacks:
 @cache
 def sand_callbacks(layout: Layout) -> Callbacks:
     """The compiled functions of `mjgranular.sand`."""
-    find_block, adjust = block_finder(layout), adjuster(layout)
+    find_block, adjust, tell = block_finder(layout), adjuster(layout), sensor_teller(layout)
     timestep, integrator = layout.timestep, layout.integrator
     flags = integrator + DISABLEFLAGS_BEHIND_INTEGRATOR
     begin = HEADER_DTYPE.itemsize
@@ -222,6 +223,10 @@ def sand_callbacks(layout: Layout) -> Callbacks:
             return
         if header.program == 0:
             return
+        if capability == _SENSOR:
+            tell(model, data, instance, block)
+            return
+        header.telling = 0  # it stays where a callback of the user's has raised
         if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
         # A batch may run this mjData on another model, or move arrays of the same.

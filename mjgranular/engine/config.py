@@ -9,26 +9,25 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
 from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
-from mjgranular.law import Law, laws
+from mjgranular.law import laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
-from mjgranular.scheme import schemes
-from mjgranular.scheme.scheme import SchemeChoice
+from mjgranular.scheme import get_scheme, schemes
 from mjgranular.shape.select import names_in
-from mjgranular.surface import Bed, HeightField, Plane, Surface
-from mjgranular.surface.choice import surface_of
+from mjgranular.surface.choice import surface_from_words, surface_of, surfaces
+from mjgranular.words import read_value, split_words
 
 KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""
@@ -41,16 +40,8 @@ _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
 LONGEST = 100_000
 """Characters of a text that is read; chosen: the names of some thousand bodies."""
 
-LARGEST = 100_000
-"""Of whole numbers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
-
-DRAWINGS = ("forces", "depth")
-"""Drawings of the plugin: arrows of force, discs coloured by depth."""
-
-surfaces: Registry[type[Surface]] = Registry("surface")
-surfaces.add("plane", Plane)
-surfaces.add("bed", Bed)
-surfaces.add("height_field", HeightField)
+DRAWINGS = ("forces", "depth", "surface")
+"""Drawings of the plugin: arrows of force, dots coloured by depth, an endless plane of sand."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +73,16 @@ def read_config(texts: Mapping[str, str]) -> Config:
             )
     readers = {
         "medium": get_medium,
-        "surface": _read_surface,
-        "scheme": _read_scheme,
-        "bodies": _words,
-        "geoms": _words,
-        "groups": lambda text: [_value(word, int, "a group") for word in _words(text)],
+        "surface": surface_from_words,
+        "scheme": get_scheme,
+        "bodies": split_words,
+        "geoms": split_words,
+        "groups": lambda text: [read_value(word, int, "a group") for word in split_words(text)],
         "resolution": _read_resolution,
-        "instead_of": _words,
-        "memory": _read_memory,
+        "instead_of": split_words,
+        "memory": as_memory,
         "draw": _read_draw,
-        "tunable": lambda text: _value(text, bool, "tunable"),
+        "tunable": lambda text: read_value(text, bool, "tunable"),
     }
     read: dict[str, Any] = {}
     for key, reader in readers.items():
@@ -100,7 +91,8 @@ def read_config(texts: Mapping[str, str]) -> Config:
                 read[key] = reader(given[key])
     if "law" in given:
         with named("law"):
-            read["law"] = _read_law(given["law"], read.get("medium"))
+            law = given["law"]
+            read["law"] = law_of(law, read.get("medium") or medium_for(law))
     draw, tunable = read.pop("draw", ()), read.pop("tunable", False)
     if tunable and "memory" in read:
         raise InputError(
@@ -157,95 +149,11 @@ def named(key: str) -> Iterator[None]:
         raise InputError(f"config {key!r}: {error}") from None
 
 
-def _words(text: str) -> list[str]:
-    try:
-        return shlex.split(text)
-    except ValueError as error:
-        raise InputError(
-            f"{shown(text)} cannot be split into words: {str(error).lower()}"
-        ) from None
-
-
-def _options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
-    """Reads `name=value` words as fields of a dataclass."""
-    kinds = {field.name: get_type_hints(cls)[field.name] for field in fields(cls)}
-    options = {}
-    for word in words:
-        name, equals, text = word.partition("=")
-        if name not in kinds:
-            raise InputError(
-                f"the {what} has no option {shown(name)}; it has: {', '.join(kinds) or 'none'}"
-            )
-        if not equals:
-            raise InputError(f"the option {name!r} of the {what} needs a value: {name}=...")
-        if name in options:
-            raise InputError(f"the option {name!r} of the {what} is given twice")
-        options[name] = _value(text, kinds[name], name)
-    return options
-
-
-def _value(text: str, kind: Any, name: str) -> Any:
-    if kind is bool:
-        if text not in ("true", "false"):
-            raise InputError(f"{name} must be true or false, not {shown(text)}")
-        return text == "true"
-    if kind in (int, float, float | None):
-        try:
-            value = int(text) if kind is int else float(text)
-        except ValueError:
-            word = "a whole number" if kind is int else "a number"
-            raise InputError(f"{name} must be {word}, not {shown(text)}") from None
-        if kind is int and abs(value) > LARGEST:
-            raise InputError(f"{name} must be at most {LARGEST} in size, not {shown(value)}")
-        return value
-    if kind is str:
-        return text
-    raise InputError(f"{name} cannot be written in MJCF: it is neither number, switch nor name")
-
-
-def _part(text: str, register: Registry[Any], kind: str) -> tuple[str, Any, dict[str, Any]]:
-    """Reads a name and its options: the name, its class, the options."""
-    words = _words(text)
-    if not words:
-        raise InputError(f"a {kind} is needed; there are: {', '.join(register)}")
-    cls = register[words[0]]
-    return words[0], cls, _options(words[1:], cls, f"{kind} {words[0]!r}")
-
-
-def _read_law(text: str, medium: Medium | None) -> Law:
-    _, cls, given = _part(text, laws, "law")
-    needed = {field.name for field in fields(cls) if field.default is MISSING}
-    if needed <= given.keys():
-        return cls(**given)
-    law = law_of(cls, medium or medium_for(cls))
-    return cls(**{**{field.name: getattr(law, field.name) for field in fields(cls)}, **given})
-
-
-def _read_surface(text: str) -> Surface:
-    name, cls, given = _part(text, surfaces, "surface")
-    missing = [f.name for f in fields(cls) if f.default is MISSING and f.name not in given]
-    if missing:
-        raise InputError(f"the surface {name!r} needs {missing[0]}=...")
-    return cls(**given)
-
-
-def _read_scheme(text: str) -> SchemeChoice:
-    _, cls, given = _part(text, schemes, "scheme")
-    return cls(**given)
-
-
 def _read_resolution(text: str) -> int:
-    resolution = _value(text, int, "resolution")
+    resolution = read_value(text, int, "resolution")
     if resolution < 1:
         raise InputError(f"resolution must be at least 1, not {shown(resolution)}")
     return resolution
-
-
-def _read_memory(text: str) -> Memory:
-    words = _words(text)
-    if len(words) == 1 and "=" not in words[0]:
-        return Memory() if words[0] == "true" else Memory(cell=_value(words[0], float, "the cell"))
-    return Memory(**_options(words, Memory, "memory"))
 
 
 def _write_memory(memory: Memory | float | bool) -> str:
@@ -256,7 +164,7 @@ def _write_memory(memory: Memory | float | bool) -> str:
 
 
 def _read_draw(text: str) -> tuple[str, ...]:
-    words = tuple(_words(text))
+    words = tuple(split_words(text))
     for word in words:
         if word not in DRAWINGS:
             raise UnknownNameError("drawing", word, DRAWINGS)

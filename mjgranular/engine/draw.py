@@ -1,4 +1,4 @@
-"""Arrows and dots that the plugin adds to a scene of MuJoCo's visualiser."""
+"""Arrows, dots and a plane of sand that the plugin adds to a scene of MuJoCo's visualiser."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from mujoco.introspect.ast_nodes import ArrayType
 from mjgranular.engine.block import HEADER_DTYPE
 from mjgranular.engine.config import DRAWINGS
 from mjgranular.engine.layout import LayoutError, described_fields
+from mjgranular.engine.tuning import ACTIVE
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.machine import c_function
 from mjgranular.kernel.memory import (
@@ -18,13 +19,19 @@ from mjgranular.kernel.memory import (
     BODY_COUNT,
     CONTACTS,
     ELEMENT_COUNT,
+    SCENE,
+    XIPOS,
     floats,
     ints,
     longs,
     records,
+    row_of,
     table_at,
 )
 from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.kernel.vector import cross, dot, read_vector, vector
+from mjgranular.look import COLOUR
+from mjgranular.surface.plane import PLANE_DTYPE
 
 _KINDS = {"int": np.int32, "float": np.float32, "mjtByte": np.uint8, "char": np.uint8}
 
@@ -46,12 +53,15 @@ _SIZE = GEOM_DTYPE.itemsize
 _MOST, _COUNT, _GEOMS = 0, 1, 1
 
 _ARROW, _SPHERE = int(mujoco.mjtGeom.mjGEOM_ARROW), int(mujoco.mjtGeom.mjGEOM_SPHERE)
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
-_FORCES, _DEPTH = (1 << bit for bit in range(len(DRAWINGS)))
+_FORCES, _DEPTH, _SURFACE = (1 << bit for bit in range(len(DRAWINGS)))
 
 _header = records(HEADER_DTYPE)
 _geoms = records(GEOM_DTYPE)
 _bytes = records(np.dtype(np.uint8))
+_planes = records(PLANE_DTYPE)
+_RED, _GREEN, _BLUE, _ = COLOUR
 _init = c_function("mjv_initGeom", "void", "int64", "int32", "int64", "int64", "int64", "int64")
 _connect = c_function("mjv_connector", "void", "int64", "int32", "float64", "int64", "int64")
 
@@ -140,8 +150,45 @@ def add_dot(scene, contact, width, share):
 
 
 @compiled
+def add_surface(scene, header, table, bodies):
+    """Adds the plane of sand, where it now is, about the first body; as `look.PlaneLook.add`."""
+    plane = _planes(table[SCENE] + header.plane, 1)[0]
+    normal = read_vector(plane.normal, 0)
+    length = math.sqrt(normal.x * normal.x + normal.z * normal.z)
+    along = vector(normal.z / length, 0.0, -normal.x / length)
+    across = cross(normal, along)
+    body = read_vector(row_of(table[XIPOS], bodies[0].body, 3), 0)
+    x0, y0 = dot(along, body), dot(across, body)
+    if not math.isfinite(x0 + y0):
+        return
+    x0 = math.floor(x0 / header.unit + 0.5) * header.unit
+    y0 = math.floor(y0 / header.unit + 0.5) * header.unit
+    for i in range(header.tile_count):
+        tile = row_of(header.tiles, i, 4)
+        address = add_geom(scene, _PLANE)
+        if address == 0:
+            return
+        x, y = x0 + tile[0] * header.unit, y0 + tile[1] * header.unit
+        place = x * along + y * across + (plane.offset - header.lowered) * normal
+        geom = _geoms(address, 1)[0]
+        geom.matid, geom.texid, geom.texuniform = header.material, header.picture, 1
+        geom.texrepeat[0] = geom.texrepeat[1] = 2.0 / header.unit
+        geom.size[0], geom.size[1] = tile[2] * header.unit, tile[3] * header.unit
+        geom.pos[0], geom.pos[1], geom.pos[2] = place.x, place.y, place.z
+        axes = geom.mat
+        axes[0], axes[1], axes[2] = along.x, across.x, normal.x
+        axes[3], axes[4], axes[5] = along.y, across.y, normal.y
+        axes[6], axes[7], axes[8] = along.z, across.z, normal.z
+        geom.specular, geom.shininess, geom.reflectance = 0.0, 0.0, 0.0
+        rgba = geom.rgba
+        rgba[0], rgba[1], rgba[2], rgba[3] = 1.0, 1.0, 1.0, 1.0
+        if header.material < 0:
+            rgba[0], rgba[1], rgba[2] = _RED, _GREEN, _BLUE
+
+
+@compiled
 def draw(block, scene):
-    """Adds what a block asks for: an arrow for each body, a dot for each element in the sand."""
+    """Adds what a block asks for: sand, an arrow for each body, a dot for each element in it."""
     header = _header(block, 1)[0]
     if header.draw == 0:
         return
@@ -149,6 +196,8 @@ def draw(block, scene):
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
     slots = longs(header.slots, len(contacts))
+    if header.draw & _SURFACE and (header.tuned == 0 or header.applied[ACTIVE] != 0.0):
+        add_surface(scene, header, table, bodies)
     if header.draw & _FORCES:
         for slot in range(len(bodies)):
             add_arrow(scene, header, bodies, contacts, slots, slot)

@@ -153,6 +153,8 @@ class Layout:
         plugin_stateadr: of the pointer `plugin_stateadr` in mjModel.
         plugin_statenum: of the pointer `plugin_statenum` in mjModel.
         sensordata: of the pointer `sensordata` in mjData.
+        site_xpos: of the pointer `site_xpos` in mjData.
+        site_xmat: of the pointer `site_xmat` in mjData.
     """
 
     timestep: int
@@ -163,6 +165,8 @@ class Layout:
     plugin_stateadr: int
     plugin_statenum: int
     sensordata: int
+    site_xpos: int
+    site_xmat: int
 
 
 @cache
@@ -175,7 +179,7 @@ def find_layout(plugin: str) -> Layout:
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><extension><plugin plugin="{plugin}"><instance name="probe">'
         '<config key="tunable" value="true"/></instance></plugin></extension>'
-        "<worldbody><body><freejoint/><geom size='1'/></body></worldbody>"
+        "<worldbody><body><freejoint/><geom size='1'/><site/></body></worldbody>"
         "<sensor><clock/></sensor></mujoco>"
     )
     data = mujoco.MjData(model)
@@ -196,6 +200,8 @@ def find_layout(plugin: str) -> Layout:
         plugin_stateadr=in_model.field(model.plugin_stateadr, "plugin_stateadr"),
         plugin_statenum=in_model.field(model.plugin_statenum, "plugin_statenum"),
         sensordata=in_data.field(data.sensordata, "sensordata"),
+        site_xpos=in_data.field(data.site_xpos, "site_xpos"),
+        site_xmat=in_data.field(data.site_xmat, "site_xmat"),
     )
 
 

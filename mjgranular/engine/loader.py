@@ -14,6 +14,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,17 +26,18 @@ from mjgranular.engine.handles import HandleTable
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import Layout, LayoutError, Struct
 from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
-from mjgranular.engine.measures import SENSOR_KEYS
+from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.preparing import prepare_in_worker
-from mjgranular.engine.sensor import Sensors
+from mjgranular.engine.sensor import Sensors, Sites
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
+from mjgranular.look import TILES, PlaneLook, radius_of
 from mjgranular.medium import media
 from mjgranular.names import name_of
 from mjgranular.relief.relief import Relief
-from mjgranular.sand.prepare import prepare
+from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.scheme import Auto
 from mjgranular.shape.select import names_in
 from mjgranular.surface import Plane, Surface
@@ -47,9 +49,11 @@ _PREFIXES = (
 )  # fmt: skip
 _SWITCHES = 64  # bytes of `opt` from the integrator on: solver, Jacobian, flags
 _SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_adr")
-_NAMES = ("qpos0", "plugin", *_SENSORS)
+_SITES = ("site_bodyid", "site_type", "site_size")
+_NAMES = ("qpos0", "plugin", *_SENSORS, *_SITES, "sensor_type", "sensor_needstage")
 _NO_MATTER = (
-    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "sensor_", "plugin",
+    "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "plugin", *_SENSORS,
+    *_SITES,
 )  # fmt: skip
 
 # Which key named what a model does not have, by a word of what it was to name.
@@ -69,6 +73,7 @@ class Prepared:
     Attributes:
         image: of its block.
         bodies: names of the bodies that meet it by their ids, in its order.
+        geoms: names of the geoms that have elements, by their ids.
         disabled: geoms whose contacts are off (`sand.prepare`).
         place: where it always is, in words; None for sand that can be switched off (`tunable`).
         draws: whether something is to be drawn.
@@ -77,6 +82,7 @@ class Prepared:
 
     image: Image
     bodies: dict[int, str]
+    geoms: dict[int, str]
     disabled: tuple[int, ...]
     place: str | None
     draws: bool
@@ -109,6 +115,11 @@ class Loader:
             self._handles.clear(data, instance)
             sands = self._sands(model)
             if instance in sands.values():
+                if instance in self._array(model, "sensor_plugin"):
+                    raise InputError(
+                        "a sensor refers to the sand itself, which measures nothing: sensors of it "
+                        f"are those of the plugin {SENSOR}"
+                    )
                 self._refuse_twice(model, instance, sands)
                 content = self._prepare(model, instance).image
             else:
@@ -161,12 +172,20 @@ class Loader:
     def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> Image:
         texts = config_texts(model, instance, SENSOR_KEYS)
         sand = sensor.find_sand(texts["sand"], sands)
-        bodies = self._prepare(model, sand).bodies
+        prepared = self._prepare(model, sand)
         sensors = {
             field.name: self._array(model, f"sensor_{field.name}") for field in fields(Sensors)
         }
+        sites = {field.name: self._array(model, f"site_{field.name}") for field in fields(Sites)}
+        sites["size"] = sites["size"].view(np.float64)
         readings = sensor.make_readings(
-            instance, sand, texts["measure"], Sensors(**sensors), bodies
+            instance,
+            sand,
+            texts["measure"],
+            Sensors(**sensors),
+            Sites(**sites),
+            prepared.bodies,
+            prepared.geoms,
         )
         head = np.zeros(1, HEADER_DTYPE)
         head["size"] = head.nbytes + readings.nbytes
@@ -319,18 +338,15 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
             f"the model has room for {model.plugin_statenum[instance]} numbers of the sand's "
             f"state, which has {size}: compile it anew"
         )
-    drawing = {
-        "draw": _drawing(model, config.draw),
-        "arrow_scale": model.vis.map.force / model.stat.meanmass,
-        "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
-    }
-    bodies = dict.fromkeys(sand.elements["body"].tolist())  # which come body by body
+    drawing = _drawing(model, config.draw, sand)
+    bodies, geoms = (dict.fromkeys(sand.elements[key].tolist()) for key in ("body", "geom"))
     return Prepared(
         make_image(model, mujoco.MjData(model), instance, sand, tunings, drawing),
         bodies={body: name_of(model, "body", body) or str(body) for body in bodies},
+        geoms={geom: name_of(model, "geom", geom) or str(geom) for geom in geoms},
         disabled=sand.disabled,
         place=None if config.tunable else _place_of(sand.surface),
-        draws=bool(config.draw),
+        draws=bool(drawing["draw"]),
         origin=sand.medium,
     )
 
@@ -342,11 +358,32 @@ def _place_of(surface: Surface) -> str:
     return "an endless plane" if isinstance(surface, Plane) else repr(surface)
 
 
-def _drawing(model: mujoco.MjModel, drawings: Sequence[str]) -> int:
-    """A bit for each of them."""
-    if not drawings:
-        return 0
+def _drawing(
+    model: mujoco.MjModel, drawings: Sequence[str], sand: PreparedSand
+) -> dict[str, float]:
+    """What is drawn, and how: fields of the header of a block. A bed is drawn as the geom it is."""
+    look, chosen = None, set(drawings)
+    if "surface" in chosen and isinstance(sand.surface, Plane):
+        plane = sand.surface
+        look = PlaneLook.of(model, plane.normal, plane.offset, radius_of(model))
+    if look is None:
+        chosen -= {"surface"}
+    if not chosen:
+        return {"draw": 0}
     from mjgranular.engine.draw import check_scene
 
     check_scene(model)
-    return sum(1 << DRAWINGS.index(drawing) for drawing in set(drawings))
+    found: dict[str, float] = {
+        "draw": sum(1 << DRAWINGS.index(drawing) for drawing in chosen),
+        "arrow_scale": model.vis.map.force / model.stat.meanmass,
+        "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
+    }
+    if look is not None:
+        fields: Any = sand.scene.dtype.fields
+        found |= vars(look)
+        found |= {
+            "plane": fields["surface"][1],
+            "tiles": TILES.ctypes.data,
+            "tile_count": len(TILES),
+        }
+    return found

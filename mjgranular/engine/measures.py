@@ -6,5 +6,5 @@ SENSOR = "mjgranular.sensor"
 SENSOR_KEYS = ("measure", "sand")
 """Of its configuration."""
 
-MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1, "speed": 1}
+MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1, "speed": 1, "touch": 1}
 """The measures, with the number of their values."""

@@ -47,7 +47,7 @@ from mjgranular.relief.memory import as_memory
 _logger = logging.getLogger(__name__)
 
 _SENSOR, _PASSIVE = 1 << 1, 1 << 2  # mjPLUGIN_SENSOR, mjPLUGIN_PASSIVE
-_VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
+_VELOCITY, _ACCELERATION = int(mujoco.mjtStage.mjSTAGE_VEL), int(mujoco.mjtStage.mjSTAGE_ACC)
 _LONGEST = 440  # bytes of a message: MuJoCo cuts at 500, its own words included
 
 _CALLBACKS = (
@@ -274,7 +274,13 @@ def _count_state(model: int, instance: int, place: int) -> None:
 
 _PLUGINS = (
     # What is neither true nor false is an error when the sand is prepared.
-    Plugin(NAME, KEYS, _PASSIVE, count_state=_count_state),
+    Plugin(
+        NAME,
+        KEYS,
+        _PASSIVE | _SENSOR,  # it measures nothing, but is asked when MuJoCo's sensors are through
+        _ACCELERATION,
+        count_state=_count_state,
+    ),
     Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, nsensordata=Size("measure", MEASURES, 1)),
 )
 

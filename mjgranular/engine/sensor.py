@@ -19,6 +19,7 @@ from mjgranular.engine.block import HEADER_DTYPE
 from mjgranular.engine.handles import block_finder
 from mjgranular.engine.layout import Layout
 from mjgranular.engine.measures import MEASURES
+from mjgranular.engine.touch import touch_sensor
 from mjgranular.engine.trampolines import UNPREPARED
 from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.kernel.compiled import compiled
@@ -35,7 +36,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.records import body_records, contact_records
 
-FORCE, MOMENT, DEPTH, POWER, SPEED = range(len(MEASURES))
+FORCE, MOMENT, DEPTH, POWER, SPEED, TOUCH = range(len(MEASURES))
 
 READING_DTYPE = np.dtype(
     [
@@ -43,6 +44,10 @@ READING_DTYPE = np.dtype(
         ("measure", np.int64),
         ("slot", np.int64),  # row of the body in the sand, -1 for all bodies together
         ("at", np.int64),  # first of its values in `sensordata`
+        ("geom", np.int64),  # whose elements are meant, -1 for all
+        ("site", np.int64),  # in whose volume they are, -1 for anywhere
+        ("kind", np.int64),  # of that site
+        ("size", np.float64, (3,)),  # of that site [m]
     ]
 )
 
@@ -52,6 +57,7 @@ _unprepared = c_function(UNPREPARED, "void", "int64")
 
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
+_GEOM, _SITE = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_SITE)
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,15 @@ class Sensors:
     objtype: np.ndarray
     objid: np.ndarray
     adr: np.ndarray
+
+
+@dataclass(frozen=True)
+class Sites:
+    """The sites of a model, likewise without `site_`."""
+
+    bodyid: np.ndarray
+    type: np.ndarray
+    size: np.ndarray
 
 
 def find_sand(name: str, sands: Mapping[str, int]) -> int:
@@ -87,7 +102,13 @@ def find_sand(name: str, sands: Mapping[str, int]) -> int:
 
 
 def make_readings(
-    instance: int, sand: int, measure: str, sensors: Sensors, bodies: Mapping[int, str]
+    instance: int,
+    sand: int,
+    measure: str,
+    sensors: Sensors,
+    sites: Sites,
+    bodies: Mapping[int, str],
+    geoms: Mapping[int, str],
 ) -> np.ndarray:
     """Makes the list of what one instance measures: rows of `READING_DTYPE`.
 
@@ -96,10 +117,12 @@ def make_readings(
         sand: instance of the sand.
         measure: what.
         sensors: of the model.
+        sites: of the model.
         bodies: names of the sand's bodies by their ids, in its order.
+        geoms: names of the geoms that have its elements, by their ids.
 
     Raises:
-        InputError: no such measure, or a body that does not meet that sand.
+        InputError: no such measure, or a body or geom that does not meet that sand.
     """
     if measure not in MEASURES:
         raise InputError(f"config 'measure': {UnknownNameError('measure', measure, MEASURES)}")
@@ -107,24 +130,40 @@ def make_readings(
     mine = np.flatnonzero(sensors.plugin == instance)
     rows = np.zeros(len(mine), READING_DTYPE)
     for row, number in zip(rows, mine, strict=True):
-        slot = -1
-        if sensors.objtype[number] in _BODIES:
-            body = int(sensors.objid[number])
-            if body not in bodies:
-                raise InputError(
-                    f"objname: body number {body} does not meet the sand; those that do: "
-                    f"{listed(bodies.values())}"
-                )
-            slot = list(bodies).index(body)
-        elif sensors.objtype[number] != _UNKNOWN:
-            raise InputError("objtype must be body, or left out for all bodies together")
-        if kind == MOMENT and slot < 0:
+        row["sand"], row["measure"], row["at"] = sand, kind, sensors.adr[number]
+        row["slot"] = row["geom"] = row["site"] = -1
+        objtype, object = int(sensors.objtype[number]), int(sensors.objid[number])
+        if objtype in _BODIES:
+            row["slot"] = _place("body", object, bodies)
+        elif objtype == _GEOM and kind == TOUCH:
+            _place("geom", object, geoms)
+            row["geom"] = object
+        elif objtype == _SITE and kind == TOUCH:
+            row["slot"] = _place("body", int(sites.bodyid[object]), bodies)
+            row["site"], row["kind"] = object, sites.type[object]
+            row["size"] = sites.size[3 * object : 3 * object + 3]
+        elif objtype != _UNKNOWN:
+            others = "body, geom or site" if kind == TOUCH else "body"
+            raise InputError(f"objtype must be {others}, or left out for all bodies together")
+        if kind == MOMENT and row["slot"] < 0:
             raise InputError(
                 "a moment is about the centre of mass of one body: objtype and objname"
             )
-        row["sand"], row["measure"], row["slot"] = sand, kind, slot
-        row["at"] = sensors.adr[number]
     return rows
+
+
+def _place(kind: str, number: int, names: Mapping[int, str]) -> int:
+    """Place of a body or geom among those that meet a sand.
+
+    Raises:
+        InputError: it is none of them; lists those.
+    """
+    if number not in names:
+        raise InputError(
+            f"objname: {kind} number {number} does not meet the sand; those that do: "
+            f"{listed(names.values())}"
+        )
+    return list(names).index(number)
 
 
 @compiled
@@ -171,7 +210,7 @@ def measure_sand(block, measure, slot, values):
 @cache
 def sensor_compute(layout: Layout) -> Any:
     """The compiled `compute` of the plugin."""
-    find_block = block_finder(layout)
+    find_block, touch = block_finder(layout), touch_sensor(layout)
     sensordata = layout.sensordata
     begin, stride = HEADER_DTYPE.itemsize, READING_DTYPE.itemsize
 
@@ -191,6 +230,9 @@ def sensor_compute(layout: Layout) -> Any:
             if sand != 0 and _header(sand, 1)[0].table != 0:
                 size = 3 if row.measure in (FORCE, MOMENT) else 1
                 values = floats(readings + 8 * row.at, size)
-                measure_sand(sand, row.measure, row.slot, values)
+                if row.measure == TOUCH:
+                    values[0] = touch(data, sand, row)
+                else:
+                    measure_sand(sand, row.measure, row.slot, values)
 
     return compute

@@ -12,15 +12,18 @@ from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
-from mjgranular.given import check_spec
+from mjgranular.given import check_spec, kind_of
+from mjgranular.look import NOT_SHOWN, add_material, paint
 from mjgranular.sand.spec import SandFields, SandSpec, combined
+from mjgranular.shape.select import names_in
+from mjgranular.surface import Bed, HeightField
 
 
 def add_sand(
     spec: mujoco.MjSpec,
     sand: SandSpec | None = None,
     *,
-    draw: Sequence[str] | str = (),
+    draw: Sequence[str] | str = ("surface",),
     tunable: bool = False,
     name: str | None = None,
     **fields: Unpack[SandFields],
@@ -28,12 +31,14 @@ def add_sand(
     """Adds sand to a model: from then on it acts inside `mj_step`.
 
     What is added is an instance of the plugin `mjgranular.sand`, which stays through XML. Called
-    twice, it adds two: two media in two beds, for example.
+    twice, it adds two: two media in two beds, for example. Where the surface is to be seen, a
+    material and its texture come with it, a bed or height field that nobody has coloured gets that
+    material, and what the sand replaces is put into geom group 5, which is not shown.
 
     Args:
         spec: the model to be.
         sand: the sand, of things that are known by their names; None for one of defaults.
-        draw: what viewers and renderers are to show: "forces", "depth".
+        draw: what viewers and renderers are to show: "surface", "forces", "depth"; () for nothing.
         tunable: let each simulation have its own strength, density and height of the sand, as a
             part of MuJoCo's state (`tune`).
         name: of the instance; None for "sand", "sand_2", ...
@@ -48,8 +53,11 @@ def add_sand(
         LayoutError: this version of MuJoCo cannot be used with the plugin.
     """
     check_spec(spec, "add_sand")
+    if name is not None and not (isinstance(name, str) and name):
+        raise InputError(f"an instance's name is a text, not {kind_of(name)}")
     check_registered()
-    config = write_config(combined(sand, fields), draw=draw, tunable=tunable)
+    sand = combined(sand, fields)
+    config = write_config(sand, draw=draw, tunable=tunable)
     taken = {plugin.name for plugin in spec.plugins}
     if name is None:
         names = chain(["sand"], (f"sand_{number}" for number in count(2)))
@@ -60,7 +68,23 @@ def add_sand(
     instance = spec.add_plugin(name=name, plugin_name=NAME, active=True)
     instance.config = config
     _attach(spec, name)
+    if "surface" in config.get("draw", "").split():
+        show_surface(spec, sand)
     return instance
+
+
+def show_surface(spec: mujoco.MjSpec, sand: SandSpec) -> None:
+    """Has the geoms of a model look as the sand asks for: what is sand, and what it replaces."""
+    material = add_material(spec)
+    if isinstance(sand.surface, Bed | HeightField) and (bed := spec.geom(sand.surface.geom)):
+        paint(bed, material)
+    of_world = spec.worldbody.geoms  # which have the first numbers
+    for name in names_in(sand.instead_of):
+        replaced = spec.geom(str(name))
+        if replaced is None and str(name).isdecimal() and int(name) < len(of_world):
+            replaced = of_world[int(name)]
+        if replaced is not None:
+            replaced.group = NOT_SHOWN
 
 
 def _attach(spec: mujoco.MjSpec, name: str) -> None:

@@ -14,18 +14,25 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.errors import FloorWarning, GranularError, InputError, OutputError, UnknownNameError
+from mjgranular.errors import (
+    FloorWarning,
+    GranularError,
+    InputError,
+    OutputError,
+    UnknownNameError,
+    warn_user,
+)
 from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors
-from mjgranular.experiment.scenery import add_bed
+from mjgranular.experiment.scenery import add_scenery, place_sun
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
-from mjgranular.reading import check_regular
+from mjgranular.reading import check_regular, place
 from mjgranular.sand import Sand
 from mjgranular.sand.work import WorkMeter
 from mjgranular.saved import checked_fields, is_text
-from mjgranular.surface import Plane
+from mjgranular.surface import Surface
 
 LARGEST_STEP = 1e-4
 """Of a run with the explicit scheme whose time step is left to us [s]; chosen, not measured."""
@@ -141,7 +148,7 @@ class DropResult:
 
     Attributes:
         drop: what was asked for.
-        xml: the model as it ran, with its bed of sand.
+        xml: the model as it ran, by daylight.
         medium: name of the medium, or the file that it was read from.
         law: name of the law that acted.
         timestep: [s].
@@ -243,7 +250,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
-    """The compiled model, with a visible bed under it if it has none, and its XML.
+    """The compiled model by daylight, and its XML.
 
     Raises:
         InputError: MuJoCo cannot load it.
@@ -251,9 +258,10 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
     """
     with loading(drop.title):
         spec = read(drop)
-        show_bed(spec, drop)
+        make_ready(spec, drop)
         model = spec.compile()
         hide_replaced(model, drop.sand)
+        place_sun(model)
         return model, spec.to_xml()
 
 
@@ -276,6 +284,11 @@ def read(drop: Drop) -> mujoco.MjSpec:
         spec = drop.model.spec()
     else:
         check_regular(drop.model, "the model")
+        if drop.model.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
+            raise InputError(
+                f"cannot read the model {place(drop.model)}: a model is an MJCF or URDF file, .xml "
+                "or .urdf"
+            )
         spec = mujoco.MjSpec.from_file(str(drop.model))
     if drop.timestep is not None:
         spec.option.timestep = drop.timestep
@@ -284,10 +297,28 @@ def read(drop: Drop) -> mujoco.MjSpec:
     return spec
 
 
-def show_bed(spec: mujoco.MjSpec, drop: Drop) -> None:
-    """Adds a bed to be seen to a user's model that has neither bed nor floor."""
-    if isinstance(drop.surface, Plane) and not (drop.keep_floor or isinstance(drop.model, Chain)):
-        add_bed(spec, drop.surface)
+def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
+    """Gives a user's model scenery, and an integrator that sand can be stepped with.
+
+    A chain has both.
+
+    Warns:
+        GranularWarning: the model asks for RK4.
+    """
+    if isinstance(drop.model, Chain):
+        return
+    if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        warn_user(
+            f"{drop.title} asks for the integrator RK4, within which sand cannot hold a body at "
+            "rest: it runs with implicitfast"
+        )
+    add_scenery(spec, drop.surface)
+
+
+def surface_drawn(drop: Drop) -> Surface | None:
+    """The surface that is to be drawn into pictures of a run; None where the model shows it."""
+    return None if isinstance(drop.model, Chain) else drop.surface
 
 
 def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:
@@ -394,7 +425,7 @@ def _result(
         drop=drop,
         xml=xml,
         medium=drop.medium or sand.medium.name,
-        law=sand.law.name,
+        law=drop.law or sand.law.name,
         scheme=sand.scheme.name,
         timestep=float(model.opt.timestep),
         elements=len(sand.elements),

@@ -165,7 +165,7 @@ class _Run:
         rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
         return ImpactResult(
             impact=impact,
-            law=self.sand.law.name,
+            law=impact.law or self.sand.law.name,
             touchdown=self.touchdown,
             stop=self.stop,
             rest=self.rest,

@@ -7,22 +7,22 @@ from dataclasses import dataclass
 import mujoco
 
 from mjgranular.errors import InputError
+from mjgranular.look import NOT_SHOWN
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all
 from mjgranular.surface import Bed, HeightField, Plane, Surface
+from mjgranular.surface.choice import surface_of
 from mjgranular.surface.floors import describe_floors, find_floors
 from mjgranular.surface.place import replace_geoms
-
-_NOT_SHOWN = 5  # geom group that viewers and films leave out
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlainSand:
     """A `SandSpec` in plain values, SI units and radians, as folders of results have it.
 
-    `medium`, `law`, `scheme`, `bodies`, `geoms`, `groups`, `resolution` and `instead_of` are those
-    of `SandSpec`, by name; None and `()` stand for no choice.
+    `medium`, `law`, `scheme`, `bodies`, `geoms`, `groups`, `resolution`, `instead_of` and `memory`
+    are those of `SandSpec`, by name; None and `()` stand for no choice.
 
     Attributes:
         surface_height: world z of a level or sloping surface [m].
@@ -46,6 +46,7 @@ class PlainSand:
     groups: tuple[int, ...] = ()
     resolution: int | None = None
     instead_of: tuple[str, ...] = ()
+    memory: str | None = None
     keep_floor: bool = False
 
     def __post_init__(self) -> None:
@@ -75,6 +76,7 @@ class PlainSand:
             groups=self.groups or None,
             resolution=self.resolution,
             instead_of=self.instead_of,
+            memory=self.memory,
         )
 
 
@@ -84,7 +86,7 @@ def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
     Raises:
         UnknownNameError: the model has no such geom; lists those there are.
     """
-    model.geom_group[find_all(model, "geom", sand.instead_of)] = _NOT_SHOWN
+    model.geom_group[find_all(model, "geom", sand.instead_of)] = NOT_SHOWN
 
 
 def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
@@ -98,7 +100,7 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
         InputError: names the ground, and the options that help.
     """
     replace_geoms(model, sand.instead_of)
-    floors = find_floors(model, geoms_in_sand(model, sand), sand.surface or Plane())
+    floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
     if floors:
         names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
         raise InputError(

@@ -182,7 +182,7 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         valid.append(all(body.valid for body in bodies))
     return IntrusionResult(
         intrusion=intrusion,
-        law=sand.law.name,
+        law=intrusion.law or sand.law.name,
         elements=len(sand.elements),
         travelled=travelled,
         depth=np.array(depth),

@@ -1,72 +1,75 @@
-"""Scenery that makes a user's model look as if it were on sand."""
+"""Scenery that makes a user's model look as if it were on sand by day."""
 
 from __future__ import annotations
-
-import math
 
 import mujoco
 import numpy as np
 
-from mjgranular.surface import Plane
+from mjgranular.look import add_material, paint, radius_of
+from mjgranular.surface import Bed, HeightField, Surface
 
-_BED = "mjgranular_bed"
+_SUN = "mjgranular_sun"
+_SKY, _HORIZON = [0.46, 0.63, 0.84], [0.88, 0.91, 0.93]
+_SHADOWS = 2048  # pixels along an edge of the map of shadows
+# Radii of what moves. MuJoCo looks shadows up by a pixel off at the edge of its map, which speckles
+# what casts shadows there: what is looked at lies in the middle.
+_SHADOWED = 6.0
+_SUNSHINE = np.array([-0.70, 0.26, -0.66])  # 41 degrees high, beside whoever looks by default
 
 
-def add_bed(spec: mujoco.MjSpec, surface: Plane) -> None:
-    """Adds a sand-coloured slab below a plane surface, to be seen and not to be touched.
+def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
+    """Adds daylight, a sky and the material of sand, and no geom.
 
-    A model without a light gets one, from above and aside, so that relief shows.
+    Lights of the model's own are switched off: one that lights a laboratory's floor leaves sand
+    dark or burns it out. The sun stands low enough for relief to show, casts the only shadows, and
+    follows the model. A bed or height field that nobody has coloured becomes sand; an endless plane
+    is no geom and is drawn into the scene (`look.PlaneLook`, or by the plugin).
+
+    Args:
+        spec: the model to be; it is changed.
+        surface: of the sand.
     """
-    if not spec.lights:
-        spec.worldbody.add_light(
-            name=_BED,
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=[0.0, 0.0, 4.0],
-            dir=[0.4, 0.3, -1.0],
-            ambient=[0.3, 0.3, 0.3],
-            diffuse=[0.6, 0.6, 0.6],
-            castshadow=True,
-        )
-    if all(t.type != mujoco.mjtTexture.mjTEXTURE_SKYBOX for t in spec.textures):
-        spec.add_texture(
-            name="mjgranular_sky",
-            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[0.95, 0.96, 0.97],
-            rgb2=[0.76, 0.82, 0.88],
-            width=128,
-            height=128,
-        )
+    if known := spec.light(_SUN):  # a model that was written with its scenery
+        spec.delete(known)
+    for light in spec.lights:
+        light.active = False
+    spec.worldbody.add_light(
+        name=_SUN,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM,
+        dir=_SUNSHINE,
+        ambient=[0.0, 0.0, 0.0],
+        diffuse=[0.80, 0.77, 0.70],
+        specular=[0.15, 0.15, 0.15],
+        castshadow=True,
+    )
+    head = spec.visual.headlight
+    head.active = 1
+    head.ambient, head.diffuse, head.specular = [0.36, 0.37, 0.40], [0.12] * 3, [0.05] * 3
+    for texture in list(spec.textures):
+        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            spec.delete(texture)
     spec.add_texture(
-        name=_BED,
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        mark=mujoco.mjtMark.mjMARK_RANDOM,
-        rgb1=[0.80, 0.69, 0.50],
-        markrgb=[0.58, 0.46, 0.30],
-        random=0.3,
-        width=512,
-        height=512,
+        name="mjgranular_sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=_SKY,
+        rgb2=_HORIZON,
+        width=128,
+        height=128,
     )
-    material = spec.add_material(name=_BED)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _BED
-    material.texrepeat = [4, 4]
-    material.texuniform = True
-    half, thick = 3.0, 0.05
-    position = -thick * surface.normal
-    position[2] += surface.height
-    # From z to the normal: a turn about the horizontal axis across the slope. A quaternion, since
-    # angles are read in the unit of the model's compiler.
-    half_turn = surface.slope / 2
-    across = np.array([math.sin(surface.uphill), -math.cos(surface.uphill), 0.0])
-    spec.worldbody.add_geom(
-        name=_BED,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[half, half, thick],
-        pos=position,
-        quat=[math.cos(half_turn), *(math.sin(half_turn) * across)],
-        material=_BED,
-        contype=0,
-        conaffinity=0,
-        group=1,
-    )
+    spec.visual.rgba.haze = [*_HORIZON, 1.0]
+    spec.visual.quality.shadowsize = _SHADOWS
+    material = add_material(spec)
+    if isinstance(surface, Bed | HeightField) and (bed := spec.geom(surface.geom)):
+        paint(bed, material)
+
+
+def place_sun(model: mujoco.MjModel) -> None:
+    """Has the sun of a model with scenery cast the shadows of what moves, and no others."""
+    sun = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_LIGHT, _SUN)
+    if sun < 0:
+        return
+    reach = _SHADOWED * radius_of(model)
+    model.vis.map.shadowclip = reach / model.stat.extent
+    model.light_pos[sun] = model.light_poscom0[sun] = -reach * _SUNSHINE

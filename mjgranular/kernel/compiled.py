@@ -69,6 +69,7 @@ def entry(kernel: Any, signature: str) -> Callable[..., Any]:
 
     Raises:
         CompilerError: numba cannot be used.
+        KernelError: it cannot be compiled.
     """
     return _find(kernel, signature, _python_function)
 
@@ -83,6 +84,7 @@ def program_address(kernel: Any, signature: str, what: str = "") -> int:
 
     Raises:
         CompilerError: numba cannot be used.
+        KernelError: it cannot be compiled.
     """
     return _find(kernel, signature, _c_function, what).address
 
@@ -111,7 +113,7 @@ def _find_or_make(key: tuple[Any, str, Any], what: str) -> Any:
     with PROGRAMS:
         found = _programs.get(key)
         if found is None:
-            with compiling(), event.install_listener("numba:compile", _Progress()):
+            with compiling(what), event.install_listener("numba:compile", _Progress()):
                 found = _programs[key] = _load_or_compile(*key, what)
         return found
 

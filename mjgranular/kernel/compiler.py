@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -25,14 +26,43 @@ class CompilerError(GranularError, RuntimeError):
         )
 
 
-@contextmanager
-def compiling() -> Iterator[None]:
-    """Says of what goes wrong with numba that it is numba's.
+class KernelError(GranularError, TypeError):
+    """A kernel cannot be compiled: in a law or a surface of somebody's own, most likely.
 
-    An error in a law of somebody's own stays what it is, where numba is one that was tested.
+    What numba has said, which is long, is its cause.
+
+    Args:
+        error: numba's.
+        what: the sand that it is for, in words.
+    """
+
+    def __init__(self, error: BaseException, what: str) -> None:
+        lines = [_CODES.sub("", line).strip() for line in str(error).splitlines()]
+        news = next((line for line in lines if line and not line.startswith(_NO_NEWS)), "")
+        places = (_PLACE.search(line) for line in lines)
+        found = [f"{place[1]}, line {place[2]}" for place in places if place]
+        where = f", in {found[0]}" if found else ""
+        super().__init__(
+            f"numba cannot compile the kernels{what and ' for '}{what}: "
+            f"{type(error).__name__}: {news}{where}"
+        )
+
+
+_CODES = re.compile(r"\x1b\[[0-9;]*m")  # colours of a terminal
+_NO_NEWS = "Failed in nopython mode pipeline"
+_PLACE = re.compile(r'File "([^"]+)", line (\d+)')
+
+
+@contextmanager
+def compiling(what: str = "") -> Iterator[None]:
+    """Says of what goes wrong with numba that it is numba's, or in one sentence what and where.
+
+    Args:
+        what: the sand that is compiled for, in words.
 
     Raises:
         CompilerError: numba is missing, not one that was tested, or cannot be imported.
+        KernelError: a kernel cannot be compiled by one that was tested.
     """
     try:
         yield
@@ -41,7 +71,7 @@ def compiling() -> Iterator[None]:
     except Exception as error:
         if isinstance(error, ImportError) or not _is_tested():
             raise CompilerError(error) from error
-        raise
+        raise KernelError(error, what) from error
 
 
 def _installed() -> str | None:

@@ -2,7 +2,9 @@
 
 from mjgranular.law.depth_velocity import DepthVelocityLaw as DepthVelocityLaw
 from mjgranular.law.law import Law as Law
+from mjgranular.law.law import check_constants as check_constants
 from mjgranular.law.law import get_law as get_law
+from mjgranular.law.law import law_in as law_in
 from mjgranular.law.law import laws as laws
 from mjgranular.law.law import make_scene as make_scene
 from mjgranular.law.law import register_law as register_law

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
 from mjgranular.law.kernel import LawKernel
@@ -77,8 +78,9 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
 class DepthVelocityLaw(Law):
     r"""One force on each geom, at its centre, against the velocity of the centre.
 
-    .. math::
-        F_R(z, v) = C + k z^n + B v + A v^2
+    $$
+    F_R(z, v) = C + k z^n + B v + A v^2
+    $$
 
     with z the depth of the geom's deepest point below the surface. The force acts while z > 0.
     Every model that the link paper surveys is a case of it; the named constructors are those.
@@ -118,7 +120,7 @@ class DepthVelocityLaw(Law):
     def __post_init__(self) -> None:
         for key in _KEYS:
             value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0):
+            if not (is_finite(value) and value >= 0):
                 raise InputError(
                     f"DepthVelocityLaw: {key} must be finite and not negative, not {value}"
                 )

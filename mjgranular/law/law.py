@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, fields
@@ -11,14 +11,17 @@ from typing import Any, ClassVar, Self, TypeVar
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError, UnknownNameError, shown, warn_user
+from mjgranular.given import is_finite, kind_of
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.validity import Limit
 from mjgranular.medium import Medium, get_medium
 from mjgranular.registry import Registry
 from mjgranular.surface import Surface
+from mjgranular.words import read_part
 
 laws: Registry[type[Law]] = Registry("law")
+"""Classes of laws by their names."""
 
 
 class Law(ABC):
@@ -85,7 +88,7 @@ class Law(ABC):
         parameters = np.zeros(1, np.dtype([(name, np.float64) for name in names]))
         for name in names:
             value = getattr(self, name)
-            if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+            if not is_finite(value):
                 raise InputError(
                     f"{type(self).__name__}: {name} must be a finite number, not {shown(value)}"
                 )
@@ -113,8 +116,10 @@ def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
         replace: let it take the place of another law of that name.
 
     Raises:
-        InputError: another law has that name.
+        InputError: another law has that name, or it is no class of laws.
     """
+    if not (isinstance(law, type) and issubclass(law, Law)):
+        raise InputError(f"a law is a class that derives from mjgranular.Law, not {kind_of(law)}")
     before = laws.get(law.name)
     again = before is not None and (before.__module__, before.__qualname__) == (
         law.__module__,
@@ -165,11 +170,58 @@ def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel
 def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
     """The law of that name or class with the medium's constants, its own law, or `law` itself.
 
+    A name may have parameters behind it, such as "rft3d scale=1.3": they replace the medium's
+    constants, which are not asked for where all that a law needs is given.
+
     Raises:
         UnknownNameError: no such law, or the medium has no constants for it.
+        InputError: a parameter that the law does not have, or a value of a wrong type.
     """
     if isinstance(law, Law):
         return law
     if isinstance(law, type) and issubclass(law, Law):
         return law.from_medium(medium)
-    return laws[medium.default_law if law is None else law].from_medium(medium)
+    if law is None:
+        return laws[medium.default_law].from_medium(medium)
+    cls, given = law_in(law)
+    if not given:
+        return cls.from_medium(medium)
+    known = fields(cls)  # pyright: ignore[reportArgumentType]
+    if {field.name for field in known if field.default is MISSING} <= given.keys():
+        return cls(**given)
+    made = cls.from_medium(medium)
+    return cls(**{**{field.name: getattr(made, field.name) for field in known}, **given})
+
+
+def law_in(text: str) -> tuple[type[Law], dict[str, Any]]:
+    """The class of a law that is named, and the parameters behind the name.
+
+    Raises:
+        UnknownNameError: no such law; lists those there are.
+        InputError: a parameter that the law does not have, or a value of a wrong type.
+    """
+    if not isinstance(text, str) or not text.strip():
+        return laws[text], {}  # which says what there is
+    return read_part(text, laws, "law")
+
+
+def check_constants(medium: Medium) -> None:
+    """Checks a medium's constants against the fields of the laws they are for.
+
+    A law that is not known, and resembles none, may be of somebody's own.
+
+    Raises:
+        UnknownNameError: a law whose name is misspelt.
+        InputError: a constant that the law does not have, one that it needs is missing, or a value
+            outside its range.
+    """
+    for name in medium.constants:
+        if name in laws:
+            laws[name].from_medium(medium)
+        elif difflib.get_close_matches(name, laws):
+            raise UnknownNameError("law", name, laws)
+        else:
+            warn_user(
+                f"medium {medium.name!r}: no law {name!r} is known here, so its constants are not "
+                "checked"
+            )

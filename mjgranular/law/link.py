@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.link_kernel import (
@@ -55,7 +56,7 @@ class _LinkForm(Law):
     def __post_init__(self) -> None:
         for key in LINK_KEYS:
             value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0):
+            if not (is_finite(value) and value >= 0):
                 raise InputError(
                     f"{type(self).__name__}: {key} must be finite and not negative, not {value}"
                 )
@@ -80,10 +81,11 @@ class _LinkForm(Law):
 class LinkLaw(_LinkForm):
     r"""The lumped link law: one force on each rod, at the centroid E of its immersed part.
 
-    .. math::
-        F = -\eta_d \rho_g A_r |v_E| v_E
-            - \operatorname{sign}(v_n)\, \eta_v (y_T/d)^\lambda g \rho_g V\, n
-            - \eta_h g \rho_g y_T^2 d\, v_t / |v_t|
+    $$
+    F = -\eta_d \rho_g A_r |v_E| v_E
+        - \operatorname{sign}(v_n)\, \eta_v (y_T/d)^\lambda g \rho_g V\, n
+        - \eta_h g \rho_g y_T^2 d\, v_t / |v_t|
+    $$
 
     The force passes through E: turning about E is not resisted.
 
@@ -118,11 +120,12 @@ class LinkLaw(_LinkForm):
 class DistributedLinkLaw(_LinkForm):
     r"""The link law spread along the axis: resists rotation too, and a link can come to rest.
 
-    .. math::
-        dF = -\eta_d \rho_g d\, |\sin| |v| v\, ds
-             - \operatorname{sign}(v_n) (1 + \lambda) \eta_v (y/d)^\lambda g \rho_g
-               \tfrac{\pi d^2}{4}\, n\, ds
-             - 2 \eta_h g \rho_g y\, d \cos q\, v_t / |v_t|\, ds
+    $$
+    dF = -\eta_d \rho_g d\, |u \times v| v\, ds
+         - \operatorname{sign}(v_n) (1 + \lambda) \eta_v (y/d)^\lambda g \rho_g
+           \tfrac{\pi d^2}{4}\, n\, ds
+         - 2 \eta_h g \rho_g y\, d \cos q\, v_t / |v_t|\, ds
+    $$
 
     In pure translation its sum is that of `LinkLaw`.
 

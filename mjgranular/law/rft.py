@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, vector
 from mjgranular.law.facet import facet_kernel
@@ -66,7 +67,7 @@ class RftLaw(Law):
 
     def check_options(self) -> None:
         """Refuses options without meaning."""
-        if not (math.isfinite(self.inertia) and self.inertia >= 0):
+        if not (is_finite(self.inertia) and self.inertia >= 0):
             raise InputError(
                 f"{type(self).__name__}: inertia must be finite and not negative, "
                 f"not {self.inertia}"
@@ -75,8 +76,6 @@ class RftLaw(Law):
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
     ) -> np.ndarray:
-        if resolution is None:
-            return facets_from_model(model, geoms)
         return facets_from_model(model, geoms, resolution)
 
     def kernel(self, surface: Surface) -> LawKernel:

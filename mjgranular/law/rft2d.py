@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import exponential, logarithm
 from mjgranular.kernel.vector import vector
@@ -135,12 +136,14 @@ def rft2d_slope(law, g, rise, down, lead):
 class Rft2dLaw(RftLaw):
     r"""Two-dimensional resistive force theory; out of the plane by the split of Treers et al.
 
-    .. math::
-        \\alpha_z = A_{00} + A_{10} \\cos 2\\beta + B_{11} \\sin(2\\beta + \\gamma)
-                    + B_{01} \\sin \\gamma + B_{-11} \\sin(-2\\beta + \\gamma)
-
-        \\alpha_x = C_{11} \\cos(2\\beta + \\gamma) + C_{01} \\cos \\gamma
-                    + C_{-11} \\cos(-2\\beta + \\gamma) + D_{10} \\sin 2\\beta
+    $$
+    \begin{aligned}
+    \alpha_z &= A_{00} + A_{10} \cos 2\beta + B_{11} \sin(2\beta + \gamma)
+                + B_{01} \sin \gamma + B_{-11} \sin(-2\beta + \gamma) \\
+    \alpha_x &= C_{11} \cos(2\beta + \gamma) + C_{01} \cos \gamma
+                + C_{-11} \cos(-2\beta + \gamma) + D_{10} \sin 2\beta
+    \end{aligned}
+    $$
 
     on leading elements below the surface, dF = alpha |z| dA.
 
@@ -182,11 +185,11 @@ class Rft2dLaw(RftLaw):
     def __post_init__(self) -> None:
         self.check_options()
         for key in FOURIER_KEYS:
-            if not math.isfinite(getattr(self, key)):
+            if not is_finite(getattr(self, key)):
                 raise InputError(f"Rft2dLaw: {key} must be finite, not {getattr(self, key)}")
         for key in ("density", "scale"):
             value = getattr(self, key)
-            if not (math.isfinite(value) and value >= 0):
+            if not (is_finite(value) and value >= 0):
                 raise InputError(f"Rft2dLaw: {key} must be finite and not negative, not {value}")
 
         if self.inertia > 0 and self.density == 0:

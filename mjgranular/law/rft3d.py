@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
@@ -154,12 +155,13 @@ def rft3d_slope(law, g, rise, down, lead):
 class Rft3dLaw(RftLaw):
     r"""Three-dimensional resistive force theory: any surface element, any direction.
 
-    .. math::
-        \\alpha = \\xi_n \\{ |a_n| (-n) + \\min(\\mu_s |a_n| / |a_t|, 1)\\, a_t \\},
-        \\qquad dF = \\alpha |z|\\, dA
+    $$
+    \alpha = \xi_n \{ |a_n| (-n) + \min(\mu_s |a_n| / |a_t|, 1)\, a_t \},
+    \qquad dF = \alpha |z|\, dA
+    $$
 
     on leading elements below the surface, with the generic response `a` of the direction of motion
-    and of the surface, and :math:`\\xi_n = \\rho_c g (894 \\mu^3 - 386 \\mu^2 + 89 \\mu)`.
+    and of the surface, and $\xi_n = \rho_c g (894 \mu^3 - 386 \mu^2 + 89 \mu)$.
 
     Attributes:
         density: critical bulk density rho_c [kg/m^3].
@@ -201,7 +203,7 @@ class Rft3dLaw(RftLaw):
             ("scale", 0.0, math.inf),
         ):
             value = getattr(self, key)
-            if not (math.isfinite(value) and low <= value <= high):
+            if not (is_finite(value) and low <= value <= high):
                 raise InputError(
                     f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not {value}"
                 )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import inspect
+import signal
+import warnings
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeVar
 
-from mjgranular.errors import GranularError, InputError, RenderError, UnknownNameError
+from mjgranular.errors import GranularError, GranularWarning, InputError, RenderError
 from mjgranular.extras import need
 from mjgranular.learn import refine
 
@@ -20,36 +22,12 @@ def find_spec(env_id: str) -> Any:
     """Facts that Gymnasium knows of an environment.
 
     Raises:
-        UnknownNameError: there is none of that id; lists those of mjgranular and similar ones.
+        UnknownNameError: there is none of that id, or of a module before its colon.
+        InputError: that module cannot be imported.
         MissingExtraError: Gymnasium is not installed.
     """
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
-    importlib.import_module("mjgranular.envs")  # makes its ids known
-    try:
-        if ":" not in env_id:
-            return gym.spec(env_id)
-        module, _, name = env_id.partition(":")
-        _import(module, env_id)
-        return gym.spec(name)
-    except gym.error.Error:
-        known = sorted(gym.registry)
-        ours = [name for name in known if name.startswith("mjgranular/")]
-        close = difflib.get_close_matches(env_id, known, n=5, cutoff=0.5)
-        raise UnknownNameError(
-            "environment", env_id, [*ours, *(name for name in close if name not in ours)]
-        ) from None
-
-
-def _import(module: str, env_id: str) -> None:
-    try:
-        need(module, extra="train", purpose=f"The environment {env_id}")
-    except GranularError:
-        raise
-    except Exception as error:  # it is anybody's module
-        raise InputError(
-            f"the module {module!r} of the environment {env_id} cannot be imported: "
-            f"{type(error).__name__}: {' '.join(str(error).split())}"
-        ) from error
+    need("gymnasium", extra="train", purpose=_PURPOSE)
+    return importlib.import_module("mjgranular.envs.known").find_spec(env_id)
 
 
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
@@ -73,9 +51,24 @@ def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
     )
 
 
-def for_training(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
-    """Several environments as a `VecEnv` of Stable-Baselines3, which reports finished episodes."""
+def for_training(
+    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, processes: bool = False
+) -> Any:
+    """Several environments as a `VecEnv` of Stable-Baselines3, which reports finished episodes.
+
+    Args:
+        env_id: Gymnasium's.
+        arguments: of the environment.
+        num_envs: how many.
+        processes: whether each is stepped in a process of its own.
+
+    Raises:
+        InputError: the arguments are not the environment's, or processes are asked for where
+            environments step in one batch.
+    """
     need("stable_baselines3", extra="train", purpose="Training a policy")
+    if processes:
+        return _in_processes(env_id, arguments, num_envs)
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecMonitor
 
@@ -88,6 +81,27 @@ def for_training(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) ->
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
     env = _made(env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **given))
     return VecMonitor(env)
+
+
+def _in_processes(env_id: str, arguments: Mapping[str, Any], num_envs: int) -> Any:
+    """A process for each environment; they are given names and make all that they need anew."""
+    from stable_baselines3.common.vec_env import SubprocVecEnv
+
+    if _has_vector_form(env_id):
+        raise InputError(f"{env_id} steps in a batch on all cores: leave processes away")
+    # Started anew rather than forked: MuJoCo and numba may hold threads and locks.
+    make = partial(_monitored, env_id, dict(arguments))
+    return SubprocVecEnv([make] * num_envs, start_method="spawn")
+
+
+def _monitored(env_id: str, arguments: Mapping[str, Any]) -> Any:
+    """One environment of a process of its own, which reports finished episodes."""
+    from stable_baselines3.common.monitor import Monitor
+
+    # Ctrl-C reaches all processes: the one that trains says when to end.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore", GranularWarning)  # said once, by the one that trains
+    return Monitor(one(env_id, arguments))
 
 
 def for_filming(

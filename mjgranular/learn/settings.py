@@ -50,6 +50,8 @@ class Settings:
         algorithm: ppo, sac or td3, those of Stable-Baselines3.
         total_steps: steps of all environments together.
         num_envs: environments that are stepped together.
+        processes: whether each of them is stepped in a process of its own; for environments that
+            have no batch of mjgranular's.
         net: widths of the hidden layers, of the policy and of what judges it.
         activation: between layers: tanh, relu or elu.
         normalize_observations: by their running mean and variance, which are saved with the policy.
@@ -64,6 +66,7 @@ class Settings:
     algorithm: str
     total_steps: int
     num_envs: int
+    processes: bool = False
     net: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
     normalize_observations: bool = True
@@ -90,7 +93,7 @@ class Settings:
                 )
         if self.num_envs > _MOST_ENVS:
             raise InputError(f"num_envs must be at most {_MOST_ENVS}, not {self.num_envs}")
-        for name in ("normalize_observations", "normalize_rewards"):
+        for name in ("processes", "normalize_observations", "normalize_rewards"):
             if not isinstance(getattr(self, name), bool):
                 raise InputError(f"{name} must be true or false, not {shown(getattr(self, name))}")
         if not isinstance(self.net, tuple) or not all(

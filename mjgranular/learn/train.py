@@ -140,7 +140,10 @@ def _environments(run: Run) -> Any:
 
     settings = run.settings
     env = environments.for_training(
-        run.environment, settings.environment, num_envs=settings.num_envs
+        run.environment,
+        settings.environment,
+        num_envs=settings.num_envs,
+        processes=settings.processes,
     )
     if not isinstance(env.observation_space, spaces.Box):
         env.close()

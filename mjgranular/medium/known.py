@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import kind_of
 from mjgranular.medium.file import read_medium
 from mjgranular.medium.medium import Medium
 from mjgranular.registry import Registry
 
 media: Registry[Medium] = Registry("medium")
+"""Media by their names."""
 
 
 def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
     """Makes a medium known by its name, everywhere a name of a medium is taken.
 
     Raises:
-        InputError: another medium has that name and `replace` is false.
+        InputError: another medium has that name and `replace` is false, or it is no medium.
     """
+    if not isinstance(medium, Medium):
+        raise InputError(
+            f"register_medium takes a Medium, not {kind_of(medium)}; read_medium makes one of a "
+            "YAML file"
+        )
     media.add(medium.name, medium, replace=replace)
     return medium
 
@@ -34,4 +42,6 @@ def get_medium(medium: str | Path | Medium) -> Medium:
         return medium
     if isinstance(medium, Path) or str(medium).endswith((".yaml", ".yml")):
         return read_medium(Path(medium))
+    if isinstance(medium, str) and medium not in media and Path(medium).suffix:
+        raise UnknownNameError("medium", medium, media, "a medium's file ends in .yaml or .yml")
     return media[medium]

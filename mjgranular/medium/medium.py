@@ -6,7 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mjgranular.errors import InputError, UnknownNameError, listed, one_line, shown
+from mjgranular.given import kind_of
 from mjgranular.tables import html_table
 
 # From snow to tungsten powder, from dust to gravel: what lies outside is a slip of units.
@@ -27,6 +30,10 @@ class Quantity:
     value: float
     unit: str
     source: str
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.value, (int, float, np.number)):
+            raise InputError(f"a quantity's value is a number, not {shown(self.value)}")
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,12 @@ class Medium:
 
     def __post_init__(self) -> None:
         medium = f"medium {shown(self.name)}"
+        for value in (self.density, *([] if self.grain is None else [self.grain])):
+            if not isinstance(value, Quantity):
+                raise InputError(
+                    f"{medium}: density and grain are each a Quantity(value, unit, source), not "
+                    f"{kind_of(value)}"
+                )
         low, high = _DENSITIES
         if not (math.isfinite(self.density.value) and low <= self.density.value <= high):
             raise InputError(
@@ -69,6 +82,11 @@ class Medium:
             )
         for law, constants in self.constants.items():
             for key, quantity in constants.items():
+                if not isinstance(quantity, Quantity):
+                    raise InputError(
+                        f"{medium}: {law}.{key} is a Quantity(value, unit, source), not "
+                        f"{kind_of(quantity)}"
+                    )
                 if not math.isfinite(quantity.value):
                     raise InputError(f"{medium}: {law}.{key} must be finite, not {quantity.value}")
         if self.default_law not in self.constants:
@@ -106,6 +124,9 @@ class Medium:
             constants = self.constants[law]
         except KeyError:
             raise UnknownNameError(
-                f"constants in medium {shown(self.name)} for law", law, sorted(self.constants)
+                f"constants in medium {shown(self.name)} for law",
+                law,
+                sorted(self.constants),
+                guess=False,
             ) from None
         return {key: quantity.value for key, quantity in constants.items()}

@@ -417,7 +417,7 @@ def _facet_corners(facets: np.ndarray) -> np.ndarray:
 def _half_edges(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Facets that are drawn as parallelograms, shape (n,), and their half edges, shape (m, 2, 3).
 
-    The edges are scaled to the facets' areas. A triangle of a mesh has none, a patch that is hidden
+    The edges are scaled to the facets' areas. A triangle by itself has none, a patch that is hidden
     but for a strip hardly any: those are drawn as discs.
     """
     if "edges" not in (facets.dtype.names or ()):

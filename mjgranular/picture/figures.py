@@ -125,7 +125,9 @@ def draw_drop(
     *,
     title: str = "",
 ) -> None:
-    """Depth, force and power of each body that met the sand, against time.
+    """Depth, force and power of the bodies that met the sand, against time.
+
+    Of many those with the largest forces are drawn.
 
     Args:
         path: of the picture.
@@ -139,7 +141,9 @@ def draw_drop(
     figure, context = figure_of_size(6.8, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
     met = [k for k in range(len(names)) if depth[:, k].max() > 0] or list(range(len(names)))
-    for k in met[:_MOST_CURVES]:
+    greatest = np.linalg.norm(force, axis=2).max(axis=0)
+    strongest = sorted(met, key=lambda k: -greatest[k])[:_MOST_CURVES]
+    for k in sorted(strongest):
         axes[0].plot(t, depth[:, k] * 1e3, label=plain(names[k]), linewidth=1.2)
         axes[1].plot(t, np.linalg.norm(force[:, k], axis=1), linewidth=1.0)
         axes[2].plot(t, power[:, k], linewidth=1.0)
@@ -151,7 +155,7 @@ def draw_drop(
     axes[2].set_xlabel("time [s]")
     axes[0].legend(fontsize=8, ncols=2)
     if len(met) > _MOST_CURVES:
-        title += f" (the first {_MOST_CURVES} of {len(met)} bodies)"
+        title += f"\n(the {_MOST_CURVES} bodies with the largest forces, of {len(met)} in the sand)"
     figure.suptitle(plain(title))
     save_figure(figure, context, path)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.experiment.drop import DropResult, load
+from mjgranular.experiment.drop import DropResult, load, surface_drawn
 from mjgranular.experiment.impact import ImpactResult
 from mjgranular.extras import need
 from mjgranular.given import kind_of
@@ -30,7 +30,7 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
         model, _ = load(film.drop)
         motion = Motion(film.t, film.qpos, film.point, film.force)
-        return list(frames_of_model(options, model, motion)[1])
+        return list(frames_of_model(options, model, motion, surface_drawn(film.drop))[1])
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)
         stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time

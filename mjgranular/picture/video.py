@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +15,19 @@ from mjgranular.errors import InputError, RenderError, UnknownNameError
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
 from mjgranular.files import whole
+from mjgranular.look import PlaneLook, boxes_of, moving_geoms
 from mjgranular.models import Link
+from mjgranular.surface import Plane, Surface
 
 _ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
 _PURPOSE = "Writing a video"
 _LONGEST = 3600.0  # film [s]
+# Chosen by looking and by the clock: software draws at a rate of so many samples a second.
+_SAMPLES = 2  # of a pixel
+_STILL = 5e-4  # of what is in view: a motion that no picture shows
+_INSTANTS = 16  # at which it is looked where the model is
+_MARGIN = 1.1  # around what is in view
+_ARROWS = 0.5  # of what is in view is the longest arrow
 
 
 @dataclass(frozen=True)
@@ -36,8 +45,8 @@ class Film:
     """
 
     camera: str = "side"
-    width: int = 800
-    height: int = 600
+    width: int = 640
+    height: int = 480
     fps: int = 30
     seconds: float = 5.0
     hold: float = 1.0
@@ -161,15 +170,27 @@ class Motion:
     force: np.ndarray
 
 
+def check_camera(model: mujoco.MjModel, camera: str) -> None:
+    """Refuses a camera that a model does not have.
+
+    Raises:
+        UnknownNameError: lists the cameras there are.
+    """
+    known = [model.camera(c).name for c in range(model.ncam)]
+    if camera not in ("free", *known):
+        raise UnknownNameError("camera", camera, ["free", *known])
+
+
 def frames_of_model(
-    film: Film, model: mujoco.MjModel, motion: Motion
+    film: Film, model: mujoco.MjModel, motion: Motion, surface: Surface | None = None
 ) -> tuple[int, Iterator[np.ndarray]]:
     """The pictures of a run of any model, at the speed of life or slower to fill the film.
 
     Args:
-        film: how it is filmed; `camera` may be "free", which frames the whole model.
+        film: how it is filmed; `camera` may be "free", which has the whole run in view.
         model: the model.
         motion: the run.
+        surface: of the sand; a plane is drawn, others are geoms. None for none to be drawn.
 
     Returns:
         Their number, and the pictures, shape (height, width, 3), uint8.
@@ -179,49 +200,60 @@ def frames_of_model(
         UnknownNameError: no such camera.
         RenderError: MuJoCo cannot draw on this machine, says what to install.
     """
-    known = [model.camera(c).name for c in range(model.ncam)]
-    if film.camera != "free" and film.camera not in known:
-        raise UnknownNameError("camera", film.camera, ["free", *known])
+    check_camera(model, film.camera)
     span = float(motion.t[-1] - motion.t[0])
     if span > _LONGEST:
         raise InputError(f"a film of the run's {span:g} s would be longer than {_LONGEST:g} s")
     seconds = max(film.seconds, span)
     count = max(2, round(seconds * film.fps))
-    return count, _draw_model(film, model, motion, count, seconds / span if span else 1.0)
+    slower = seconds / span if span else 1.0
+    return count, _draw_model(film, model, motion, surface, count, slower)
 
 
 def _draw_model(
-    film: Film, model: mujoco.MjModel, motion: Motion, count: int, slower: float
+    film: Film,
+    model: mujoco.MjModel,
+    motion: Motion,
+    surface: Surface | None,
+    count: int,
+    slower: float,
 ) -> Iterator[np.ndarray]:
-    model.vis.global_.offwidth = max(model.vis.global_.offwidth, film.width)
-    model.vis.global_.offheight = max(model.vis.global_.offheight, film.height)
     data = mujoco.MjData(model)
-    camera = film.camera if film.camera != "free" else _framing(model, data, motion)
+    view = View.of(model, data, motion.qpos)
+    camera = view.camera(model, film) if film.camera == "free" else film.camera
+    ground = _Ground(model, surface, view)
     greatest = float(np.linalg.norm(motion.force, axis=2).max())
-    reach = _reach(model, data, motion)
-    scale = 0.35 * reach / max(greatest, 1e-300)
+    scale = _ARROWS * view.radius / max(greatest, 1e-300)
     caption = _Captions(film)
     renderer = _renderer(model, film)
+    shown, picture = np.zeros(0), np.zeros(0)
     try:
         for time in np.linspace(motion.t[0], motion.t[-1], count):
             k = int(np.searchsorted(motion.t, time, side="right")) - 1
             data.qpos[:] = _between(model, motion, k, float(time))
             mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
-            renderer.update_scene(data, camera=camera)
-            total = np.zeros(3)
-            for point, force in zip(motion.point[k], motion.force[k], strict=True):
-                total += force
-                if scale * np.linalg.norm(force) > 0.01 * reach:
-                    _add_arrow(renderer.scene, point, point + scale * force, 0.012 * reach)
+            arrows = scale * motion.force[k]
+            seen = np.linalg.norm(arrows, axis=1) > 0.02 * view.radius
+            tips = motion.point[k] + arrows * seen[:, None]
+            now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), tips])
+            # What stands still is drawn once.
+            if not shown.size or np.abs(now - shown).max() > _STILL * view.radius:
+                renderer.update_scene(data, camera=camera)
+                ground.show(renderer.scene)
+                for point, tip in zip(motion.point[k][seen], tips[seen], strict=True):
+                    _add_arrow(renderer.scene, point, tip, 0.016 * view.radius)
+                shown, picture = now, renderer.render()
+            total = motion.force[k].sum(axis=0)
             lines = (
                 f"t = {time:.3f} s",
                 f"force of the sand = {np.linalg.norm(total):.0f} N",
                 "at the speed of life"
-                if slower <= 1.0
+                if slower < 1.05
                 else f"{_two_digits(slower)} times slower than life",
             )
-            yield caption.put(renderer.render(), lines)
+            yield caption.put(picture, lines)
     finally:
         renderer.close()
 
@@ -237,35 +269,67 @@ def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.n
     return qpos
 
 
-def _bodies_seen(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> np.ndarray:
-    """Positions of the moving bodies at some instants of the run [m], shape (n, 3)."""
-    seen = []
-    for qpos in motion.qpos[:: max(1, len(motion.qpos) // 8)]:
-        data.qpos[:] = qpos
-        mujoco.mj_kinematics(model, data)
-        seen.append(data.xpos[1:].copy())
-    return np.concatenate(seen)
+@dataclass(frozen=True)
+class View:
+    """A ball around all that moves and is seen, over a whole run.
+
+    Attributes:
+        middle: [m], shape (3,).
+        radius: [m].
+    """
+
+    middle: np.ndarray
+    radius: float
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> View:
+        """Of a run through these positions, shape (n, nq); `data` is changed."""
+        geoms = moving_geoms(model)
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for row in qpos[:: max(1, len(qpos) // _INSTANTS)]:
+            data.qpos[:] = row
+            mujoco.mj_kinematics(model, data)
+            lowest, highest = boxes_of(model, data, geoms)
+            low = np.minimum(low, lowest.min(axis=0))
+            high = np.maximum(high, highest.max(axis=0))
+        return cls((low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6))
+
+    def camera(self, model: mujoco.MjModel, film: Film) -> mujoco.MjvCamera:
+        """A free camera that has it in view, a little from above."""
+        angle = math.radians(model.vis.global_.fovy) / 2
+        angle = min(angle, math.atan(math.tan(angle) * film.width / film.height))
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = self.middle
+        camera.distance = _MARGIN * self.radius / math.sin(angle)
+        camera.azimuth, camera.elevation = 120.0, -18.0
+        return camera
 
 
-def _reach(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> float:
-    """Size of what moves [m]: spread of the bodies and of their geoms."""
-    seen = _bodies_seen(model, data, motion)
-    moving = model.geom_bodyid != 0
-    bounds = model.geom_rbound[moving]
-    return float(np.ptp(seen, axis=0).max() / 2 + (bounds.max() if len(bounds) else 0.1))
+class _Ground:
+    """The sand in a scene."""
 
+    def __init__(self, model: mujoco.MjModel, surface: Surface | None, view: View) -> None:
+        self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
+        if isinstance(surface, Plane):
+            self._plane = surface
+            self._look = PlaneLook.of(model, surface.normal, surface.offset, view.radius)
+        elif surface is not None:
+            self._geoms = surface.geoms(model)
 
-def _framing(model: mujoco.MjModel, data: mujoco.MjData, motion: Motion) -> mujoco.MjvCamera:
-    """A free camera that has the whole run in view, a little from above."""
-    seen = _bodies_seen(model, data, motion)
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = (seen.min(axis=0) + seen.max(axis=0)) / 2
-    camera.distance = 4.0 * _reach(model, data, motion)
-    camera.azimuth, camera.elevation = 120.0, -18.0
-    return camera
+    def show(self, scene: mujoco.MjvScene) -> None:
+        """Adds a plane; keeps a geom that is sand from casting shadows, which would speckle it."""
+        if self._look is not None and self._plane is not None:
+            self._look.add(scene, self._plane.normal, self._plane.offset, self._middle)
+        if self._geoms:
+            for geom in scene.geoms[: scene.ngeom]:
+                if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._geoms:
+                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
 
 
 def _renderer(model: mujoco.MjModel, film: Film) -> Any:
+    # As large as the picture and no larger: MuJoCo's buffer is worked through as a whole.
+    model.vis.global_.offwidth, model.vis.global_.offheight = film.width, film.height
+    model.vis.quality.offsamples = min(model.vis.quality.offsamples, _SAMPLES)
     try:
         return mujoco.Renderer(model, film.height, film.width)
     except Exception as error:  # every platform's GL fails in a way of its own

@@ -8,6 +8,7 @@ from typing import Any
 
 from mjgranular.errors import InputError, shown
 from mjgranular.relief.grid import state_size
+from mjgranular.words import read_options, read_value, split_words
 
 REPOSE = math.radians(32)
 """Angle of repose of dry sand [rad]. Chosen within the published range of 29 to 35 degrees
@@ -96,17 +97,27 @@ class Memory:
 
 
 def as_memory(memory: Any) -> Memory | None:
-    """A memory as it may be given: a `Memory`, the side of a cell [m], True, None or False.
+    """A memory as it may be given.
+
+    Args:
+        memory: a `Memory`; the side of a cell [m]; True for one of defaults; words such as
+            "cell=0.01 extent=4", "0.01" and "true", as MJCF and the command line have them; None or
+            False for none.
 
     Raises:
         InputError: it is none of these.
     """
     if memory is None or memory is False:
         return None
-    if memory is True:
+    if memory is True or memory == "true":
         return Memory()
-    if isinstance(memory, (int, float)):
-        return Memory(cell=float(memory))
     if isinstance(memory, Memory):
         return memory
+    if isinstance(memory, (int, float)):
+        return Memory(cell=float(memory))
+    if isinstance(memory, str):
+        words = split_words(memory)
+        if len(words) == 1 and "=" not in words[0]:
+            return Memory(cell=read_value(words[0], float, "memory, the side of a cell,"))
+        return Memory(**read_options(words, Memory, "memory"))
     raise InputError(f"memory is a Memory, the side of a cell [m] or True, not {shown(memory)}")

@@ -18,7 +18,7 @@ from mjgranular.surface import Bed, HeightField, Plane, Surface
 SLACK = 0.1
 """Depth of what stands in its print below the sand that it has pressed down [cells]. Chosen."""
 
-FLOWS_AT = 0.96
+FLOWS_AT = 0.95
 """Share of the tangent of repose at which sand flows between neighbours: eight directions allow a
 slope that is up to 8 % steeper between them. Chosen so that both lie about the angle alike."""
 
@@ -95,12 +95,6 @@ class Relief(Surface):
         relief["size"], relief["blocks"] = memory.size, memory.blocks(self.surroundings)
         return relief
 
-    def place_of(self, model: mujoco.MjModel, point: np.ndarray) -> tuple[float, float]:
-        """The place of a point [m], world, along the axes of the plane that heights are over."""
-        frame = frame_of(self.base, self.base.record(model)[0])
-        away = point - frame["origin"]
-        return float(away @ frame["along"]), float(away @ frame["across"])
-
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
         return self.base.geoms(model)
 
@@ -146,3 +140,12 @@ def frame_of(surface: Surface, record: Any) -> dict[str, Any]:
         "half_along": record["half_x"],
         "half_across": record["half_y"],
     }
+
+
+def place_in_plane(
+    surface: Surface, model: mujoco.MjModel, point: np.ndarray
+) -> tuple[float, float]:
+    """The place of a point [m], world, along the axes of the plane that heights are over."""
+    frame = frame_of(surface, surface.record(model)[0])
+    away = point - frame["origin"]
+    return float(away @ frame["along"]), float(away @ frame["across"])

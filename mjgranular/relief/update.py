@@ -61,7 +61,7 @@ from mjgranular.surface import Surface
 _points, _feet = records(POINT_DTYPE), records(FOOT_DTYPE)
 
 _FACES_DOWN = -math.sqrt(1.0 - STEEP * STEEP)  # the normal's part along that of the sand
-_REST = 1e-2  # height that may be left over the angle of repose [cells]: 0.4 degrees; chosen
+_REST = 5e-3  # height that may be left over the angle of repose [cells]: 0.2 degrees; chosen
 # Time that goes by until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for
 # cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with less, prints
 # and slopes are the same.

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError, listed
-from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, get_law, laws
+from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, get_law, law_in, laws
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.spec import SandSpec
@@ -66,7 +66,7 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
         if error.kind == "law" or not others:
             raise
         hint = f"media with constants for it: {listed(others)}"
-        raise UnknownNameError(error.kind, error.name, error.known, hint) from None
+        raise UnknownNameError(error.kind, error.name, error.known, hint, guess=False) from None
 
 
 def medium_for(law: str | Law | type[Law]) -> Medium:
@@ -76,7 +76,7 @@ def medium_for(law: str | Law | type[Law]) -> Medium:
         UnknownNameError: no such law; lists those there are.
     """
     if isinstance(law, str):
-        law = laws[law]
+        law, _ = law_in(law)
     kind = type(law) if isinstance(law, Law) else law
     first = (MEDIUM_OF_LINKS, MEDIUM_OF_BODIES)
     for name in (*first, *(name for name in media if name not in first)):

@@ -16,7 +16,9 @@ from mjgranular.relief.footprint import Footprint, footprint_of, surroundings_of
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.relief import Relief
 from mjgranular.relief.update import update_program
+from mjgranular.sand.cost import warn_of_cost
 from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.points import warn_of_points
 from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
@@ -88,6 +90,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     replaced = replace_geoms(model, spec.instead_of)
     warn_of_floors(model, geoms, surface)
     warn_of_ranges(model, geoms, law, surface)
+    warn_of_points(model, geoms, spec)
     elements = elements_of(model, geoms, law, spec.resolution)
     scheme = scheme.scheme_for(model, len(elements))
     scheme.check(model)
@@ -95,6 +98,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     if memory is not None:
         surface = Relief(surface, memory, surroundings_of(model, geoms, memory))
         footprint = footprint_of(model, geoms, elements, memory.cell)
+    warn_of_cost(elements, spec.resolution, scheme)
     scene = make_scene(law, medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data

@@ -21,7 +21,7 @@ from mjgranular.medium import Medium
 from mjgranular.relief.grid import TIME
 from mjgranular.relief.heights import Heights, heights_of
 from mjgranular.relief.memory import Memory
-from mjgranular.relief.relief import Relief
+from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.changes import Original, warn_of_missed_steps
 from mjgranular.sand.guard import finish_step, guarded_step
@@ -43,7 +43,7 @@ _POSTURE = int(
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )
 _WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_NOBODY: tuple[Callable[[], mujoco.MjData | None], int] = (lambda: None, 0)
+_NOBODY: tuple[Callable[[], object], int] = (object, 0)  # is no data, None included
 
 
 class Sand:
@@ -246,7 +246,7 @@ class Sand:
         state = self._bindings[data].state
         if middle is None:
             places = data.xpos[np.unique(self._sand.elements["body"])]
-            middle = surface.place_of(self._model, places.mean(axis=0))
+            middle = place_in_plane(surface.base, self._model, places.mean(axis=0))
         return heights_of(state, surface.memory, middle)
 
     def copy_memory(self, origin: mujoco.MjData, to: mujoco.MjData) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypedDict
 
-from mjgranular.errors import InputError, shown
+from mjgranular.errors import InputError, UnknownArgumentError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief import Memory
@@ -28,35 +28,38 @@ class SandSpec:
         medium: a medium, its name, or a YAML file (`medium.file`); None for one that has constants
             for the law or, where there is no law either, for the bodies: `play_sand` with the link
             law if all are slender links, `quikrete_medium` with `rft3d` else (`sand.material`).
-        law: how it resists: a law, its name, or None for the medium's own.
-        surface: where it is; None for the plane z = 0.
-        scheme: how forces become a step: a scheme or its name. "auto" takes `Implicit`, but
-            `Explicit` for fine time steps (`scheme.auto`).
+        law: how it resists: a law, its name, with parameters that differ from the medium's behind
+            it ("rft3d scale=1.3"), or None for the medium's own.
+        surface: where it is, also in words ("plane height=0.1"); None for the plane z = 0.
+        scheme: how forces become a step: a scheme or its name, with options behind it. "auto" takes
+            `Implicit`, but `Explicit` for fine time steps (`scheme.auto`).
         bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
             or "all".
         geoms: names or numbers of the geoms that meet the sand; or "all".
-        groups: geom groups whose collision geoms meet the sand, those of bodies that can move. What
-            `bodies`, `geoms` and `groups` name is taken together; with none of them, as with "all",
-            every collision geom of every body that can move.
+        groups: geom groups whose collision geoms meet the sand, those of bodies that can move; of a
+            group in which none collides, all. What `bodies`, `geoms` and `groups` name is taken
+            together; with none of them, as with "all", every collision geom of every body that can
+            move.
         resolution: how finely geoms are cut into elements, in the law's own measure; None for its
             default.
         instead_of: names or numbers of geoms that the sand replaces, such as the model's own floor.
             They must be fixed to the world. Their contacts are switched off in the model; what is
             drawn stays.
         memory: how the sand remembers what has been pressed down: a `Memory`, the side of a cell
-            [m], or True for one of defaults; None for sand that closes behind what has passed.
+            [m], words such as "cell=0.01 extent=4", or True for one of defaults; None for sand that
+            closes behind what has passed.
     """
 
     medium: str | Path | Medium | None = None
     law: str | Law | None = None
-    surface: Surface | None = None
+    surface: Surface | str | None = None
     scheme: str | SchemeChoice = "auto"
     bodies: Choice = None
     geoms: Choice = None
     groups: Sequence[int] | int | None = None
     resolution: int | None = None
     instead_of: Choice = None
-    memory: Memory | float | bool | None = None
+    memory: Memory | float | bool | str | None = None
 
     def __repr__(self) -> str:
         """Short: what differs from the defaults."""
@@ -70,14 +73,14 @@ class SandFields(TypedDict, total=False):
 
     medium: str | Path | Medium | None
     law: str | Law | None
-    surface: Surface | None
+    surface: Surface | str | None
     scheme: str | SchemeChoice
     bodies: Choice
     geoms: Choice
     groups: Sequence[int] | int | None
     resolution: int | None
     instead_of: Choice
-    memory: Memory | float | bool | None
+    memory: Memory | float | bool | str | None
 
 
 SAND_FIELDS = tuple(field.name for field in fields(SandSpec))
@@ -98,11 +101,15 @@ def combined(spec: SandSpec | None, given: SandFields | None = None) -> SandSpec
 
     Raises:
         InputError: `spec` is something else.
+        UnknownArgumentError: a field that a sand does not have; lists those it has.
     """
     if spec is not None and not isinstance(spec, SandSpec):
         raise InputError(
             f"sand is described by a SandSpec, not by {shown(spec)}; fields of one are given by "
             "name, such as medium='play_sand'"
         )
+    for name in given or {}:
+        if name not in SAND_FIELDS:
+            raise UnknownArgumentError("a sand", name, SAND_FIELDS)
     own: Any = {} if spec is None else {name: getattr(spec, name) for name in SAND_FIELDS}
     return SandSpec(**{**own, **(given or {})})

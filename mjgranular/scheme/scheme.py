@@ -15,8 +15,10 @@ from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
 from mjgranular.registry import Registry
 from mjgranular.scheme.status import refusal
+from mjgranular.words import read_part
 
 schemes: Registry[type[SchemeChoice]] = Registry("scheme")
+"""Classes of schemes by their names."""
 
 STEP = "int64(int64, float64)"
 """Signature of the program of a scheme."""
@@ -132,14 +134,22 @@ class Scheme(SchemeChoice):
 
 
 def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
-    """The scheme of that name or class with its default options, or `scheme` itself.
+    """The scheme of that name or class, or `scheme` itself.
+
+    A name may have options behind it, such as "implicit evaluations=9"; others are the defaults.
 
     Raises:
         UnknownNameError: no such scheme; lists those that exist.
+        InputError: an option that the scheme does not have, or a value of a wrong type.
     """
     if isinstance(scheme, type) and issubclass(scheme, SchemeChoice):
         return scheme()
-    return scheme if isinstance(scheme, SchemeChoice) else schemes[scheme]()
+    if isinstance(scheme, SchemeChoice):
+        return scheme
+    if not isinstance(scheme, str) or not scheme.strip():
+        return schemes[scheme]()
+    cls, given = read_part(scheme, schemes, "scheme")
+    return cls(**given)
 
 
 def refuse_runge_kutta(model: mujoco.MjModel) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Literal
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, warn_user
-from mjgranular.shape import tessellation
+from mjgranular.errors import InputError
+from mjgranular.shape import patches, tessellation
+from mjgranular.shape.budget import resolutions
+from mjgranular.shape.meshes import mesh_corners
 from mjgranular.shape.sizes import (
     check_count,
     check_resolution,
@@ -38,11 +39,6 @@ FACET_DTYPE = np.dtype(
     ]
 )
 
-RESOLUTION = 12
-"""Rings from pole to pole of a round geom; other parts of a skin in a measured proportion. The
-smallest with which the total force on every primitive that was tried is within 2 % of that on a
-fine mesh (tests/test_facets.py, docs/shapes.md)."""
-
 FINEST = 200
 """Largest resolution. Chosen: a sphere has 51 000 facets then, far more than accuracy asks for, and
 takes 0.9 GB while it is cut; both go with the square of the resolution."""
@@ -59,22 +55,25 @@ _GEOM = mujoco.mjtGeom
 def facets_from_model(
     model: mujoco.MjModel,
     geoms: Sequence[int],
-    resolution: int = RESOLUTION,
+    resolution: int | None = None,
     *,
     hidden: Literal["drop", "keep"] = "drop",
+    meshes: Literal["patches", "triangles"] = "patches",
 ) -> np.ndarray:
     """Cuts geoms into facets.
 
-    Capsule, sphere, cylinder, ellipsoid and box are cut into patches of their true skin; a mesh
-    gives its own triangles, whether it is convex or not.
+    Capsule, sphere, cylinder, ellipsoid and box are cut into patches of their true skin; the
+    triangles of a mesh, convex or not, are gathered into patches (`shape.patches`).
 
     Args:
         model: the model.
         geoms: geom ids.
         resolution: rings from pole to pole of a round geom, patches around half of a cylinder, and
-            three times the number along a box's longest edge.
+            three times the number along a box's longest edge; a mesh has at most twice its square.
+            None for 12, and less of small geoms where there are many (`shape.budget`).
         hidden: what becomes of skin that no grain can touch, since it lies inside another of the
             geoms (`hidden_skin`): a patch keeps what is seen of it, or all.
+        meshes: what a mesh gives: patches, or its own triangles, to compare with.
 
     Returns:
         Facets, ordered by body, shape (n,), dtype `FACET_DTYPE`.
@@ -88,18 +87,33 @@ def facets_from_model(
         GranularWarning: a mesh is not watertight, says how many open edges it has; or is inside
             out, and then is turned round.
     """
-    resolution = check_resolution(resolution, 2, FINEST)
     ordered = sorted(set(geoms), key=lambda g: (int(model.geom_bodyid[g]), g))
+    if resolution is None:
+        rings = resolutions(model, ordered)
+    else:
+        rings = [check_resolution(resolution, 2, FINEST)] * len(ordered)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     slots: dict[int, int] = {}
     parts = []
     count = 0
-    for geom in ordered:  # one skin at a time: the cells of all would fill the memory
-        skin = _skin(model, geom, resolution)
-        if hidden == "drop":
-            skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
-        facets = skin.gathered()
+    # One skin at a time: the cells of all would fill the memory.
+    for geom, fine in zip(ordered, rings, strict=True):
+        if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
+            corners = mesh_corners(model, geom)
+            if meshes == "patches":
+                corners = patches.pieces(corners, fine)
+            if hidden == "drop":
+                skin = tessellation.triangles(corners)
+                corners = corners[~hidden_skin(model, data, geom, skin, ordered)]
+            facets = (
+                patches.gathered(corners, fine) if meshes == "patches" else patches.single(corners)
+            )
+        else:
+            skin = _skin(model, geom, fine)
+            if hidden == "drop":
+                skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
+            facets = skin.gathered()
         count += len(facets)
         check_count(count)
         part = np.zeros(len(facets), FACET_DTYPE)
@@ -204,8 +218,6 @@ def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
 
 def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
     kind = int(model.geom_type[geom])
-    if kind == _GEOM.mjGEOM_MESH:
-        return _mesh_skin(model, geom)
     shapes = {
         _GEOM.mjGEOM_SPHERE: lambda s: tessellation.ellipsoid((s[0], s[0], s[0]), resolution),
         _GEOM.mjGEOM_ELLIPSOID: lambda s: tessellation.ellipsoid((s[0], s[1], s[2]), resolution),
@@ -222,42 +234,3 @@ def _skin(model: mujoco.MjModel, geom: int, resolution: int) -> Cells:
         )
     check_size(model, geom)
     return shape(model.geom_size[geom])
-
-
-def _mesh_skin(model: mujoco.MjModel, geom: int) -> Cells:
-    mesh = int(model.geom_dataid[geom])
-    if mesh < 0 or model.mesh_facenum[mesh] == 0:
-        raise InputError(f"the mesh of geom {geom_name(model, geom)} has no faces")
-    check_size(model, geom, flat=True)
-    first = int(model.mesh_vertadr[mesh])
-    vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
-    start = int(model.mesh_faceadr[mesh])
-    faces = model.mesh_face[start : start + int(model.mesh_facenum[mesh])]
-    gaps = open_edges(vertices, faces)
-    if gaps:
-        warn_user(
-            f"the mesh of geom {geom_name(model, geom)} is not watertight, it has {gaps} open "
-            "edges: its faces act as they are, each on its outer side"
-        )
-    skin = tessellation.triangles(vertices[faces])
-    if not skin.vectors.any():
-        raise InputError(f"the mesh of geom {geom_name(model, geom)} has no face with an area")
-    if not gaps and (skin.points * skin.vectors).sum() < 0:
-        warn_user(
-            f"the mesh of geom {geom_name(model, geom)} is inside out: its faces are turned round"
-        )
-        return replace(skin, vectors=-skin.vectors)
-    return skin
-
-
-def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """Number of edges of a triangle mesh that do not belong to two faces.
-
-    Vertices at the same place count as one: MuJoCo splits vertices where normals or textures do.
-    """
-    _, merged = np.unique(vertices, axis=0, return_inverse=True)
-    corners = merged.reshape(-1)[faces]
-    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    _, counts = np.unique(edges, axis=0, return_counts=True)
-    return int((counts % 2 == 1).sum())

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import kind_of
 from mjgranular.names import name_of
 
 Choice = Sequence[str | int] | str | int | None
@@ -29,9 +31,10 @@ def select_geoms(
     """The ids of the geoms that meet the sand, in the order of the model.
 
     A body named in `bodies` brings its collision geoms (contype or conaffinity not zero), and so
-    does a group in `groups` those of bodies that can move; a geom named in `geoms` is taken as it
-    is, visual or not. What they name is taken together. "all" for `bodies` or `geoms` means every
-    collision geom of a body that can move, and so does no choice at all.
+    does a group in `groups` those of bodies that can move, or all of a group in which none
+    collides; a geom named in `geoms` is taken as it is, visual or not. What they name is taken
+    together. "all" for `bodies` or `geoms` means every collision geom of a body that can move, and
+    so does no choice at all.
 
     Args:
         model: the model.
@@ -41,18 +44,15 @@ def select_geoms(
         leave_out: ids of geoms that are the sand itself.
 
     Raises:
-        UnknownNameError: a name that the model does not have, or a group without a collision geom
-            of a body that can move; lists those there are.
+        UnknownNameError: a name that the model does not have, or a group without a geom of a body
+            that can move; lists those there are.
         InputError: nothing is left, what is named cannot move, a group is no integer, or names of
             the model are not UTF-8.
     """
     _check_names(model)
-    meets = [
-        geom
-        for geom in range(model.ngeom)
-        if collides(model, geom) and moves(model, int(model.geom_bodyid[geom]))
-    ]
-    chosen = set(_in_groups(model, meets, groups))
+    moving = [g for g in range(model.ngeom) if moves(model, int(model.geom_bodyid[g]))]
+    meets = [geom for geom in moving if collides(model, geom)]
+    chosen = set(_in_groups(model, moving, groups))
     if bodies is None and geoms is None and groups is None:
         chosen.update(meets)
     for name in names_in(bodies):
@@ -108,11 +108,12 @@ def names_in(names: Choice) -> list[str | int]:
     """Names and numbers one by one; anything else is refused."""
     if names is None:
         return []
-    several = names if isinstance(names, Iterable) and not isinstance(names, str) else (names,)
+    one = isinstance(names, (str, bytes)) or not isinstance(names, Iterable)
+    several: Any = (names,) if one else names
     for name in several:
         if isinstance(name, bool) or not isinstance(name, (str, int, np.integer)):
             raise InputError(
-                f"bodies and geoms are chosen by names or numbers, not by {shown(name)}"
+                f"bodies and geoms are chosen by names or numbers, not by {kind_of(name)}"
             )
     return [name if isinstance(name, str) else int(name) for name in several]
 
@@ -144,8 +145,9 @@ def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int:
         return found
     if isinstance(name, int) or name.isdecimal():
         raise InputError(f"the model has no {kind} number {name}: they go from 0 to {count - 1}")
-    known = (name_of(model, kind, i) for i in range(count))
-    raise UnknownNameError(f"{kind} of the model", name, [name for name in known if name])
+    known = [name_of(model, kind, i) for i in range(count)]
+    theirs = [name for name in known if name and not name.startswith("mjgranular_")]
+    raise UnknownNameError(f"{kind} of the model", name, theirs)
 
 
 def _of_body(model: mujoco.MjModel, body: int) -> list[int]:
@@ -168,18 +170,19 @@ def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:
 
 
 def _in_groups(
-    model: mujoco.MjModel, meets: Sequence[int], groups: Sequence[int] | int | None
+    model: mujoco.MjModel, moving: Sequence[int], groups: Sequence[int] | int | None
 ) -> list[int]:
-    """Those geoms of `meets` that are in the groups."""
+    """Those geoms of `moving` that are in the groups: of each those that collide, or else all."""
     members: dict[int, list[int]] = {}
-    for geom in meets:
+    for geom in moving:
         members.setdefault(int(model.geom_group[geom]), []).append(geom)
     chosen = []
     for group in _numbers(groups):
         if group not in members:
-            kind = "collision geoms of bodies that can move in geom group"
+            kind = "geoms of bodies that can move in geom group"
             raise UnknownNameError(kind, group, map(str, sorted(members)))
-        chosen.extend(members[group])
+        colliding = [geom for geom in members[group] if collides(model, geom)]
+        chosen.extend(colliding or members[group])
     return chosen
 
 

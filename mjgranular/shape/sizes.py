@@ -88,6 +88,8 @@ def check_resolution(resolution: Any, least: int, most: int) -> int:
         InputError: it is no integer from `least` to `most`.
     """
     try:
+        if isinstance(resolution, bool):
+            raise TypeError
         number = operator.index(resolution)
     except TypeError:
         raise InputError(f"the resolution must be a whole number, not {resolution!r}") from None

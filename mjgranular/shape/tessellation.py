@@ -108,7 +108,7 @@ class Cells:
 
 
 def triangles(corners: np.ndarray) -> Cells:
-    """Triangles, each a cell and a patch of its own, so without edges.
+    """Triangles, each a cell and a patch of its own.
 
     Args:
         corners: shape (n, 3, 3), counter-clockwise seen from outside [m].

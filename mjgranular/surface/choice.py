@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import MISSING, fields
 from typing import Any
 
 from mjgranular.errors import InputError, shown
 from mjgranular.given import kind_of
+from mjgranular.registry import Registry
+from mjgranular.surface.bed import Bed
+from mjgranular.surface.height_field import HeightField
 from mjgranular.surface.plane import Plane
 from mjgranular.surface.surface import Surface
+from mjgranular.words import read_part
+
+surfaces: Registry[type[Surface]] = Registry("surface")
+surfaces.add("plane", Plane)
+surfaces.add("bed", Bed)
+surfaces.add("height_field", HeightField)
 
 
 def surface_of(surface: Any) -> Surface:
-    """A surface, the plane z = 0 for None.
+    """A surface, that of words such as "plane height=0.1", or the plane z = 0 for None.
 
     Raises:
         InputError: it is something else; says what a number or a name may have meant.
@@ -20,9 +30,27 @@ def surface_of(surface: Any) -> Surface:
         return Plane()
     if isinstance(surface, Surface):
         return surface
+    if isinstance(surface, str) and surface.partition(" ")[0] in surfaces:
+        return surface_from_words(surface)
     meant = "Plane(height=...), Bed('geom') or HeightField('geom')"
     if isinstance(surface, (int, float)):
         meant = f"Plane(height={surface:g}) for a level surface at that height"
     elif isinstance(surface, str):
         meant = f"Bed({shown(surface)}) or HeightField({shown(surface)}) for a geom of that name"
     raise InputError(f"a surface is needed, not {kind_of(surface)}; use {meant}")
+
+
+def surface_from_words(text: str) -> Surface:
+    """A surface as MJCF has it: `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`.
+
+    Raises:
+        UnknownNameError: no such surface; lists those there are.
+        InputError: an option that is unknown, of a wrong type, or missing.
+    """
+    cls, given = read_part(text, surfaces, "surface")
+    options: Any = fields(cls)  # pyright: ignore[reportArgumentType]
+    missing = [f.name for f in options if f.default is MISSING and f.name not in given]
+    if missing:
+        name = text.split(maxsplit=1)[0]
+        raise InputError(f"the surface {name!r} needs {missing[0]}=...")
+    return cls(**given)

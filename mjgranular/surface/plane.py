@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, shown
+from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, read_vector
 from mjgranular.surface.surface import Surface
@@ -50,7 +51,7 @@ class Plane(Surface):
     def __post_init__(self) -> None:
         for name in ("height", "slope", "uphill"):
             value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
+            if not is_finite(value):
                 raise InputError(f"the plane's {name} must be finite, not {shown(value)}")
         if abs(self.slope) >= math.pi / 2:
             raise InputError(
@@ -66,10 +67,15 @@ class Plane(Surface):
             [-s * math.cos(self.uphill), -s * math.sin(self.uphill), math.cos(self.slope)]
         )
 
+    @property
+    def offset(self) -> float:
+        """Distance of the surface from the world's origin along the normal [m]."""
+        return self.height * math.cos(self.slope)
+
     def record(self, model: mujoco.MjModel) -> np.ndarray:
         plane = np.zeros(1, PLANE_DTYPE)
         plane["normal"] = self.normal
-        plane["offset"] = self.height * math.cos(self.slope)
+        plane["offset"] = self.offset
         return plane
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:

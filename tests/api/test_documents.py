@@ -1,14 +1,27 @@
 """What a reader can run, runs: scripts, benchmarks, code in the pages, the site itself."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
+import mjgranular
+from mjgranular import laws, media
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PYTHON = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```)?", re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture
+def registers(monkeypatch):
+    """What a page registers is forgotten after the test."""
+    for registry in (media, laws):
+        monkeypatch.setattr(registry, "_things", dict(registry._things))
 
 
 def run(*command: object, cwd: Path) -> str:
@@ -22,6 +35,14 @@ def run(*command: object, cwd: Path) -> str:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
+
+
+@pytest.fixture
+def models(tmp_path, monkeypatch):
+    """The models of the pages, in the current folder."""
+    shutil.copytree(ROOT / "docs" / "models", tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
 
 
 def test_the_impact_script(tmp_path):
@@ -42,19 +63,62 @@ def test_the_video_script(tmp_path):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_code_in_the_pages_runs(page):
-    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+def test_code_in_the_pages_runs_and_prints_what_is_shown(
+    page, capsys, registers, models, check_printed
+):
+    """A block of text that follows one of Python is what that prints."""
     namespace: dict[str, object] = {"__name__": "__main__"}
-    for block in blocks:
-        exec(compile(block, str(page), "exec"), namespace)
+    for code, shown in PYTHON.findall(page.read_text()):
+        exec(compile(code, str(page), "exec"), namespace)
+        printed = capsys.readouterr().out
+        if shown:
+            check_printed(printed, shown)
 
 
-def test_the_site_builds_without_warnings(tmp_path):
-    run("-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path, cwd=ROOT)
-    assert (tmp_path / "index.html").exists()
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The pages of the site, built without a warning."""
+    folder = tmp_path_factory.mktemp("site")
+    run("-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder, cwd=ROOT)
+    return {str(page.relative_to(folder)): page.read_text() for page in folder.rglob("*.html")}
+
+
+def test_pages_need_nothing_from_elsewhere(site):
+    assert "index.html" in site
+    for page, text in site.items():
+        assert not re.search(r"<(?:script|link|img|video)[^>]+(?:src|href)=\"?https?:", text), page
+
+
+def test_formulas_are_markup(site):
+    """None is left to a script."""
+    assert "<math" in site["laws/link.html"]
+    assert [page for page, text in site.items() if "arithmatex" in text] == []
+
+
+def test_the_reference_is_made_from_docstrings(site):
+    text = site["reference/sand.html"]
+    assert "One <code>Sand</code> serves any number of <code>MjData</code>" in text
+
+
+def test_notebooks_are_pages(site):
+    assert "torso at" in site["notebooks/own_robot.html"]
+    assert 'href="notebooks/own_robot.html"' in site["index.html"]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_in_the_pages_lead_somewhere(page):
-    for target in re.findall(r"\]\((?!https?:|#)([^)#\s]+)", page.read_text()):
+    text = page.read_text()
+    films = re.findall(r'(?:src|poster)="([^"]+)"', text)
+    for target in films + re.findall(r"\]\((?!https?:|#)([^)#\s]+)", text):
         assert (page.parent / target).exists(), target
+
+
+def test_the_reference_has_all_public_names():
+    pages = "".join(page.read_text() for page in (ROOT / "docs" / "reference").glob("*.md"))
+    listed = set(re.findall(r"^::: mjgranular\.(?:errors\.)?(\w+)$", pages, re.MULTILINE))
+    public = {
+        name
+        for name, thing in vars(mjgranular).items()
+        if not name.startswith("_") and not isinstance(thing, ModuleType)
+    }
+    assert public <= listed, public - listed

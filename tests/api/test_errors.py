@@ -13,6 +13,7 @@ from mjgranular.errors import (
     MissingExtraError,
     OutputError,
     RenderError,
+    UnknownArgumentError,
     UnknownNameError,
     UnstableError,
 )
@@ -295,6 +296,7 @@ def test_every_law_says_what_it_is_and_where_from():
     [
         (InputError("a"), ValueError),
         (UnknownNameError("law", "b", ["link", "other"]), KeyError),
+        (UnknownArgumentError("a sand", "medum", ["medium", "law"]), TypeError),
         (UnstableError("c"), ArithmeticError),
         (OutputError("d"), OSError),
         (RenderError("e"), RuntimeError),
@@ -311,6 +313,29 @@ class TestClasses:
         assert type(again) is type(error)
         assert str(again) == str(error)
         assert vars(again) == vars(error)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("rtf3d", "no law 'rtf3d'; there are: link, rft2d, rft3d; did you mean rft3d?"),
+        ("RFT3D", "no law 'RFT3D'; there are: link, rft2d, rft3d; did you mean rft3d?"),
+        ("stokes", "no law 'stokes'; there are: link, rft2d, rft3d"),
+        ("", "no law ''; there are: link, rft2d, rft3d"),
+    ],
+)
+def test_a_misspelt_name_is_told_the_one_that_was_meant(given, said):
+    assert str(UnknownNameError("law", given, ["link", "rft2d", "rft3d"])) == said
+
+
+def test_of_many_names_those_that_may_be_meant_are_told():
+    names = [f"{side}_{part}_{i}" for side in ("left", "right") for part in "abc" for i in range(9)]
+    names += ["left_foot_sole"]
+    meant = "did you mean left_foot_sole? There are 55 in all"
+    assert str(UnknownNameError("geom", "left_fot_sole", names)) == (
+        f"no geom 'left_fot_sole'; {meant}"
+    )
+    assert str(UnknownNameError("geom", "Foot", names)) == f"no geom 'Foot'; {meant}"
 
 
 def test_missing_extra_says_what_to_install():

@@ -49,6 +49,8 @@ def named(model, **options):
         ({"groups": (0, 3)}, EVERY),
         ({"groups": np.array([3, 0, 3])}, EVERY),
         ({"groups": np.int64(3)}, {"foot", "toe"}),
+        ({"groups": 2}, {"paint"}),  # none collides: whoever names it means what is drawn
+        ({"groups": (2, 3)}, {"paint", "foot", "toe"}),
         ({"groups": 3, "bodies": "trunk"}, EVERY),
         ({"groups": 0, "geoms": "ghost"}, {"trunk", "ghost"}),
         ({"groups": 0, "geoms": "toe", "bodies": ["trunk"]}, {"trunk", "toe"}),
@@ -68,12 +70,12 @@ def test_leaving_out(robot):
         assert left == named(robot, **options) - {"toe"}
 
 
-@pytest.mark.parametrize("group", [2, 4, 5, -1, 6])
+@pytest.mark.parametrize("group", [4, 5, -1, 6])
 def test_a_group_without_anything_lists_those_with_something(robot, group):
     with pytest.raises(UnknownNameError) as caught:
         named(robot, groups=[3, group])
-    assert caught.value.known == ("0", "3")
-    message = f"no collision geoms of bodies that can move in geom group {group}; there are: 0, 3"
+    assert caught.value.known == ("0", "2", "3")
+    message = f"no geoms of bodies that can move in geom group {group}; there are: 0, 2, 3"
     assert str(caught.value) == message
 
 

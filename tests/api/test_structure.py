@@ -39,6 +39,7 @@ ORDER = (
     "envs",
     "experiment",
     "picture",
+    "studio",
     "learn",
     "cli",
 )

@@ -268,6 +268,7 @@ def test_what_is_written_survives_xml_copy_and_attach() -> None:
         "law": "link eta_d=6.5 eta_h=0.30000000000000004 eta_v=22 exponent=1.1",
         "surface": "plane height=0.01 slope=0.0 uphill=0.0",
         "scheme": "auto",
+        "draw": "surface",
         "resolution": "3",
     }
     parent = mujoco.MjSpec()

@@ -16,9 +16,7 @@ from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
 import mjgranular.envs
 from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
-from mjgranular.engine.readings import SandReadings
 from mjgranular.envs import SandEnv, on_sand, tasks
-from mjgranular.envs.figures import Wrenches
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ids import id_of
 from mjgranular.learn import environments
@@ -167,18 +165,6 @@ def test_an_ant_at_rest_feels_its_weight_in_cfrc_ext():
     assert env.data.cfrc_ext[:, 5].sum() == pytest.approx(weight, rel=1e-3)
     assert info["sand/force"][2] == pytest.approx(weight, rel=1e-3)
     assert info["reward_contact"] < 0
-    # MuJoCo makes the same of the same forces when they are its own.
-    bare = mujoco.MjData(env.model)
-    bare.qpos[:], bare.qvel[:] = env.data.qpos, env.data.qvel
-    mujoco.mj_forward(env.model, bare)
-    bodies = range(1, env.model.nbody)
-    readings = SandReadings(env.model, ("sand",), len(bodies))
-    values = readings.read(bare)
-    bare.xfrc_applied[1:] = values[0, readings.each[0] :].reshape(-1, 6)
-    wrenches = Wrenches(env.model, bodies, readings.each)
-    wrench = wrenches.of(values, bare.xipos[None], bare.subtree_com[None], env.model.nbody)[0]
-    mujoco.mj_rnePostConstraint(env.model, bare)
-    assert wrench == pytest.approx(bare.cfrc_ext, rel=1e-9, abs=1e-9)
 
 
 def test_on_sand_takes_what_sand_takes():

@@ -16,7 +16,7 @@ from numba import config
 
 from mjgranular.errors import GranularWarning
 from mjgranular.kernel import cache, compiler, folder
-from mjgranular.kernel.compiler import CompilerError, compiling
+from mjgranular.kernel.compiler import CompilerError, KernelError, compiling
 
 CODE = bytes(range(256)) * 3
 BUILD, NAME = "build", "program"
@@ -305,9 +305,13 @@ def test_what_is_numbas_fault_is_said_to_be(
     assert "MuJoCo" not in str(caught.value)
 
 
-def test_an_error_in_a_law_stays_what_it_is_with_a_numba_that_was_tested() -> None:
-    with pytest.raises(TypeError, match="mine"), compiling():
-        raise TypeError("mine")
+def test_an_error_in_a_law_is_one_sentence_with_a_numba_that_was_tested() -> None:
+    with pytest.raises(TypeError, match="mine") as caught, compiling("law mud"):
+        raise TypeError('\x1b[1mFailed in nopython mode pipeline\nmine\nFile "a.py", line 3:')
+    assert isinstance(caught.value, KernelError)
+    assert str(caught.value) == (
+        "numba cannot compile the kernels for law mud: TypeError: mine, in a.py, line 3"
+    )
 
 
 def test_without_numba_the_import_says_so() -> None:

@@ -11,13 +11,30 @@ from scipy.special import elliprg
 
 from mjgranular import Explicit, GranularWarning, InputError, Rft2dLaw, Rft3dLaw, Sand, media
 from mjgranular.shape import facets_from_model
-from mjgranular.shape.facets import FINEST, RESOLUTION
+from mjgranular.shape.budget import RESOLUTION
+from mjgranular.shape.facets import FINEST
 
-pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning"),
+    pytest.mark.filterwarnings("ignore::mjgranular.errors.CostWarning"),
+]
 
 GENERIC = Rft2dLaw.generic(1.0)
 QUIKRETE = Rft3dLaw.from_medium(media["quikrete_medium"])
 LAWS = {"rft2d": GENERIC, "rft3d": QUIKRETE}
+
+
+def on_triangles(law):
+    """A law that acts on a mesh's own triangles, to compare with."""
+
+    class Fine(type(law)):
+        def elements(self, model, geoms, resolution=None):
+            return facets_from_model(model, geoms, resolution, meshes="triangles")
+
+    return Fine(**vars(law))
+
+
+FINE = {name: on_triangles(law) for name, law in LAWS.items()}
 
 # Type and size as MJCF has them.
 SHAPES = {
@@ -453,9 +470,12 @@ def test_mesh_hides_nothing_but_is_hidden():
     holder.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0])
     holder.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.03, 0.03, 0.03], pos=[0, 0, 0.025])
     model = spec.compile()
-    found = facets_from_model(model, range(3))
+    found = facets_from_model(model, range(3), meshes="triangles")
     small = facets_from_model(model, [1])
     assert (found["geom"] == 0).sum() == 6  # the floor, and of each wall the triangle below
+    patches = facets_from_model(model, [0, 2])
+    seen = patches["area"][patches["geom"] == 0].sum()
+    assert seen == pytest.approx(0.04 * (0.04 + 4 * 0.015), rel=0.05)  # walls up to the box
     assert (found["geom"] == 1).sum() < len(small)  # by the box, not by the mesh
     assert (found["geom"] == 1).any()
 
@@ -655,7 +675,7 @@ def true_forces(name, law, submerged, count=30):
     """
     rng = np.random.default_rng(0)
     vertices, faces = fine_mesh(name)
-    mesh = Pushed(mesh_model(vertices, faces), LAWS[law])
+    mesh = Pushed(mesh_model(vertices, faces), FINE[law])
     cases = []
     for _ in range(count):
         quaternion, velocity = drawn_rotation(rng), drawn_direction(rng)
@@ -785,10 +805,10 @@ def bracket():
 
 
 def mesh_facets(model):
-    return facets_from_model(model, [0])
+    return facets_from_model(model, [0], meshes="triangles")
 
 
-def test_mesh_gives_its_own_triangles():
+def test_triangles_of_a_mesh():
     vertices, faces = bracket()
     cut = mesh_facets(mesh_model(0.05 * vertices, faces))
     assert len(cut) == len(faces)
@@ -858,8 +878,8 @@ def test_cutting_triangles_in_two_changes_nothing(law):
     with pytest.warns(
         GranularWarning, match="open edges"
     ):  # new corners on their neighbours' edges
-        cut = Pushed(mesh_model(np.concatenate([vertices, middles]), halves), LAWS[law])
-    whole = Pushed(mesh_model(vertices, faces), LAWS[law])
+        cut = Pushed(mesh_model(np.concatenate([vertices, middles]), halves), FINE[law])
+    whole = Pushed(mesh_model(vertices, faces), FINE[law])
     assert len(cut.sand.elements) == 2 * len(whole.sand.elements)
     for _ in range(20):
         state = ([0, 0, -0.3], drawn_rotation(rng), drawn_direction(rng))
@@ -944,7 +964,7 @@ def test_geom_of_size_zero(name, bad):
 def test_capsule_without_a_side():
     model = body(geom("capsule"))
     model.geom_size[0, 1] = 0
-    cut = mesh_facets(model)
+    cut = facets_from_model(model, [0])
     assert np.isfinite(cut["normal"]).all()
 
 

@@ -106,3 +106,24 @@ def test_a_page_without_a_place_is_told(modules: Any, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no place for figures"):
         modules("report").write_page(page, "text")
     assert page.read_text() == "# Nothing\n"
+
+
+@pytest.mark.slow
+def test_a_robot_of_meshes_is_measured(tmp_path: Path) -> None:
+    model = tmp_path / "gem.xml"
+    model.write_text(
+        """<mujoco><asset>
+        <mesh name="gem" vertex="-.05 0 0 .06 0 .01 0 -.05 0 0 .07 0 .01 0 -.06 0 .01 .08"/>
+        </asset><worldbody><geom name="floor" type="plane" size="1 1 1"/>
+        <body pos="0 0 .1"><freejoint/><geom type="mesh" mesh="gem" mass=".1"/></body>
+        </worldbody></mujoco>"""
+    )
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / "meshes.py"), str(model), "--states", "5"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [line.split("|")[1].strip() for line in done.stdout.splitlines()]
+    assert rows == ["", "default", "resolution 6", "resolution 12", "resolution 24", "triangles"]

@@ -207,3 +207,11 @@ def test_models_that_come_with_the_package_run():
     for name in ("link", "double_pendulum", "chain7"):
         drop = Drop(model_path(name), medium="play_sand", duration=0.01)
         assert run_drop(drop).law == "link"
+
+
+def test_a_model_that_asks_for_rk4_runs_with_another_integrator_and_says_so(ball):
+    ball.write_text(BALL.replace("<worldbody>", '<option integrator="RK4"/><worldbody>', 1))
+    with pytest.warns(errors.GranularWarning, match=r"ball\.xml asks for the integrator RK4"):
+        result = run_drop(Drop(ball, height=0.01, duration=0.2))
+    assert 'integrator="implicitfast"' in result.xml
+    assert result.bodies[0].greatest_depth > 0.001

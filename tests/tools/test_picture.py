@@ -156,3 +156,33 @@ def test_film_options_are_checked():
         Film(width=101)
     with pytest.raises(errors.UnknownNameError, match="side, close, corner"):
         Film(camera="nose").check(Link())
+
+
+def test_the_figure_of_many_bodies_shows_those_with_the_largest_forces(tmp_path, monkeypatch):
+    from mjgranular.picture import figures
+
+    drawn = []
+    monkeypatch.setattr(figures, "save_figure", lambda figure, *_: drawn.append(figure))
+    t, count = np.linspace(0, 1, 5), 20
+    size = np.array([(7 * k) % count for k in range(count)], float)
+    force = np.zeros((5, count, 3))
+    force[2, :, 2] = size
+    names = [f"body {k}" for k in range(count)]
+    depth = np.full((5, count), 0.01)
+    figures.draw_drop(tmp_path / "drop.png", t, names, depth, force, depth, title="robot.xml")
+    legend = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
+    assert legend == [f"body {k}" for k in range(count) if size[k] >= count - 8]
+    assert "8 bodies with the largest forces, of 20" in drawn[0].get_suptitle()
+
+
+def test_a_long_film_says_how_long_it_will_take(monkeypatch, capfd):
+    from mjgranular.cli import filming
+
+    now = iter([0.0, 10.0])
+    monkeypatch.setattr(filming.time, "perf_counter", lambda: next(now))
+    shown = []
+    estimate = filming.Estimate(Film(), shown.append)
+    for done in range(2, 31):
+        estimate(done, 30)
+    assert shown[-1] == 1
+    assert "filming 30 pictures of 640 x 480: about 46 s" in capfd.readouterr().err

@@ -1,0 +1,53 @@
+"""Environments that Gymnasium knows by an id, a user's own included."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
+
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.own import import_own
+
+
+def find_spec(env_id: Any) -> EnvSpec:
+    """Facts that Gymnasium knows of an environment.
+
+    Args:
+        env_id: its id; `my_module:My-v0` has the module imported that registers it, also from the
+            current folder (`mjgranular.own`).
+
+    Raises:
+        UnknownNameError: there is none of that id, or no such module; lists ids of mjgranular's and
+            similar ones.
+        InputError: it is no text, or the module cannot be imported.
+    """
+    if not isinstance(env_id, str):
+        raise InputError(f"an environment is named by a text such as 'Ant-v5', not {env_id!r}")
+    module, colon, name = env_id.partition(":")
+    if not colon:
+        name = module
+    elif not name:
+        raise InputError(f"{env_id!r} lacks the id behind the colon: {module}:My-v0, for example")
+    else:
+        import_own(module, f"the environment {env_id}")
+    try:
+        return gym.spec(name)
+    except gym.error.Error:
+        known = sorted(gym.registry)
+        ours = [one for one in known if one.startswith("mjgranular/")]
+        others = [one for one in known if one not in ours]
+        near = difflib.get_close_matches(name, others, n=5, cutoff=0.5)
+        hint = f"importing {module} has registered no {name}" if colon else _how(name)
+        raise UnknownNameError("environment", env_id, [*near, *ours], hint) from None
+
+
+def _how(name: str) -> str:
+    """How an environment of a user's own would be named."""
+    stem = Path(name).stem if name.endswith(".py") else name
+    if not stem.isidentifier() or not Path(f"{stem}.py").is_file():
+        return "one of your own is named with its module, my_module:My-v0"
+    return f"one that {stem}.py registers is named {stem}:ID"

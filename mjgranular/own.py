@@ -1,0 +1,55 @@
+"""Modules of a user's own, as he names them in words: `my_quad:MyQuad-v0`, `my_laws:Drag`.
+
+What is named so is executed. Only a user's own words are to come here, never those of a file.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from mjgranular.errors import InputError, UnknownNameError
+
+
+def import_own(name: str, what: str) -> ModuleType:
+    """Imports a module that is installed, or lies in the current folder.
+
+    The current folder is looked in last, so that nothing in it takes the place of what is
+    installed. It stays in `sys.path`: the module may import its neighbours later, and processes
+    that Python starts anew find the module there.
+
+    Args:
+        name: of the module, dotted as in an import.
+        what: it is named for, for messages: "the environment my_quad:MyQuad-v0".
+
+    Raises:
+        UnknownNameError: there is none; says what was searched.
+        InputError: it is no name of a module, or the module cannot be imported.
+    """
+    if not all(part.isidentifier() for part in name.split(".")):
+        raise InputError(
+            f"the module {name!r} of {what} cannot be imported: one is named as in an import, "
+            "my_module"
+        )
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    importlib.invalidate_caches()
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        missing = error.name or name
+        if name == missing or name.startswith(f"{missing}."):
+            near = sorted(path.stem for path in Path(here).glob("*.py"))
+            searched = f"what is installed, and the current folder, {here}"
+            hint = f"for {what} was searched: {searched}"
+            raise UnknownNameError("module", missing, near, hint) from None
+        reason = f"it needs {missing}, which is not installed"
+    except SystemExit:
+        reason = "it ends the program; what it is to do as a script belongs under "
+        reason += 'if __name__ == "__main__"'
+    except Exception as error:  # it is anybody's module
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    raise InputError(f"the module {name!r} of {what} cannot be imported: {reason}")

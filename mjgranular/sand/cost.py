@@ -1,0 +1,62 @@
+"""What a step costs for the sand, roughly, by the number of elements."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjgranular.errors import CostWarning, warn_user
+from mjgranular.scheme import Explicit, Scheme
+from mjgranular.shape.budget import FACETS, RESOLUTION
+
+MANY = 20_000
+"""Elements that are told of in a warning. Chosen: with all of them in the sand a step takes twice
+the two milliseconds that robots' models have for a time step."""
+
+# Of an element [s], from docs/benchmarks.md and, for many bodies, benchmarks/meshes.py.
+_ABOVE = 2e-9
+_EXPLICIT = 16e-9
+_IMPLICIT = 0.2e-6
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What the sand adds to a step [s], within a factor of two on today's machines.
+
+    Attributes:
+        above: with all elements above the sand.
+        within: with all of them in it.
+    """
+
+    above: float
+    within: float
+
+    @classmethod
+    def of(cls, count: int, scheme: Scheme) -> Cost:
+        """The cost of so many elements."""
+        each = _EXPLICIT if isinstance(scheme, Explicit) else _IMPLICIT
+        return cls(count * _ABOVE, count * each)
+
+    def __str__(self) -> str:
+        above, within = (f"{1e3 * seconds:.1g} ms" for seconds in (self.above, self.within))
+        return f"roughly {above} a step above the sand, {within} with everything in it"
+
+
+def warn_of_cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -> None:
+    """Warns of elements that are so many that steps take long, and says what would help.
+
+    Args:
+        elements: of the law.
+        resolution: as asked for.
+        scheme: the scheme.
+    """
+    count = len(elements)
+    if count <= MANY:
+        return
+    advice = "take fewer geoms"
+    if "normal" in (elements.dtype.names or ()):  # facets: they go with its square
+        lower = max(2, math.floor((resolution or RESOLUTION) * math.sqrt(FACETS / count)))
+        advice = f"resolution={lower} would make some {FACETS:,}, or {advice}"
+    warn_user(f"{count:,} elements cost {Cost.of(count, scheme)}: {advice}", CostWarning)

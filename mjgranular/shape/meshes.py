@@ -1,0 +1,62 @@
+"""Triangles of the meshes of a model, as the sand meets them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError, warn_user
+from mjgranular.shape.sizes import check_size, geom_name
+
+
+def mesh_corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Corners of the triangles of a geom's mesh, counter-clockwise seen from outside.
+
+    Returns:
+        Corners [m], in the frame of the geom, shape (n, 3, 3).
+
+    Raises:
+        InputError: the mesh has no faces, or none with an area, or a size beyond what can be
+            computed with.
+
+    Warns:
+        GranularWarning: a mesh is not watertight, says how many open edges it has; or is inside
+            out, and then is turned round.
+    """
+    mesh = int(model.geom_dataid[geom])
+    if mesh < 0 or model.mesh_facenum[mesh] == 0:
+        raise InputError(f"the mesh of geom {geom_name(model, geom)} has no faces")
+    check_size(model, geom, flat=True)
+    first = int(model.mesh_vertadr[mesh])
+    vertices = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])].astype(float)
+    start = int(model.mesh_faceadr[mesh])
+    faces = model.mesh_face[start : start + int(model.mesh_facenum[mesh])]
+    gaps = open_edges(vertices, faces)
+    if gaps:
+        warn_user(
+            f"the mesh of geom {geom_name(model, geom)} is not watertight, it has {gaps} open "
+            "edges: its faces act as they are, each on its outer side"
+        )
+    corners = vertices[faces]
+    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if not vectors.any():
+        raise InputError(f"the mesh of geom {geom_name(model, geom)} has no face with an area")
+    if not gaps and (corners.mean(axis=1) * vectors).sum() < 0:
+        warn_user(
+            f"the mesh of geom {geom_name(model, geom)} is inside out: its faces are turned round"
+        )
+        return corners[:, ::-1]
+    return corners
+
+
+def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """Number of edges of a triangle mesh that do not belong to two faces.
+
+    Vertices at the same place count as one: MuJoCo splits vertices where normals or textures do.
+    """
+    _, merged = np.unique(vertices, axis=0, return_inverse=True)
+    corners = merged.reshape(-1)[faces]
+    edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return int((counts % 2 == 1).sum())

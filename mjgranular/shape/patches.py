@@ -1,0 +1,167 @@
+"""Gathers the triangles of a mesh into few patches, each a facet.
+
+Meshes of machines have tens of thousands of triangles, most of them far smaller than anything that
+sand could tell apart. Patches are found from the top: all triangles are one patch, and the patches
+that blur most, by place and by direction, are cut in two until they are fine enough or as many as
+they may be. So flat parts make large patches, round parts small ones, and the two sides of a plate
+are parted first.
+
+A patch keeps the sum of the area vectors (area times outward normal) of its triangles, so what is
+closed stays closed; the centroid and the second moments of their area; and, by least squares, how
+their normals vary over it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjgranular.shape.tessellation import Facets
+
+# Chosen by measurement (docs/shapes.md): each of them within a factor of two changes errors little.
+_MOST = 2.0  # patches of a mesh, times the square of the resolution
+_FINE = 4.0  # blur that is fine enough, over the square of the resolution
+_PLACE = 5.0  # weight of the places in a mesh of size 1, beside that of unit normals
+_PIECE = 1.5  # longest edge of a triangle in a mesh of size 1, over the resolution
+
+_THORN = (
+    0.1  # share of its reach that a mesh has for a size at least, lest a thorn make many pieces
+)
+_ROUND = 0.25  # in one go all patches are cut that blur this share of the worst, at least
+_FLAT = 1e-6  # patches narrower than this share of their mesh have no width; chosen: rounding
+_CANCELLED = 1e-6  # of its area, what is left of the area vectors of a patch of no direction
+
+
+def pieces(corners: np.ndarray, resolution: int) -> np.ndarray:
+    """Cuts triangles until no edge is longer than patches are wide.
+
+    Args:
+        corners: of triangles [m], shape (n, 3, 3).
+        resolution: as of `facets_from_model`.
+
+    Returns:
+        Corners of triangles with the same area vectors, shape (m, 3, 3).
+    """
+    corners, _, _ = _with_area(corners)
+    if not len(corners):
+        return corners
+    reach = np.ptp(corners.reshape(-1, 3), axis=0).max()
+    longest = _PIECE / resolution * max(_size(corners), _THORN * reach)
+    done = []
+    while len(corners):
+        edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        large = edges.max(axis=1) > longest
+        done.append(corners[~large])
+        row, first = np.arange(large.sum()), edges[large].argmax(axis=1)
+        a, b, c = (corners[large][row, (first + k) % 3] for k in range(3))
+        middle = (a + b) / 2
+        halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
+        corners = np.concatenate(halves)
+    return np.concatenate(done)
+
+
+def gathered(corners: np.ndarray, resolution: int) -> Facets:
+    """Patches of triangles.
+
+    Args:
+        corners: counter-clockwise seen from outside [m], shape (n, 3, 3).
+        resolution: as of `facets_from_model`; there are at most twice its square.
+    """
+    corners, vectors, areas = _with_area(corners)
+    if not len(corners):
+        return Facets(*(np.zeros((0, *shape)) for shape in ((3,), (3,), (), (2, 3), (2, 3))))
+    size, points, normals = _size(corners), corners.mean(axis=1), vectors / areas[:, None]
+    places = np.concatenate([np.sqrt(_PLACE) / size * points, normals], axis=1)
+    patch, count = _parted(places, areas, resolution)
+
+    def total(values: np.ndarray) -> np.ndarray:
+        flat = values.reshape(len(values), -1).T
+        sums = [np.bincount(patch, column, count) for column in flat]
+        return np.stack(sums, axis=-1).reshape(count, *values.shape[1:])
+
+    area, whole = total(areas), total(vectors)
+    middles = total(areas[:, None] * points) / area[:, None]
+    away = points - middles[patch]
+    # Second moments, with those of each triangle about its own centroid.
+    own = np.einsum("nki,nkj->nij", *[corners - points[:, None]] * 2) / 12
+    moments = total(areas[:, None, None] * (own + away[:, :, None] * away[:, None]))
+    moments /= area[:, None, None]
+    turning = total(away[:, :, None] * vectors[:, None]) / area[:, None, None]
+    sizes = np.linalg.norm(whole, axis=1)
+    there = sizes > _CANCELLED * area
+    area, whole, middles, moments, turning, sizes = (
+        values[there] for values in (area, whole, middles, moments, turning, sizes)
+    )
+    normals = whole / sizes[:, None]
+    across = np.eye(3) - normals[:, :, None] * normals[:, None]
+    variances, axes = np.linalg.eigh(across @ moments @ across)
+    variances, axes = variances[:, 1:], axes[:, :, 1:].transpose(0, 2, 1)  # of the two in the plane
+    wide = variances > (_FLAT * size) ** 2
+    # Half as wide as a flat patch with these second moments; over that far the normal turns.
+    half = np.sqrt(3 * np.where(wide, variances, 0.0))[:, :, None]
+    slopes = axes @ turning / np.where(wide, variances, np.inf)[:, :, None]
+    return Facets(middles, normals, sizes, half * axes, half * slopes)
+
+
+def single(corners: np.ndarray) -> Facets:
+    """Triangles as they are, each in the sand, and leading, as a whole: no edges, no spread."""
+    corners, vectors, areas = _with_area(corners)
+    nothing = np.zeros((len(areas), 2, 3))
+    return Facets(corners.mean(axis=1), vectors / areas[:, None], areas, nothing, nothing)
+
+
+def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.ndarray, int]:
+    """The number of the patch of each triangle, from 0, and how many there are.
+
+    A patch is cut across the direction in which its triangles differ most, at their mean. What it
+    blurs is the variance of its places, by which the worst is found times its area.
+    """
+    patch, count = np.zeros(len(areas), np.int64), 1
+    most = int(_MOST * resolution**2)
+    total = areas.sum()
+    while count < most:
+        weights = np.bincount(patch, areas, count)
+        mean = np.stack([np.bincount(patch, areas * x, count) for x in places.T], 1)
+        away = places - (mean / weights[:, None])[patch]
+        blur = np.bincount(patch, areas * (away**2).sum(axis=1), count)
+        blur[blur <= _FINE / resolution**2 * weights] = 0.0
+        worst = np.argsort(-blur, kind="stable")[: most - count]
+        worst = worst[blur[worst] > max(_ROUND * blur.max(), 1e-15 * total)]
+        if not len(worst):
+            break
+        row = np.full(count, -1)
+        row[worst] = np.arange(len(worst))
+        mine = np.flatnonzero(row[patch] >= 0)
+        row, away = row[patch[mine]], away[mine]
+        covariance = np.empty((len(worst), 6, 6))
+        for i in range(6):
+            for j in range(i + 1):
+                sums = np.bincount(row, areas[mine] * away[:, i] * away[:, j], len(worst))
+                covariance[:, i, j] = covariance[:, j, i] = sums
+        axis = np.linalg.eigh(covariance)[1][:, :, -1]
+        beyond = np.einsum("ni,ni->n", away, axis[row]) > 0
+        patch[mine[beyond]] = count + row[beyond]
+        count += len(worst)
+    _, patch = np.unique(patch, return_inverse=True)
+    return patch, int(patch.max()) + 1
+
+
+def _with_area(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles that have an area: corners, area vectors, areas."""
+    vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    areas = np.linalg.norm(vectors, axis=1)
+    there = areas > 0
+    return corners[there], vectors[there], areas[there]
+
+
+def _size(corners: np.ndarray) -> float:
+    """Length of the rod that has the greatest radius of gyration of the skin [m].
+
+    Unlike that of the box around a mesh it does not depend on how the mesh is turned.
+    """
+    corners, _, areas = _with_area(corners)
+    points = corners.mean(axis=1)
+    away = points - areas @ points / areas.sum()
+    own = corners - points[:, None]
+    moments = np.einsum("n,ni,nj->ij", areas, away, away)
+    moments += np.einsum("n,nki,nkj->ij", areas, own, own) / 12
+    return float(np.sqrt(12 * np.linalg.eigvalsh(moments / areas.sum())[-1]))

@@ -1,0 +1,100 @@
+"""A name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`.
+
+So laws, surfaces and schemes are written in MJCF, on the command line and in Python: there is no
+other parser. Nothing is evaluated.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any, TypeVar, get_type_hints
+
+from mjgranular.errors import InputError, shown
+from mjgranular.registry import Registry
+
+T = TypeVar("T")
+
+LARGEST = 100_000
+"""Of whole numbers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
+
+
+def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T], dict[str, Any]]:
+    """Reads a name and its options: the class of that name, and the options by their names.
+
+    Args:
+        text: `name option=value ...`.
+        register: of the classes, dataclasses of their options.
+        kind: what they are, in a word.
+
+    Raises:
+        UnknownNameError: no such name; lists those there are.
+        InputError: an option that is unknown, given twice, or of a wrong type.
+    """
+    words = split_words(text)
+    if not words:
+        raise InputError(f"a {kind} is needed; there are: {', '.join(register)}")
+    cls = register[words[0]]
+    return cls, read_options(words[1:], cls, f"{kind} {words[0]!r}")
+
+
+def split_words(text: str) -> list[str]:
+    """Words as in a shell, where quotes keep them together.
+
+    Raises:
+        InputError: a quotation that does not end.
+    """
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise InputError(
+            f"{shown(text)} cannot be split into words: {str(error).lower()}"
+        ) from None
+
+
+def read_value(text: str, kind: Any, name: str) -> Any:
+    """A value of a type: bool, int, float or str; a float may be one that need not be given.
+
+    Raises:
+        InputError: it is of another, or cannot be written at all.
+    """
+    if kind is bool:
+        if text not in ("true", "false"):
+            raise InputError(f"{name} must be true or false, not {shown(text)}")
+        return text == "true"
+    if kind in (int, float, float | None):
+        try:
+            value = int(text) if kind is int else float(text)
+        except ValueError:
+            word = "a whole number" if kind is int else "a number"
+            raise InputError(f"{name} must be {word}, not {shown(text)}") from None
+        if kind is int and abs(value) > LARGEST:
+            raise InputError(f"{name} must be at most {LARGEST} in size, not {shown(value)}")
+        return value
+    if kind is str:
+        return text
+    raise InputError(f"{name} cannot be written in words: it is neither number, switch nor name")
+
+
+def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
+    """Reads `name=value` words as fields of a dataclass.
+
+    Raises:
+        InputError: an option of `what` that is unknown, given twice, or of a wrong type.
+    """
+    hints = get_type_hints(cls)
+    kinds = {field.name: hints[field.name] for field in fields(cls)}
+    options = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if name not in kinds:
+            raise InputError(
+                f"the {what} has no option {shown(name)}; it has: {', '.join(kinds) or 'none'}"
+            )
+        if not equals:
+            raise InputError(f"the option {name!r} of the {what} needs a value: {name}=...")
+        if name in options:
+            raise InputError(f"the option {name!r} of the {what} is given twice")
+        options[name] = read_value(text, kinds[name], name)
+    return options

@@ -1,0 +1,437 @@
+"""Silly mistakes in Python, drawn up from the documents alone: one sentence of ours each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjgranular as mg
+from mjgranular.engine import tune
+from mjgranular.errors import GranularError
+from mjgranular.models import Link, model_path
+
+BLOCK = """
+<mujoco model="block">
+  <worldbody>
+    <geom name="tray" type="box" size="1 1 .1" pos="0 0 -.1" contype="0" conaffinity="0"/>
+    <body name="block" pos="0 0 0.2">
+      <freejoint/>
+      <geom name="block" type="box" size="0.05 0.03 0.02" density="2000"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def made(config: str) -> mujoco.MjModel:
+    """The block with sand of its own."""
+    instance = f"<instance name='s'>{config}</instance>"
+    extension = f"<extension><plugin plugin='mjgranular.sand'>{instance}</plugin></extension>"
+    return mujoco.MjModel.from_xml_string(BLOCK.replace("<worldbody>", f"{extension}<worldbody>"))
+
+
+def sand(**fields: Any) -> mg.Sand:
+    return mg.Sand(mujoco.MjModel.from_xml_string(BLOCK), **fields)
+
+
+def added(*arguments: Any, **fields: Any) -> mujoco.MjModel:
+    spec = mujoco.MjSpec.from_string(BLOCK)
+    mg.add_sand(spec, *arguments, **fields)
+    return spec.compile()
+
+
+def quantity(value: Any) -> mg.Quantity:
+    return mg.Quantity(value, "kg/m^3", "weighed")
+
+
+def on_sand(*arguments: Any, **options: Any) -> Any:
+    pytest.importorskip("gymnasium")
+    from mjgranular import envs
+
+    return envs.on_sand(*arguments, **options)
+
+
+def task(name: str, **options: Any) -> Any:
+    gym = pytest.importorskip("gymnasium")
+    import mjgranular.envs  # noqa: F401
+
+    return gym.make(f"mjgranular/{name}-v0", **options)
+
+
+def ranges(**options: Any) -> Any:
+    pytest.importorskip("gymnasium")
+    from mjgranular.envs import SandRanges
+
+    return SandRanges(**options)
+
+
+def vec(name: str, num_envs: Any, **options: Any) -> Any:
+    pytest.importorskip("stable_baselines3")
+    from mjgranular.envs.sb3 import make_vec_env
+
+    return make_vec_env(name, num_envs, **options)
+
+
+def stepped(action: Any) -> Any:
+    env = task("LinkDrop")
+    env.reset(seed=0)
+    return env.unwrapped.step(action)
+
+
+MODEL = mujoco.MjModel.from_xml_string(BLOCK)
+DATA = mujoco.MjData(MODEL)
+
+MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
+    "path for model": (lambda: mg.Sand("robot.xml"), "Sand takes a compiled mujoco.MjModel"),
+    "spec for model": (
+        lambda: mg.Sand(mujoco.MjSpec.from_string(BLOCK)),
+        "Sand takes a compiled mujoco.MjModel",
+    ),
+    "data for model": (lambda: mg.Sand(DATA), "Sand takes a compiled mujoco.MjModel"),
+    "nothing for model": (lambda: mg.Sand(None), "Sand takes a compiled mujoco.MjModel"),
+    "medium by place": (lambda: mg.Sand(MODEL, "play_sand"), "sand is described by a SandSpec"),
+    "misspelt field": (
+        lambda: sand(medum="play_sand"),
+        "a sand has no argument 'medum' ... did you mean medium?",
+    ),
+    "misspelt field of a spec": (
+        lambda: mg.SandSpec(medum="play_sand"),
+        "SandSpec.__init__() got an unexpected keyword argument 'medum'",
+    ),
+    "medium with a blank": (
+        lambda: sand(medium="play sand"),
+        "no medium 'play sand'; there are: glass_beads, play_sand, ... did you mean play_sand?",
+    ),
+    "empty medium": (lambda: sand(medium=""), "no medium ''; there are: glass_beads, play_sand,"),
+    "number for medium": (
+        lambda: sand(medium=1500),
+        "no medium 1500; there are: glass_beads, play_sand,",
+    ),
+    "bytes for medium": (
+        lambda: sand(medium=b"play_sand"),
+        "no medium b'play_sand'; there are: glass_beads, play_sand, ... did you mean play_sand?",
+    ),
+    "list for medium": (
+        lambda: sand(medium=["play_sand"]),
+        "no medium ['play_sand']; there are: glass_beads, play_sand, ... did you mean play_sand?",
+    ),
+    "missing medium file": (
+        lambda: sand(medium="my_sand.yaml"),
+        "cannot read the medium my_sand.yaml",
+    ),
+    "medium without the law": (
+        lambda: sand(medium="play_sand", law="rft3d"),
+        "no constants in medium 'play_sand' for law 'rft3d'; there are: link, rft2d (media with",
+    ),
+    "law's name": (
+        lambda: sand(law="rtf3d"),
+        "no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?",
+    ),
+    "law's empty name": (lambda: sand(law=""), "no law ''; there are: depth_velocity, link,"),
+    "number for law": (lambda: sand(law=3), "no law 3; there are: depth_velocity, link,"),
+    "law's option": (lambda: sand(law="rft3d scael=2"), "the law 'rft3d' has no option 'scael'"),
+    "law's value": (lambda: sand(law="rft3d scale=two"), "scale must be a number, not"),
+    "function for law": (
+        lambda: sand(law=lambda z: z),
+        "no law <function <lambda>.<locals>.<lambda>",
+    ),
+    "law's number": (
+        lambda: mg.Rft3dLaw(3000, 0.4, 0.4, scale="1"),
+        "Rft3dLaw: scale must be finite and from 0 to inf",
+    ),
+    "law that is not finite": (
+        lambda: sand(law=mg.DepthVelocityLaw(stiffness=math.nan)),
+        "DepthVelocityLaw: stiffness must be finite and not negative",
+    ),
+    "text in a law": (
+        lambda: mg.DepthVelocityLaw(stiffness="hard"),
+        "DepthVelocityLaw: stiffness must be finite and not negative",
+    ),
+    "law of a missing medium": (
+        lambda: mg.Rft3dLaw.from_medium("moon"),
+        "no medium 'moon'; there are: glass_beads, play_sand,",
+    ),
+    "surface's name": (
+        lambda: sand(surface="floor"),
+        "a surface is needed, not 'floor'; use Bed('floor') or",
+    ),
+    "number for surface": (
+        lambda: sand(surface=0.1),
+        "a surface is needed, not 0.1; use Plane(height=0.1) for a",
+    ),
+    "list for surface": (
+        lambda: sand(surface=[0, 0, 0.1]),
+        "a surface is needed, not a list; use Plane(height=...),",
+    ),
+    "class for surface": (
+        lambda: sand(surface=mg.Plane),
+        "a surface is needed, not the class Plane; use",
+    ),
+    "text for height": (lambda: mg.Plane(height="0.1"), "the plane's height must be finite"),
+    "nothing for height": (lambda: mg.Plane(height=None), "the plane's height must be finite"),
+    "degrees for slope": (
+        lambda: mg.Plane(slope=30),
+        "the plane's slope must be less than 90 degrees",
+    ),
+    "endless height": (lambda: mg.Plane(height=math.inf), "the plane's height must be finite"),
+    "geom of a bed": (
+        lambda: sand(surface=mg.Bed("tary")),
+        "no box geom of the model 'tary' ... did you mean tray?",
+    ),
+    "number for a bed": (lambda: sand(surface=mg.Bed(7)), "a bed is given by the name of its geom"),
+    "bed that moves": (lambda: sand(surface=mg.Bed("block")), "geom 'block' is on body 'block'"),
+    "height field that is a box": (
+        lambda: sand(surface=mg.HeightField("tray")),
+        "geom 'tray' is a box: a height field is made of a hfield geom",
+    ),
+    "scheme's name": (lambda: sand(scheme="RK4"), "no scheme 'RK4'; there are: auto, explicit,"),
+    "no scheme": (lambda: sand(scheme=None), "no scheme None; there are: auto, explicit,"),
+    "number for scheme": (lambda: sand(scheme=1), "no scheme 1; there are: auto, explicit,"),
+    "scheme's option": (
+        lambda: mg.Implicit(evaluations=0),
+        "Implicit: evaluations must be at least 1",
+    ),
+    "body's name": (
+        lambda: sand(bodies="blok"),
+        "no body of the model 'blok'; there are: world, block ... did you mean block?",
+    ),
+    "empty body": (lambda: sand(bodies=""), "no body of the model ''; there are: world,"),
+    "half a body": (lambda: sand(bodies=1.5), "bodies and geoms are chosen by names or numbers"),
+    "bytes for bodies": (
+        lambda: sand(bodies=b"block"),
+        "bodies and geoms are chosen by names or numbers",
+    ),
+    "view for geoms": (
+        lambda: sand(geoms=[MODEL.geom("block")]),
+        "bodies and geoms are chosen by names or numbers",
+    ),
+    "geom's number": (
+        lambda: sand(geoms=99),
+        "the model has no geom number 99: they go from 0 to 1",
+    ),
+    "geom's negative number": (
+        lambda: sand(geoms=-1),
+        "the model has no geom number -1: they go from 0 to 1",
+    ),
+    "group": (lambda: sand(groups=9), "no collision geoms of bodies that can move in geom group 9"),
+    "text for groups": (lambda: sand(groups="0"), "groups takes the number of a geom group"),
+    "text for resolution": (
+        lambda: sand(resolution="fine"),
+        "the resolution must be a whole number",
+    ),
+    "no resolution": (lambda: sand(resolution=0), "the resolution must be at least 2"),
+    "half a resolution": (lambda: sand(resolution=2.5), "the resolution must be a whole number"),
+    "resolution not a number": (
+        lambda: sand(resolution=math.nan),
+        "the resolution must be a whole number",
+    ),
+    "yes for resolution": (lambda: sand(resolution=True), "the resolution must be a whole number"),
+    "huge resolution": (lambda: sand(resolution=10**9), "the resolution must be at most 200"),
+    "floor's name": (lambda: sand(instead_of="floor"), "no geom of the model 'floor'"),
+    "block as floor": (lambda: sand(instead_of="block"), "geom 'block' is on body 'block'"),
+    "model for data": (
+        lambda: sand().step(MODEL),
+        "Sand takes a mujoco.MjData, not a MjModel; use",
+    ),
+    "nothing for data": (lambda: sand().step(None), "Sand takes a mujoco.MjData, not None; use"),
+    "another's data": (
+        lambda: sand().step(DATA),
+        "this MjData belongs to another model: make it with MjData(model) from the model",
+    ),
+    "model for report": (
+        lambda: sand().report(MODEL),
+        "Sand takes a mujoco.MjData, not a MjModel; use",
+    ),
+    "body of a report": (
+        lambda: mg.Sand(MODEL).report(DATA)["blok"],
+        "no body with sand on it 'blok' ... did you mean block?",
+    ),
+    "model for add_sand": (lambda: mg.add_sand(MODEL), "add_sand takes a mujoco.MjSpec"),
+    "medium of add_sand": (
+        lambda: added(medium="moon"),
+        "no medium 'moon'; there are: glass_beads, play_sand,",
+    ),
+    "medium by place of add_sand": (lambda: added("play_sand"), "sand is described by a SandSpec"),
+    "field of add_sand": (
+        lambda: added(medum="play_sand"),
+        "a sand has no argument 'medum' ... did you mean medium?",
+    ),
+    "drawing": (lambda: added(draw="arrows"), "config 'draw': no drawing 'arrows'"),
+    "number for a drawing": (lambda: added(draw=3), "config 'draw': no drawing '3'"),
+    "law's option of add_sand": (
+        lambda: added(law="rft3d scael=2"),
+        "config 'law': the law 'rft3d' has no option 'scael'",
+    ),
+    "body of add_sand": (
+        lambda: added(bodies="blok"),
+        "mjgranular 'sand': config 'bodies': no body of the model 'blok' ... did you mean block?",
+    ),
+    "number for a name": (lambda: added(name=3), "an instance's name is a text"),
+    "law in MJCF": (
+        lambda: made("<config key='law' value='rft3d scael=2'/>"),
+        "mjgranular 's': config 'law': the law 'rft3d' has no option 'scael'",
+    ),
+    "body in MJCF": (
+        lambda: made("<config key='bodies' value='blok'/>"),
+        "mjgranular 's': config 'bodies': no body of the model 'blok' ... did you mean block?",
+    ),
+    "key in MJCF": (
+        lambda: made("<config key='medum' value='play_sand'/>"),
+        "unrecognized attribute 'plugin:medum' for plugin mjgranular.sand",
+    ),
+    "density of a medium": (
+        lambda: mg.Medium(name="a", title="a", density=1500, default_law="link", constants={}),
+        "medium 'a': density and grain are each a Quantity(value",
+    ),
+    "text for a quantity": (lambda: quantity("1500"), "a quantity's value is a number"),
+    "endless density": (
+        lambda: mg.Medium(
+            name="a", title="a", density=quantity(math.inf), default_law="link", constants={}
+        ),
+        "medium 'a': the bulk density must be from 10 to 25000 kg/m^3",
+    ),
+    "medium to register": (
+        lambda: mg.register_medium("play_sand"),
+        "register_medium takes a Medium",
+    ),
+    "law to register": (
+        lambda: mg.register_law("rft3d"),
+        "a law is a class that derives from mjgranular.Law",
+    ),
+    "law that is none": (
+        lambda: mg.register_law(dict),
+        "a law is a class that derives from mjgranular.Law",
+    ),
+    "name of a model": (
+        lambda: model_path("lnik"),
+        "no model 'lnik'; there are: chain7, double_pendulum, link ... did you mean link?",
+    ),
+    "size of a link": (lambda: Link(length=0), "the link's length must be positive and finite"),
+    "text for a size": (
+        lambda: Link(length="0.2"),
+        "the link's length must be positive and finite",
+    ),
+    "sand to tune": (
+        lambda: tune(added(tunable=True), np.zeros(4), "s"),
+        "no sand of the model 's'; there are:",
+    ),
+    "sand that is not tunable": (
+        lambda: tune(added(), np.zeros(4), "sand", strength=2),
+        "the sand 'sand' is not tunable: make it with add_sand(...",
+    ),
+    "negative strength": (
+        lambda: tune(added(tunable=True), np.zeros(4), "sand", strength=-1),
+        "strength must be finite and not negative",
+    ),
+    "environment": (
+        lambda: on_sand("Ant"),
+        "no environment 'Ant' ... did you mean Ant-v5?",
+    ),
+    "environment without MuJoCo": (
+        lambda: on_sand("CartPole-v1"),
+        "CartPole-v1 is no MuJoCo environment of Gymnasium's kind: on_sand takes classes",
+    ),
+    "number for environment": (
+        lambda: on_sand(5),
+        "an environment is named by a text such as 'Ant-v5'",
+    ),
+    "nothing for environment": (
+        lambda: on_sand(None),
+        "an environment is named by a text such as 'Ant-v5'",
+    ),
+    "class that is none": (
+        lambda: on_sand(dict),
+        "dict is no MuJoCo environment of Gymnasium's kind: on_sand takes classes that",
+    ),
+    "medium of an environment": (
+        lambda: on_sand("Hopper-v5", medium="moon"),
+        "no medium 'moon'; there are: glass_beads, play_sand,",
+    ),
+    "option of an environment": (
+        lambda: on_sand("Hopper-v5", medum="play_sand"),
+        "on_sand(Hopper-v5) has no argument 'medum' ... did you mean medium?",
+    ),
+    "body of an environment": (
+        lambda: on_sand("Hopper-v5", bodies="foto"),
+        "mjgranular 'sand': config 'bodies': no body of the model 'foto' ... did you mean foot?",
+    ),
+    "sand of an environment": (
+        lambda: on_sand("Hopper-v5", "play_sand"),
+        "sand is described by a SandSpec",
+    ),
+    "option of a task": (
+        lambda: task("Hexapod", medum="play_sand"),
+        "Hexapod has no option 'medum'",
+    ),
+    "medium of a task": (
+        lambda: task("Hexapod", medium="moon"),
+        "no medium 'moon'; there are: glass_beads, play_sand,",
+    ),
+    "camera of a task": (
+        lambda: task("Hexapod", render_mode="rgb_array", camera_name="top"),
+        "no camera 'top'; there are:",
+    ),
+    "mode of a task": (
+        lambda: task("Hexapod", render_mode="video"),
+        "render_mode must be None or one of human",
+    ),
+    "range upside down": (
+        lambda: ranges(strength=(2, 0.5)),
+        "SandRanges: strength has its low end above its high end:",
+    ),
+    "number for a range": (lambda: ranges(strength=2.0), "SandRanges: strength must be"),
+    "texts in a range": (lambda: ranges(strength=("a", "b")), "SandRanges: strength must be"),
+    "range that ends nowhere": (
+        lambda: ranges(strength=(0.5, math.nan)),
+        "SandRanges: strength must be finite",
+    ),
+    "range of a medium": (
+        lambda: ranges(media=("moon",)),
+        "no medium 'moon'; there are: glass_beads, play_sand,",
+    ),
+    "short action": (lambda: stepped(np.zeros(1)), "Action dimension mismatch. Expected"),
+    "action not a number": (
+        lambda: stepped(np.full(2, math.nan)),
+        "an action must be finite, not [nan",
+    ),
+    "text for an action": (lambda: stepped("left"), "Action dimension mismatch. Expected"),
+    "batch of none": (lambda: vec("mjgranular/LinkDrop-v0", 0), "num_envs must be at least 1, not"),
+    "batch of somebody's": (
+        lambda: vec("CartPole-v1", 2),
+        "CartPole-v1 has no batch of mjgranular's",
+    ),
+    "batch of nobody's": (
+        lambda: vec("mjgranular/LinkDorp-v0", 2),
+        "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
+    ),
+}
+
+
+# What MuJoCo or Python raises: with our words in it, or of a call of theirs.
+THEIRS = {
+    "body of add_sand",
+    "body of an environment",
+    "law in MJCF",
+    "body in MJCF",
+    "key in MJCF",
+    "misspelt field of a spec",
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*render_mode")
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_silly_mistake_is_told_in_one_sentence(name: str) -> None:
+    mistake, words = MISTAKES[name]
+    with pytest.raises((ValueError, TypeError) if name in THEIRS else GranularError) as caught:
+        mistake()
+
+    said = str(caught.value)
+    assert name in THEIRS or said.isprintable()
+    assert len(said) < 400
+    for word in words.split(" ... "):
+        assert word in said

@@ -1,0 +1,85 @@
+"""Snippets of the pages that are not Python: they are read by what they are for."""
+
+import re
+from pathlib import Path
+
+import mujoco
+import pytest
+
+from mjgranular.experiment import Impact, reproduce
+from mjgranular.learn.settings import read_settings
+from mjgranular.medium.file import EXAMPLE
+
+ROOT = Path(__file__).resolve().parents[2]
+MODEL = """
+<mujoco>
+  {}
+  <option timestep="1e-4"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1"/>
+    <geom name="tray" type="box" pos="0 0 -0.1" size="0.5 0.5 0.1"/>
+    <body name="foot" pos="0 0 1"><freejoint/>
+      <geom type="capsule" size="0.01 0.1"/>
+      <body name="left toe" pos="0 0 0.3"><joint/><geom type="capsule" size="0.01 0.1"/></body>
+    </body>
+  </worldbody>
+</mujoco>"""
+
+
+def snippet(page, kind):
+    text = (ROOT / page).read_text()
+    return re.search(rf"^```{kind}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)[1]
+
+
+def test_the_mjcf_of_the_plugin():
+    model = mujoco.MjModel.from_xml_string(MODEL.format(snippet("docs/plugin.md", "xml")))
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data)
+    assert data.time > 0
+
+
+def test_the_medium_file():
+    assert snippet("docs/media.md", "yaml").strip() == EXAMPLE.strip()
+
+
+def test_the_settings_file(tmp_path):
+    file = tmp_path / "settings.toml"
+    file.write_text(snippet("docs/training.md", "toml"))
+    settings = read_settings(file)
+    assert (settings.algorithm, settings.total_steps) == ("ppo", 600_000)
+    assert settings.environment["randomise"] == {"strength": [0.5, 2.0]}
+
+
+@pytest.fixture(scope="module")
+def drops():
+    """Ours and the paper's stopping time and depth, by speed and angle, at 1 us."""
+    rows = reproduce(Impact(timestep=1e-6))
+    return {
+        (case.speed, case.angle_deg): (
+            (run.stop.time, run.stop.depth),
+            (case.stopping_time, case.depth),
+        )
+        for case, run in rows
+    }
+
+
+@pytest.mark.slow
+def test_the_table_of_the_readme(drops):
+    row = r"^\| ([\d.]+) m/s, (\d+) deg \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$"
+    rows = re.findall(row, (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(rows) == len(drops) == 6
+    for speed, angle, *shown in rows:
+        ours, paper = drops[float(speed), float(angle)]
+        found = [ours[0], paper[0], ours[1], paper[1]]
+        assert [f"{1e3 * value:.3f}" for value in found] == shown
+
+
+@pytest.mark.slow
+def test_the_table_of_the_link_law(drops):
+    row = r"^\| ([\d.]+) \| (\d+)° \| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| ([\d.]+) \| ([\d.]+) \|"
+    rows = re.findall(row, (ROOT / "docs" / "laws" / "link.md").read_text(), re.MULTILINE)
+    assert len(rows) == 6
+    for speed, angle, *shown in rows:
+        ours, paper = drops[float(speed), float(angle)]
+        found = [paper[0], ours[0], paper[1], ours[1]]
+        assert [f"{value:.6f}" for value in found] == shown
