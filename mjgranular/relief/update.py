@@ -65,7 +65,7 @@ _REST = 5e-3  # height that may be left over the angle of repose [cells]: 0.2 de
 # Time that goes by until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for
 # cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with less, prints
 # and slopes are the same.
-_PRESSED_AFTER, _FLOWS_AFTER = 0.1, 0.4
+_PRESSED_AFTER, _FLOWS_AFTER = 0.2, 0.6
 _EIGHT = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
 
