@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
 from mjgranular.envs.gym_planar import Robot, place_in_plane
@@ -26,6 +27,18 @@ class _Spatial(Robot):
     terminate_when_unhealthy: bool = True
     include_cfrc_ext_in_observation: bool = True
     frame_skip: int = 5
+
+    def robot(self) -> mujoco.MjSpec:
+        spec = super().robot()
+        # `cfrc_ext` is worked out only where a sensor needs it.
+        site = spec.body("torso").add_site(name="needs cfrc_ext")
+        spec.add_sensor(
+            name=site.name,
+            type=mujoco.mjtSensor.mjSENS_FORCE,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=site.name,
+        )
+        return spec
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
         reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a metre across

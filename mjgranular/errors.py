@@ -201,6 +201,10 @@ class RangeWarning(GranularWarning):
     """A value that no sand or simulation has: a slip of units, most likely."""
 
 
+class UnfeltWarning(GranularWarning):
+    """Something that moves without the sand's acting on it, or with motion that it is not told."""
+
+
 def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> None:
     """Warns with a `GranularWarning` that points at the user's line, the last outside this package.
 

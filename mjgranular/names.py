@@ -12,7 +12,7 @@ def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
 
     Args:
         model: the model.
-        kind: `body`, `geom`, `pair`.
+        kind: `body`, `geom`, `flex`, `pair`.
         number: its id.
     """
     names, begin = model.names, int(getattr(model, f"name_{kind}adr")[number])

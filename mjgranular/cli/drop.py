@@ -143,7 +143,7 @@ def show(result: DropResult) -> None:
             body.body,
             f"{body.greatest_depth * 1e3:.2f}" if held is not None else "not met",
             f"{body.greatest_force:.3g}",
-            f"{body.energy_into_sand:.3g}",
+            f"{body.energy_into_sand + 0.0:.3g}",
             "" if held is None else f"{held:.0%}",
         )
     out.print(table)

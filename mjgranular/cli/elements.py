@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from rich.text import Text
 
 from mjgranular.cli.console import out, print_json, show_error
 from mjgranular.cli.options import ChoiceOptions, record_of
-from mjgranular.errors import InputError, MissingExtraError
+from mjgranular.errors import FloorWarning, InputError, MissingExtraError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
@@ -97,10 +98,13 @@ class ElementsCommand(ChoiceOptions):
         drop = record_of(Drop, self)
         with loading(drop.title):
             model = read(drop).compile()
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # RK4 would be refused
         data = mujoco.MjData(model)
         start_from(model, data, self.keyframe)
-        # No step is made, so sand of the model's own is no matter.
-        sand = Sand(model, drop.sand, scheme="explicit", shared=True)
+        # No step is made: sand and floor of the model's own are no matter.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FloorWarning)
+            sand = Sand(model, drop.sand, scheme="explicit", shared=True)
         return sand, data.qpos
 
     def _config(self) -> dict[str, Any]:

@@ -56,6 +56,14 @@ solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _
 smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
 is_sparse = _function("mj_isSparse", _ADDRESS, result=_INT)
 actuator_damping = _function("mj_actuatorDamping", _ADDRESS, _INT, _INT, _ADDRESS, result="float64")
+# Of the integrator `discrete`. Inverse dynamics makes metric and constraint rows without a call of
+# the user's controller.
+inverse_dynamics = _function("mj_inverseSkip", _ADDRESS, _ADDRESS, _INT, _INT)
+metric_shift = _function("mj_effShift", _ADDRESS, _ADDRESS)
+add_metric_product = _function("mj_effMulAdd", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)
+factor_inertia = _function("mj_factorI", *2 * (_ADDRESS,), _INT, *4 * (_ADDRESS,))
+turns_freely = _function("mjd_freeGyroPossible", _ADDRESS, _ADDRESS, _INT, result=_INT)
+free_bias_derivative = _function("mjd_freeBias_vel", _ADDRESS, _ADDRESS, _INT, _ADDRESS)
 
 
 # Offsets in `mjData` of what describes its constraint rows [bytes], and the size of a contact. The
@@ -71,19 +79,26 @@ _POINTERS = {
     "loss": "efc_frictionloss",
     "mass": "efc_D",
     "reference": "efc_aref",
+    "diagonal": "efm_diag",  # this and what follows: of the effective metric
+    "shift": "efm_c",
+    "actuation_shift": "efm_ca",
 }
 ROWS_DTYPE = np.dtype([(name, np.int64) for name in ("count", "contacts", *_POINTERS)])
 
 # A ball pressed into a plane and a hinge beyond its range: contacts and limits at the first step.
+# The hinge's servo is in the effective metric.
 _PROBE = """
 <mujoco>
+  <option integrator="discrete"/>
   <worldbody>
     <geom type="plane" size="1 1 1"/>
     <body pos="0 0 0.09"><freejoint/><geom size="0.1"/></body>
     <body pos="3 0 1">
-      <joint axis="0 1 0" range="0.5 1" limited="true"/><geom size="0.1" pos="0.3 0 0"/>
+      <joint name="hinge" axis="0 1 0" range="0.5 1" limited="true"/>
+      <geom size="0.1" pos="0.3 0 0"/>
     </body>
   </worldbody>
+  <actuator><position joint="hinge" kp="1"/></actuator>
 </mujoco>
 """
 

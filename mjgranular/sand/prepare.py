@@ -25,6 +25,8 @@ from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.scheme.scheme import STEP, SchemeChoice
 from mjgranular.shape import select_geoms
+from mjgranular.shape.select import is_choice
+from mjgranular.shape.unfelt import warn_of_unfelt
 from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of
 from mjgranular.surface.floors import warn_of_floors
@@ -88,6 +90,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     geoms = geoms_in_sand(model, spec)
     medium, law = material_of(model, geoms, spec)
     replaced = replace_geoms(model, spec.instead_of)
+    chosen = spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms)
+    warn_of_unfelt(model, geoms, chosen=chosen)
     warn_of_floors(model, geoms, surface)
     warn_of_ranges(model, geoms, law, surface)
     warn_of_points(model, geoms, spec)

@@ -369,8 +369,9 @@ class Sand:
         check_data(data, "Sand")
         if data.model is not self._model and data.model._address != self._model._address:
             raise InputError(
-                "this MjData belongs to another model: make it with MjData(model) from the "
-                "model that Sand was made for"
+                "this MjData belongs to another model, as a deep copy or a pickle of one always "
+                "does: make it with MjData(model) from the model that Sand was made for, and fill "
+                "it with mj_copyData; copy.copy(data) does both"
             )
 
     def _bind(self, data: mujoco.MjData) -> int:
@@ -456,8 +457,9 @@ class Sand:
         return what, int(model.dof_bodyid[index])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Sand:
-        """As `copy`: the model is shared, as it is by the deep copy of a `MjData`."""
-        return copy.copy(self)
+        """Sand of its own for a deep copy of the model: what is copied beside it has the same."""
+        make, (model, spec) = self.__reduce__()
+        return make(copy.deepcopy(model, memo), spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Sand of its own, made anew: addresses are not copied.

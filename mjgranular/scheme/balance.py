@@ -25,7 +25,8 @@ from mjgranular.kernel.motion import read_motion
 from mjgranular.kernel.vector import dot, read_vector, transposed, vector
 from mjgranular.scheme.constraints import add_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.workspace import EULER, EULER_DAMPED, IMPLICIT, POLY
+from mjgranular.scheme.metric import add_metric
+from mjgranular.scheme.workspace import DISCRETE, EULER, EULER_DAMPED, IMPLICIT, POLY
 
 _JOINT = np.int32(mujoco.mjtObj.mjOBJ_JOINT)
 
@@ -37,7 +38,8 @@ def prepare_inertia(w):
     """Sets A = M + C.
 
     With Euler C is h times the derivative of joints' damping; with the implicit integrators -h
-    times the derivative of all smooth forces by velocity.
+    times the derivative of all smooth forces by velocity; with `discrete` all that makes M the
+    effective metric.
     """
     nv, inertia = w.nv, w.inertia
     for i in range(nv):
@@ -52,6 +54,8 @@ def prepare_inertia(w):
     elif w.integrator == IMPLICIT:
         smooth_derivative(w.model, w.data, 1)
         read_derivative(w, w.dofs)
+    elif w.integrator == DISCRETE:
+        add_metric(w)
     elif w.integrator != EULER:
         # implicitfast leaves out the derivative of the bias, and reads the lower half of what is
         # left; but of lone free bodies it takes all.

@@ -6,10 +6,11 @@ They are soft: the force of a row J_i is a function of the acceleration along it
 
 where a is the acceleration in front of the integrator's own damping C = A - M,
 
-    M a = A (v' - v) / h,    a = K (v' - v) / h,    K = 1 + M^-1 C.
+    M a = A (v' - v) / h,    a = K (v' - v) / h,    K = 1 + M^-1 C,
 
-So they add (sum_i D_i J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses,
-limits, and contacts with pyramidal and elliptic cones, as in the engine's documentation.
+and with `discrete`, which solves for them in the metric A itself, K = 1. So they add (sum_i D_i
+J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses, limits, and contacts with
+pyramidal and elliptic cones, as in the engine's documentation.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from mjgranular.kernel.engine import solve_inertia
 from mjgranular.kernel.memory import scratch
 from mjgranular.scheme.dense import add_outer, add_scaled, clear, copy, inner
 from mjgranular.scheme.forces import NEXT, SAME
-from mjgranular.scheme.workspace import EULER
 
 _EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 _FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_TENDON)  # and of a joint, one below
@@ -49,7 +49,7 @@ def prepare_constraints(w):
             continue
         unit[j] = 1.0
         copy(undamped[j], unit)
-        if w.integrator != EULER:
+        if w.damped != 0:
             solve_inertia(w.model, w.data, product.ctypes.data, unit.ctypes.data, 1)
             for k in range(len(unit)):
                 if product[k] != 0.0:

@@ -11,6 +11,7 @@ those of MuJoCo's constraints, which answer to the sand as the sand does to them
 reading:
 
     workspace      all arrays by name, MuJoCo's and the scheme's
+    metric         A with MuJoCo's integrator `discrete`, which makes it itself
     balance        residual R(v') and Jacobian R'(v') of this equation: nv numbers, nv x nv,
                    whatever the number of elements
     constraints    what MuJoCo's constraints add to them
@@ -52,6 +53,7 @@ from mjgranular.kernel.memory import (
     WORKSPACE,
     table_at,
 )
+from mjgranular.kernel.options import options_at
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.kernel.vector import cross, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
@@ -61,12 +63,12 @@ from mjgranular.scheme.continuation import lane_vector, solver_kernel
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.forces import tile_kernels
 from mjgranular.scheme.layout import FORCE, INDEX
+from mjgranular.scheme.metric import is_unforeseen, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes
-from mjgranular.scheme.status import BAD_STATE, FINE, check_options
-from mjgranular.scheme.status import bits_of as bits_of_integrators
+from mjgranular.scheme.status import BAD_METRIC, BAD_STATE, FINE, check_options
 from mjgranular.scheme.workspace import (
-    EULER,
+    DISCRETE,
     make_workspace,
     open_constraints,
     read_options,
@@ -90,7 +92,7 @@ class Implicit(Scheme):
     name: ClassVar[str] = "implicit"
     title: ClassVar[str] = "forces at the end of the step: exact rest, large steps"
     whole_state: ClassVar[bool] = True
-    integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST")
+    integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST", "DISCRETE")
 
     evaluations: int = 80
 
@@ -118,11 +120,9 @@ class Implicit(Scheme):
 
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
-        if not bits_of_integrators(self.integrators) >> int(model.opt.integrator) & 1:
-            raise InputError(
-                "the implicit scheme foresees the steps of the integrators Euler, implicit and "
-                "implicitfast: set one of them, or scheme='explicit'"
-            )
+        options = model.opt
+        if is_unforeseen(options.integrator, options.solver, options.enableflags):
+            raise InputError(self.refusal(BAD_METRIC))
 
 
 schemes.add(Implicit.name, Implicit)
@@ -148,6 +148,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         status = check_options(table)
         if status != FINE:
             return status
+        options = options_at(table)
+        if is_unforeseen(options.integrator, options.solver, options.enableflags):
+            return BAD_METRIC
         w = workspace_at(table[WORKSPACE])
         read_options(table, w)
         bodies = body_records(table[BODIES], table[BODY_COUNT])
@@ -157,8 +160,8 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         w.h = lead
         w.count = sample_all(table, w)
         if w.count > 0:
-            find_smooth_forces(w)
             open_constraints(table[WORKSPACE], w)
+            find_smooth_forces(w)
             prepare_inertia(w)
             prepare_constraints(w)
             mark_wet(w)
@@ -190,6 +193,10 @@ def find_smooth_forces(w):
         bias_forces(model, data, 0, w.qfrc_bias.ctypes.data)
         tendon_bias_forces(model, data, w.qfrc_bias.ctypes.data)
     forward_actuation(model, data)
+    if w.integrator == DISCRETE:
+        make_metric(w)
+    else:
+        clear(w.shift)
     forward_acceleration(model, data)
 
 
@@ -212,7 +219,7 @@ def begin(w):
     scale = 0.0
     for j in range(w.nv):
         w.start[j] = w.velocity[j] = w.qvel[j]
-        w.smooth[j] = w.h * w.qfrc_smooth[j]
+        w.smooth[j] = w.h * (w.qfrc_smooth[j] + w.shift[j])
         light = math.sqrt(w.weight[j])
         scale += abs(w.smooth[j]) * light + abs(w.qvel[j]) / light
     w.scale = max(scale, _NOTHING)
@@ -233,7 +240,7 @@ def warm_start(w):
     for j in range(w.nv):
         rate[j] = (w.velocity[j] - w.start[j]) / w.h
     copy(w.qacc_warmstart, rate)
-    if w.integrator != EULER:
+    if w.damped != 0:
         for i in range(w.nv):
             damped[i] = inner(w.damping[i], rate)
         solve_inertia(w.model, w.data, answer.ctypes.data, damped.ctypes.data, 1)

@@ -17,7 +17,7 @@ from mjgranular.kernel.engine import forward_constraint, solve_inertia
 from mjgranular.scheme.balance import balance, size_of
 from mjgranular.scheme.dense import add_scaled, copy, inner, solve
 from mjgranular.scheme.forces import SAME
-from mjgranular.scheme.workspace import EULER
+from mjgranular.scheme.workspace import DISCRETE
 
 _NO_ENERGY = 1e-14  # [J]; chosen
 _TRUSTED = 1e-8  # a residual that still says something about the energy
@@ -100,24 +100,36 @@ def work_of_share(w, share):
     """
     trial, change, constrained = w.trial, w.solution, w.nefc > 0
     for j in range(w.nv):
-        w.qfrc_smooth[j] = (w.smooth[j] + share * w.sand[j]) / w.h
+        w.qfrc_smooth[j] = (w.smooth[j] + share * w.sand[j]) / w.h - w.shift[j]
     if constrained:
-        solve_inertia(w.model, w.data, w.qacc_smooth.ctypes.data, w.qfrc_smooth.ctypes.data, 1)
+        find_smooth_acceleration(w)
         copy(w.product, w.qacc_warmstart)
         forward_constraint(w.model, w.data)
         copy(w.qacc_warmstart, w.product)
-    # Plain Euler takes the engine's accelerations, the others its forces: not the same where its
-    # solver has stopped short.
-    if constrained and w.integrator == EULER:
+    # Where no damping is behind the constraints the engine's accelerations are taken, else its
+    # forces: not the same where its solver has stopped short.
+    if constrained and w.damped == 0:
         for j in range(w.nv):
             change[j] = w.h * w.qacc[j]
     else:
         for j in range(w.nv):
             force = w.qfrc_smooth[j] + w.qfrc_constraint[j] if constrained else w.qfrc_smooth[j]
-            trial[j] = w.h * force
+            trial[j] = w.h * (force + w.shift[j])
         for i in range(w.nv):
             copy(w.jacobian[i], w.inertia[i])
         if not solve(w.jacobian, trial, change):
             return math.inf
     add_scaled(change, 1.0, w.start)
     return inner(w.sand, change)
+
+
+@compiled
+def find_smooth_acceleration(w):
+    """Sets the acceleration without constraints of `w.qfrc_smooth`, as the engine has it."""
+    if w.integrator != DISCRETE:
+        solve_inertia(w.model, w.data, w.qacc_smooth.ctypes.data, w.qfrc_smooth.ctypes.data, 1)
+        return
+    for i in range(w.nv):
+        copy(w.jacobian[i], w.inertia[i])
+        w.trial[i] = w.qfrc_smooth[i] + w.shift[i]
+    solve(w.jacobian, w.trial, w.qacc_smooth)

@@ -28,10 +28,12 @@ BAD_INTEGRATOR = -5
 """The integrator is not one that the scheme can step."""
 BAD_SOLVER = -6
 """The constraint solver is none that the engine has: it would end the process."""
+BAD_METRIC = -7
+"""The integrator `discrete` with what the implicit scheme does not foresee."""
 
 # Numbered downwards, one after the other.
-REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR, BAD_SOLVER)
-"""Refusals of `check_options`."""
+REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR, BAD_SOLVER, BAD_METRIC)
+"""Refusals of options."""
 
 EVERY_INTEGRATOR = 0xFF  # a bit for each
 _LONGEST = 10**18  # [ns]: any step
@@ -94,6 +96,12 @@ def refusal(status: int, *, longest_step: float, integrators: str) -> str:
         return (
             "the constraint solver of the model (opt.solver) is none that MuJoCo has: set it to "
             "PGS, CG or Newton"
+        )
+    if status == BAD_METRIC:
+        return (
+            "with the integrator discrete the implicit scheme foresees the constraint solvers "
+            "Newton and CG (opt.solver), without the flag ipc (opt.enableflags): set these, "
+            "another integrator, or scheme='explicit'"
         )
     return (
         "the sand cannot be stepped with the integrator that the model has now (opt.integrator; "

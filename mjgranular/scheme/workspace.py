@@ -33,8 +33,9 @@ STATISTICS_DTYPE = np.dtype(
     ]
 )
 
-EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT = range(4)
-"""Additions of the integrator to the inertia: none, joint damping, the derivative of forces."""
+EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT, DISCRETE = range(5)
+"""Additions of the integrator to the inertia: none, joint damping, the derivative of forces, all
+that makes it the effective metric."""
 
 POLY = int(mujoco.mjNPOLY)
 """Coefficients of damping beyond the linear one."""
@@ -48,9 +49,11 @@ _INTEGERS: tuple[str, ...] = (
     "lanes", "tile_size", "tile_count",  # of tiles of elements
     "model", "data",  # addresses of `mjModel` and `mjData`
     "within",  # 1 where forces are asked for within `mj_step`, among the passive ones
-    # Of this step's options (`read_options`): one of the four above; whether the constraints'
-    # Jacobian is sparse; whether their solver ends no farther off than it begins.
-    "integrator", "sparse", "descends",
+    # Of this step's options (`read_options`): one of the five above; whether the integrator adds
+    # its damping behind the constraints; whether the constraints' Jacobian is sparse; whether
+    # their solver ends no farther off than it begins; whether MuJoCo factors the effective metric
+    # wherever it makes it.
+    "integrator", "damped", "sparse", "descends", "factored",
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
     "count",  # of tiles that are filled in this step
 )  # fmt: skip
@@ -78,10 +81,10 @@ _OF_MODEL = _by_name({
 _OF_DATA = _by_name({
     (_F, ("nv",)): (
         "qvel", "qfrc_smooth", "qfrc_constraint", "qfrc_bias",
-        "qacc", "qacc_smooth", "qacc_warmstart",
+        "qacc", "qacc_smooth", "qacc_warmstart", "qHDiagInv",
     ),
     (_F, ("nv", 6)): ("cdof",),
-    (_F, ("nC",)): ("M",),
+    (_F, ("nC",)): ("M", "qH"),
     (_F, ("nD",)): ("qDeriv",),
     (_F, ("nbody", 3)): ("subtree_com", "xipos"),
 })  # fmt: skip
@@ -89,6 +92,7 @@ _OWN = {
     "velocity": (_F, ("nv",)),  # v', sought: at the end of the step
     "start": (_F, ("nv",)),  # v, at its beginning
     "smooth": (_F, ("nv",)),  # h q: momentum of all forces but those of sand and constraints
+    "shift": (_F, ("nv",)),  # what `discrete` adds to these forces for springs that move on
     "sand": (_F, ("nv",)),  # h J^T f
     "constraint": (_F, ("nv",)),  # h q_c
     "residual": (_F, ("nv",)),  # R
@@ -134,6 +138,10 @@ _OF_CONSTRAINTS = {
     "efc_frictionloss": (_F, ("nefc",)),
     "efc_D": (_F, ("nefc",)),
     "efc_aref": (_F, ("nefc",)),
+    # Not there without the effective metric; `efm_diag` and `efm_ca` not always with it.
+    "efm_diag": (_F, ("nv",)),
+    "efm_c": (_F, ("nv",)),
+    "efm_ca": (_F, ("nv",)),
 }
 
 _VIEWS = Views(
@@ -198,9 +206,11 @@ def lone_free_dofs(model: mujoco.MjModel) -> np.ndarray:
 
 _INTEGRATOR_IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICIT)
 _INTEGRATOR_FAST = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+_INTEGRATOR_DISCRETE = int(mujoco.mjtIntegrator.mjINT_DISCRETE)
 _CG, _NEWTON = int(mujoco.mjtSolver.mjSOL_CG), int(mujoco.mjtSolver.mjSOL_NEWTON)
 _NO_DAMPING = int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP | mujoco.mjtDisableBit.mjDSBL_DAMPER)
 _NO_WARMSTART = int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
+_EXACT_DIAGONAL = int(mujoco.mjtEnableBit.mjENBL_DIAGEXACT)
 
 
 @compiled
@@ -223,10 +233,14 @@ def read_options(table, w):
         w.integrator = IMPLICIT
     elif options.integrator == _INTEGRATOR_FAST:
         w.integrator = IMPLICIT_FAST
+    elif options.integrator == _INTEGRATOR_DISCRETE:
+        w.integrator = DISCRETE
     elif options.disableflags & _NO_DAMPING == 0 and has_damping(w):
         w.integrator = EULER_DAMPED
     else:
         w.integrator = EULER
+    w.damped = w.integrator != EULER and w.integrator != DISCRETE
+    w.factored = options.enableflags & _EXACT_DIAGONAL != 0
 
 
 @compiled
@@ -243,7 +257,7 @@ def has_damping(w):
 
 @compiled
 def open_constraints(address, w):
-    """Reads where MuJoCo's constraints are in this step.
+    """Reads where MuJoCo's constraints, and its effective metric, are in this step.
 
     Args:
         address: of the workspace's record.

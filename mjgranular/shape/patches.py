@@ -22,10 +22,8 @@ _MOST = 2.0  # patches of a mesh, times the square of the resolution
 _FINE = 4.0  # blur that is fine enough, over the square of the resolution
 _PLACE = 5.0  # weight of the places in a mesh of size 1, beside that of unit normals
 _PIECE = 1.5  # longest edge of a triangle in a mesh of size 1, over the resolution
-
-_THORN = (
-    0.1  # share of its reach that a mesh has for a size at least, lest a thorn make many pieces
-)
+# Share of its reach that a mesh has for a size at least, lest a thorn make many pieces.
+_THORN = 0.1
 _ROUND = 0.25  # in one go all patches are cut that blur this share of the worst, at least
 _FLAT = 1e-6  # patches narrower than this share of their mesh have no width; chosen: rounding
 _CANCELLED = 1e-6  # of its area, what is left of the area vectors of a patch of no direction

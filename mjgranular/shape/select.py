@@ -98,6 +98,17 @@ def last_dof(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_dofadr[body] + model.body_dofnum[body] - 1) if body > 0 else -1
 
 
+def mocap_above(model: mujoco.MjModel, body: int) -> int | None:
+    """The mocap body that a body is or hangs on, None if there is none."""
+    root = int(model.body_rootid[body])
+    return root if model.body_mocapid[root] >= 0 else None
+
+
+def is_choice(names: Choice) -> bool:
+    """Tells whether names choose some bodies or geoms, and not none or all."""
+    return any(name != EVERY for name in names_in(names))
+
+
 def body_name(model: mujoco.MjModel, body: int) -> str:
     """A body's name in quotes, or its number."""
     name = name_of(model, "body", body)
@@ -153,7 +164,13 @@ def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int:
 def _of_body(model: mujoco.MjModel, body: int) -> list[int]:
     _refuse_fixed(model, body)
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
-    return [geom for geom in range(first, first + count) if collides(model, geom)]
+    found = [geom for geom in range(first, first + count) if collides(model, geom)]
+    if not found:
+        raise InputError(
+            f"body {body_name(model, body)} has no collision geom (contype or conaffinity not 0) "
+            "that could meet the sand: name its geoms with geoms=[...], or another body"
+        )
+    return found
 
 
 def _that_moves(model: mujoco.MjModel, geom: int) -> list[int]:
@@ -162,11 +179,19 @@ def _that_moves(model: mujoco.MjModel, geom: int) -> list[int]:
 
 
 def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:
-    if not moves(model, body):
+    if moves(model, body):
+        return
+    mocap = mocap_above(model, body)
+    if mocap is not None:
         raise InputError(
-            f"body {body_name(model, body)} is fixed to the world: sand cannot act on it; "
-            "name a body that has a joint above it"
+            f"mocap body {body_name(model, mocap)} has no velocity in MuJoCo, and so sand cannot "
+            "act on it: put its geoms on a body with a free joint, <weld> that body to it, and "
+            "name that"
         )
+    raise InputError(
+        f"body {body_name(model, body)} is fixed to the world: sand cannot act on it; "
+        "name a body that has a joint above it"
+    )
 
 
 def _in_groups(

@@ -19,7 +19,7 @@ from mjgranular.engine import NAME, add_sand
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
 from mjgranular.experiment.ground import hide_replaced
-from mjgranular.experiment.scenery import add_bed
+from mjgranular.experiment.scenery import add_scenery, place_sun
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import combined
 from mjgranular.surface.floors import find_floors
@@ -82,10 +82,11 @@ def sandy(path: Path, wanted: SandWanted) -> tuple[mujoco.MjModel, str]:
     bare = spec.copy().compile()
     floors = find_floors(bare, geoms_in_sand(bare, sand), surface)
     sand = combined(sand, {"instead_of": floors or None})
-    add_bed(spec, surface)
-    add_sand(spec, sand, draw=("forces",))
+    add_scenery(spec, surface)
+    add_sand(spec, sand, draw=("surface", "forces"))
     model = spec.compile()
     hide_replaced(model, sand)
+    place_sun(model)
     names = ", ".join(bare.geom(floor).name or f"geom {floor}" for floor in floors)
     return model, f"sand instead of {names}" if floors else "sand"
 
@@ -124,7 +125,7 @@ class SandScene(plugin.SimPlugin):
     def on_model(self, event: messages.PostModelEvent) -> None:
         """Finds the sands of another model."""
         sands = sands_in(event.model)
-        self._readings = SandReadings(event.model, sands, 0) if sands else None
+        self._readings = SandReadings(event.model, sands) if sands else None
 
     @messages.handler
     def on_post_step(self, event: messages.PostStepEvent) -> None:

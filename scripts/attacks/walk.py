@@ -54,7 +54,8 @@ _BAD = tuple(
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")
 )
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
-_DISCRETE = int(getattr(mujoco.mjtIntegrator, "mjINT_DISCRETE", -1))
+_DISCRETE = int(mujoco.mjtIntegrator.mjINT_DISCRETE)
+_PGS, _IPC = int(mujoco.mjtSolver.mjSOL_PGS), int(mujoco.mjtEnableBit.mjENBL_IPC)
 
 
 class Walk:
@@ -434,7 +435,8 @@ class Walk:
         implicit = self.implicit or (self.sand is None and not inside)
         if model.opt.integrator == _RK4 and (implicit or not inside):
             return "RK4"
-        if model.opt.integrator == _DISCRETE and implicit:
+        other = model.opt.solver == _PGS or model.opt.enableflags & _IPC
+        if model.opt.integrator == _DISCRETE and implicit and other:
             return "discrete"
         return ""
 

@@ -2,10 +2,12 @@
 
 import copy
 import gc
+import pickle
 import subprocess
 import sys
 import threading
 import weakref
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -171,6 +173,45 @@ def test_a_copied_simulation_goes_on_alike(model):
     expected = run(sand, data)
     assert np.array_equal(run(sand, other), expected)
     assert np.array_equal(run(sand, third), expected)
+
+
+def refilled(model, data):
+    """Data of the given model that hold what those of an equal one hold."""
+    twin = mujoco.MjData(model)
+    mujoco.mj_copyData(twin, model, data)
+    return twin
+
+
+AGAIN = pytest.mark.parametrize(
+    "again",
+    [copy.deepcopy, lambda thing: pickle.loads(pickle.dumps(thing))],
+    ids=["deep", "pickle"],
+)
+
+
+@AGAIN
+def test_data_that_bring_a_model_of_their_own_are_refused_with_what_to_do(model, again):
+    sand, data = Sand(model, scheme="explicit"), start(model)
+    run(sand, data, 50)
+    twin = again(data)
+    assert twin.model is not model
+    with pytest.raises(InputError, match=r"a deep copy or a pickle .* mj_copyData; copy\.copy"):
+        sand.step(twin)
+    expected = run(sand, data)
+    assert np.array_equal(run(sand, refilled(model, twin)), expected)
+
+
+@AGAIN
+def test_a_copied_environment_goes_on_alike(model, again):
+    env = SimpleNamespace(model=model, data=start(model), sand=Sand(model, scheme="explicit"))
+    run(env.sand, env.data, 50)
+    twin = again(env)
+    assert twin.sand.model is twin.model is not model
+    model.opt.gravity[:] = 0.0  # of the copy no more
+    again_there = refilled(twin.model, twin.data)
+    found = run(twin.sand, again_there)
+    model.opt.gravity[:] = twin.model.opt.gravity
+    assert np.array_equal(found, run(env.sand, env.data))
 
 
 def test_a_restored_state_goes_on_alike(model):
@@ -380,11 +421,13 @@ other = mujoco.MjData(sand.model)
 mujoco.mj_copyData(other, sand.model, data)
 sand.step(other)
 again = copy.deepcopy(sand)
-del sand
+twin = mujoco.MjData(again.model)
+mujoco.mj_copyData(twin, sand.model, data)
+del sand, data
 gc.collect()
 rubbish = [np.full(size, 7.0) for size in range(1, 60) for _ in range(500)]
-again.step(data)
-assert np.array_equal(data.qpos, other.qpos)
+again.step(twin)
+assert np.array_equal(twin.qpos, other.qpos)
 """
 
 

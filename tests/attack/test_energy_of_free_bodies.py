@@ -63,7 +63,7 @@ def greatest_work(model, data, steps=30):
     return greatest
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "discrete"])
 @pytest.mark.parametrize("seed", range(12))
 def test_the_sand_gives_no_energy(seed, integrator):
     assert greatest_work(*drawn(seed, integrator)) <= 1e-10

@@ -72,6 +72,7 @@ def test_what_rests_goes_on_resting(survive, door):
     lines = (
         "model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST",
         "model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICIT",
+        "model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE",
         "model.opt.solver = mujoco.mjtSolver.mjSOL_CG",
         "model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC",
         "model.dof_damping[:] = 0.1",
@@ -85,9 +86,8 @@ def test_what_rests_goes_on_resting(survive, door):
 
 @pytest.mark.slow
 @DOORS
-@pytest.mark.parametrize("integrator", ["RK4", "DISCRETE"])
-def test_an_integrator_that_cannot_be_stepped_is_refused_under_way(survive, door, integrator):
-    line = f"model.opt.integrator = mujoco.mjtIntegrator.mjINT_{integrator}"
+def test_an_integrator_that_cannot_be_stepped_is_refused_under_way(survive, door):
+    line = "model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4"
     (told,) = survive(AT_REST, [(door, "auto", 2, line)])
     assert "integrator" in str(told)
 

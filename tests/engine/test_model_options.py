@@ -120,7 +120,9 @@ def test_runge_kutta_under_way_is_refused(door):
     run.step()
     run.model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     place = run.data.qpos.copy()
-    with pytest.raises((InputError, mujoco.FatalError), match=r"RK4.*Euler, implicit or"):
+    with pytest.raises(
+        (InputError, mujoco.FatalError), match=r"RK4.*Euler, implicit, .* or discrete"
+    ):
         run.step()
     assert (run.data.qpos == place).all()
     run.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -128,12 +130,42 @@ def test_runge_kutta_under_way_is_refused(door):
     assert (run.data.qpos != place).any()
 
 
-@pytest.mark.parametrize("integrator", ["RK4", "discrete"])
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        ('integrator="RK4"', r"implicit(fast|, implicit| or)"),
+        (
+            'integrator="discrete" solver="PGS"',
+            r"discrete .* Newton and CG .* or scheme='explicit'",
+        ),
+    ],
+)
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("scheme", ["auto", "implicit"])
-def test_what_the_chosen_scheme_cannot_step_is_refused_at_once(door, scheme, integrator):
-    with pytest.raises((InputError, ValueError), match=r"implicit(fast|, implicit| or)"):
-        Run(boxes(f'integrator="{integrator}"'), door, scheme=scheme)
+def test_what_the_chosen_scheme_cannot_step_is_refused_at_once(door, scheme, option, told):
+    with pytest.raises((InputError, ValueError), match=told):
+        Run(boxes(option), door, scheme=scheme)
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("solver", int(mujoco.mjtSolver.mjSOL_PGS)),
+        ("enableflags", int(mujoco.mjtEnableBit.mjENBL_IPC)),
+    ],
+)
+def test_what_discrete_is_not_foreseen_with_is_refused_under_way(door, name, value):
+    run = Run(boxes('integrator="discrete" solver="CG"'), door)
+    run.step()
+    good, place = getattr(run.model.opt, name), run.data.qpos.copy()
+    setattr(run.model.opt, name, value)
+    with pytest.raises((InputError, mujoco.FatalError), match="integrator discrete"):
+        run.step()
+    assert (run.data.qpos == place).all()
+    setattr(run.model.opt, name, good)
+    run.step()
+    assert (run.data.qpos != place).any()
 
 
 @pytest.mark.parametrize("door", DOORS)
@@ -211,7 +243,7 @@ def foreseen(sand, data):
     return sand._bindings[data].workspace.arrays["velocity"]
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast"])
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "discrete"])
 @pytest.mark.parametrize(
     ("damping", "option", "more"),
     [

@@ -144,10 +144,10 @@ def stand(model, data, law, medium, slope=SLOPE, **options):
 
 
 @pytest.mark.parametrize("timestep", [2e-3, 1e-2])
-@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "discrete"])
 def test_a_robot_stands_on_a_slope(timestep, integrator):
     model, data = walker(timestep, integrator=integrator)
-    # Measured: 1.5e-9 and 1.6e-9.
+    # Measured: 1.5e-9 and 1.6e-9; with discrete 1.5e-9 and 8e-10.
     assert stand(model, data, "link_distributed", PLAY_SAND) <= 1e-6
 
 
@@ -159,8 +159,9 @@ def test_a_robot_stands_on_a_slope_by_resistive_force_theory(law, medium):
     assert stand(model, data, law, medium, resolution=8) <= 1e-6
 
 
-def test_a_robot_against_its_joint_limits_stands():
-    model, data = walker(5e-3, knee=1.2)
+@pytest.mark.parametrize("integrator", ["Euler", "discrete"])
+def test_a_robot_against_its_joint_limits_stands(integrator):
+    model, data = walker(5e-3, knee=1.2, integrator=integrator)
     data.ctrl[:] = np.tile([-1.5, 0.0], 4)  # beyond both limits, 60 and 5 degrees
     assert stand(model, data, "link_distributed", PLAY_SAND) <= 1e-6
     assert data.nefc > 0

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mjgranular import Explicit, Rft3dLaw, Sand, media
 from mjgranular.shape import budget, facets_from_model, patches
+from mjgranular.shape.tessellation import Facets
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning"),
@@ -95,7 +96,7 @@ def test_closed_meshes_stay_closed(seed, size, place, resolution):
     assert np.abs(middle).max() < 5 * max(size)
     # Lifted as by a liquid, whichever way is up, and not turned into another direction.
     away = facets.points - place
-    lift = moments_of(patches.Facets(away, *[getattr(facets, k) for k in FIELDS]))
+    lift = moments_of(Facets(away, *[getattr(facets, k) for k in FIELDS]))
     error = np.abs(lift - volume_of(corners - place) * np.eye(3)).max()
     assert error < 0.6 / resolution * skin * max(size) / 3
 

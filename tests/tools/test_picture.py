@@ -179,7 +179,7 @@ def test_a_long_film_says_how_long_it_will_take(monkeypatch, capfd):
     from mjgranular.cli import filming
 
     now = iter([0.0, 10.0])
-    monkeypatch.setattr(filming.time, "perf_counter", lambda: next(now))
+    monkeypatch.setattr("mjgranular.cli.filming.time.perf_counter", lambda: next(now))
     shown = []
     estimate = filming.Estimate(Film(), shown.append)
     for done in range(2, 31):

@@ -1,0 +1,94 @@
+"""The effective metric of MuJoCo's integrator `discrete`, as the balance's matrix A.
+
+This integrator solves for constraints and velocity at once,
+
+    A (v' - v) / h = q + c + q_c,    A = M + h D + h^2 K,    c = -h K v,
+
+with damping D and stiffness K of joints, tendons, actuators, fluid and flexes, none of which is
+negative; a is (v' - v) / h as it stands. Metric, shift c and the rows of the constraints, whose
+softness depends on the metric, are made after the actuators' forces, between two functions of
+MuJoCo's interface; of this interface inverse dynamics alone makes them too, and no more than them.
+"""
+
+from __future__ import annotations
+
+import mujoco
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.engine import (
+    add_metric_product,
+    factor_inertia,
+    free_bias_derivative,
+    inverse_dynamics,
+    metric_shift,
+    turns_freely,
+)
+from mjgranular.kernel.memory import scratch
+from mjgranular.scheme.dense import add_scaled, clear
+
+_AFTER_VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
+_INTEGRATOR = int(mujoco.mjtIntegrator.mjINT_DISCRETE)
+_DUAL, _IPC = int(mujoco.mjtSolver.mjSOL_PGS), int(mujoco.mjtEnableBit.mjENBL_IPC)
+
+numbers_of_block = scratch(36)
+
+
+@compiled
+def is_unforeseen(integrator, solver, enableflags):
+    """Tells whether the options make this integrator's step another than the one above.
+
+    The dual solver works with what the engine does not make for others than itself, and the flag
+    `ipc` has steps of its own.
+    """
+    return integrator == _INTEGRATOR and (solver == _DUAL or enableflags & _IPC != 0)
+
+
+@compiled
+def make_metric(w):
+    """Has the engine make the metric of this step; reads the shift c.
+
+    What it needs of the metric for its own solvers is factored; inverse dynamics leaves that out.
+    """
+    model, data, shift = w.model, w.data, w.shift
+    if w.within != 0:  # it comes after passive forces in the step
+        metric_shift(model, data)
+    inverse_dynamics(model, data, _AFTER_VELOCITY, 1)
+    if w.factored == 0 and w.efm_diag.ctypes.data != 0:
+        factor_inertia(
+            w.qH.ctypes.data,
+            w.qHDiagInv.ctypes.data,
+            w.nv,
+            w.M_rownnz.ctypes.data,
+            w.M_rowadr.ctypes.data,
+            w.M_colind.ctypes.data,
+            0,
+        )
+    clear(shift)
+    if w.efm_c.ctypes.data != 0:
+        add_scaled(shift, 1.0, w.efm_c)
+    if w.efm_ca.ctypes.data != 0:
+        add_scaled(shift, 1.0, w.efm_ca)
+
+
+@compiled
+def add_metric(w):
+    """Adds to A, which is M, what makes it the metric.
+
+    Free bodies that carry no joint and that nothing else touches have their gyroscopic moment
+    implicitly, without symmetry.
+    """
+    unit, inertia = w.trial, w.inertia
+    clear(unit)
+    for j in range(w.nv):
+        unit[j] = 1.0
+        add_metric_product(w.model, w.data, inertia[j].ctypes.data, unit.ctypes.data, 1)
+        unit[j] = 0.0
+    block = numbers_of_block()
+    for k in range(0, w.nlone, 6):
+        first = w.lone_dofs[k]
+        joint = w.dof_jntid[first]
+        if turns_freely(w.model, w.data, joint) != 0:
+            free_bias_derivative(w.model, w.data, joint, block.ctypes.data)
+            for i in range(6):
+                for j in range(6):
+                    inertia[first + i, first + j] += w.h * block[6 * i + j]

@@ -1,0 +1,65 @@
+"""What can move in a model and yet is not felt by sand, or not as it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import mujoco
+
+from mjgranular.errors import UnfeltWarning, warn_user
+from mjgranular.names import name_of
+from mjgranular.shape.select import body_name, collides, mocap_above, moves
+
+
+def warn_of_unfelt(model: mujoco.MjModel, geoms: Sequence[int], *, chosen: bool) -> None:
+    """Warns of what a user would believe to be in the sand.
+
+    Args:
+        model: the model.
+        geoms: ids of the geoms that meet the sand.
+        chosen: whether the user has chosen them, and so what else stays out.
+    """
+    for told in [*_hung(model, geoms), *(() if chosen else _left_out(model))]:
+        warn_user(told, UnfeltWarning)
+
+
+def _left_out(model: mujoco.MjModel) -> Iterator[str]:
+    for flex in range(model.nflex):
+        if any(moves(model, body) for body in _bodies_of(model, flex)):
+            yield (
+                f"the sand does not act on flex {name_of(model, 'flex', flex) or flex!r}: it feels "
+                "geoms of rigid bodies alone; name with bodies=[...] those that meet it"
+            )
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        mocap = mocap_above(model, body)
+        if mocap is not None and collides(model, geom) and not moves(model, body):
+            yield (
+                f"the sand does not act on mocap body {body_name(model, mocap)}, to which MuJoCo "
+                "gives no velocity: put its geoms on a free body and <weld> that to it, or name "
+                "with bodies=[...] those that meet the sand"
+            )
+            return
+
+
+def _hung(model: mujoco.MjModel, geoms: Sequence[int]) -> Iterator[str]:
+    """Says which body in the sand moves with a mocap body, in a way that velocities do not tell."""
+    for body in sorted({int(model.geom_bodyid[geom]) for geom in geoms}):
+        mocap = mocap_above(model, body)
+        if mocap is not None:
+            yield (
+                f"body {body_name(model, body)} hangs on mocap body {body_name(model, mocap)}, to "
+                "which MuJoCo gives no velocity: the sand feels the motion of the joints between "
+                "them alone; <weld> a free body to the mocap body, and hang it on that"
+            )
+            return
+
+
+def _bodies_of(model: mujoco.MjModel, flex: int) -> set[int]:
+    """Bodies that vertices or nodes of a flex go with."""
+    bodies = set()
+    for part in ("vert", "node"):
+        first = int(getattr(model, f"flex_{part}adr")[flex])
+        count = int(getattr(model, f"flex_{part}num")[flex])
+        bodies.update(getattr(model, f"flex_{part}bodyid")[first : first + count].tolist())
+    return {body for body in bodies if body > 0}
