@@ -15,6 +15,7 @@ from mjgranular import (
     Bed,
     DepthVelocityLaw,
     GranularWarning,
+    HeightField,
     InputError,
     Memory,
     Plane,
@@ -420,3 +421,28 @@ def test_memory_is_given_as_what_one_has_at_hand() -> None:
         Pushed(memory=memory(extent=0.5))
     with pytest.warns(GranularWarning, match=r"cells of 60 mm are larger than .* 50 mm"):
         Pushed(BALL, memory=memory(cell=0.06, extent=3.0))
+
+
+def test_prints_on_a_height_field_are_over_the_field() -> None:
+    """On a level field forces are those on a plane; on dunes books balance."""
+    text = """<mujoco><option timestep="1e-3"/><asset><hfield name="field" nrow="3" ncol="3"
+    size="1 1 0.2 0.1"/></asset><worldbody><geom name="field" type="hfield" hfield="field"/>
+    <body><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+    <joint type="slide" axis="0 0 1"/><joint type="hinge" axis="0 0 1"/>{}</body></worldbody>
+    </mujoco>"""
+    plane = Pushed(memory=memory()).press(0.0, 0.02)
+    for heights in (np.full(9, 0.5), np.array([0.2, 0.5, 0.3, 0.4, 0.5, 0.6, 0.5, 0.4, 0.6])):
+        pushed = Pushed.__new__(Pushed)
+        pushed.model = mujoco.MjModel.from_xml_string(text.format(PLATE))
+        pushed.model.hfield_data[:] = heights
+        pushed.data = mujoco.MjData(pushed.model)
+        surface = HeightField("field")
+        pushed.sand = Sand(
+            pushed.model, law=LAW, scheme="explicit", surface=surface, memory=memory()
+        )
+        for k, force in enumerate(plane):
+            found = pushed.force(0.0, 0.1 - 1e-4 * k, -0.1)[2]
+            if np.ptp(heights) == 0.0:
+                assert found == pytest.approx(force, rel=1e-6, abs=1e-9)
+        is_balanced(pushed.state, 0.01, 100)
+        assert pushed.height.min() < -0.015
