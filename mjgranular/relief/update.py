@@ -63,8 +63,8 @@ _points, _feet = records(POINT_DTYPE), records(FOOT_DTYPE)
 _FACES_DOWN = -math.sqrt(1.0 - STEEP * STEEP)  # the normal's part along that of the sand
 _REST = 5e-3  # height that may be left over the angle of repose [cells]: 0.2 degrees; chosen
 # Time that goes by until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for
-# cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with less, prints
-# and slopes are the same.
+# cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with half of it
+# the way of a walking hexapod is the same within 1 %.
 _PRESSED_AFTER, _FLOWS_AFTER = 0.2, 0.6
 _EIGHT = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
