@@ -38,6 +38,8 @@ from mjgranular.medium import Quantity as Quantity
 from mjgranular.medium import media as media
 from mjgranular.medium import register_medium as register_medium
 from mjgranular.notebook import show as show
+from mjgranular.relief import Heights as Heights
+from mjgranular.relief import Memory as Memory
 from mjgranular.sand import BodyReport as BodyReport
 from mjgranular.sand import ElementReport as ElementReport
 from mjgranular.sand import Report as Report

@@ -36,7 +36,7 @@ def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T
     if not words:
         raise InputError(f"a {kind} is needed; there are: {', '.join(register)}")
     cls = register[words[0]]
-    return cls, _options(words[1:], cls, f"{kind} {words[0]!r}")
+    return cls, read_options(words[1:], cls, f"{kind} {words[0]!r}")
 
 
 def split_words(text: str) -> list[str]:
@@ -54,7 +54,7 @@ def split_words(text: str) -> list[str]:
 
 
 def read_value(text: str, kind: Any, name: str) -> Any:
-    """A value of a type: bool, int, float or str.
+    """A value of a type: bool, int, float or str; a float may be one that need not be given.
 
     Raises:
         InputError: it is of another, or cannot be written at all.
@@ -63,9 +63,9 @@ def read_value(text: str, kind: Any, name: str) -> Any:
         if text not in ("true", "false"):
             raise InputError(f"{name} must be true or false, not {shown(text)}")
         return text == "true"
-    if kind in (int, float):
+    if kind in (int, float, float | None):
         try:
-            value = kind(text)
+            value = int(text) if kind is int else float(text)
         except ValueError:
             word = "a whole number" if kind is int else "a number"
             raise InputError(f"{name} must be {word}, not {shown(text)}") from None
@@ -77,8 +77,12 @@ def read_value(text: str, kind: Any, name: str) -> Any:
     raise InputError(f"{name} cannot be written in words: it is neither number, switch nor name")
 
 
-def _options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
-    """Reads `name=value` words as fields of a dataclass."""
+def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
+    """Reads `name=value` words as fields of a dataclass.
+
+    Raises:
+        InputError: an option of `what` that is unknown, given twice, or of a wrong type.
+    """
     hints = get_type_hints(cls)
     kinds = {field.name: hints[field.name] for field in fields(cls)}
     options = {}

@@ -134,5 +134,8 @@ class SandOptions(ChoiceOptions):
     """Hfield geom of the model that is the sand."""
     instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
     """Geoms that the sand replaces, such as a floor that would carry the model above the sand."""
+    memory: Annotated[str | None, tyro.conf.arg(metavar="CELL")] = None
+    """Let the sand remember what has been pressed down, on cells of this side [m], or as in
+    "cell=0.01 extent=4". Default: it closes behind what has passed."""
     keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Let the model stand on ground of its own at or above the surface of the sand."""

@@ -11,6 +11,7 @@ MuJoCo's memory and functions. `pickles` has models bring mjgranular along.
 from mjgranular.engine.external import rne_post_constraint as rne_post_constraint
 from mjgranular.engine.instances import NAME as NAME
 from mjgranular.engine.instances import bodies_of_sands
+from mjgranular.engine.instances import relief_of as relief_of
 from mjgranular.engine.pickles import register as register_pickles
 from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand

@@ -133,6 +133,7 @@ class Image:
 def make_image(
     model: mujoco.MjModel,
     data: mujoco.MjData,
+    instance: int,
     sand: PreparedSand,
     tunings: np.ndarray,
     drawing: dict[str, Any],
@@ -142,6 +143,7 @@ def make_image(
     Args:
         model: the model.
         data: an `MjData` of it.
+        instance: of the plugin; what the sand remembers is its state.
         sand: that was prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
         drawing: fields of the header that say what is drawn, and how.
@@ -152,7 +154,9 @@ def make_image(
     slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
     texts = refusals(sand.scheme)
     shape = sand.surface.shape(model)
-    binding = bind(model, data, sand, within=True)
+    first = int(model.plugin_stateadr[instance])
+    state = data.plugin_state[first : first + sand.surface.state_size]
+    binding = bind(model, data, sand, within=True, state=state)
     head = np.zeros(1, HEADER_DTYPE)
     table, workspace = binding.table, binding.workspace
     # In the engine forces do not go by xfrc_applied, MuJoCo itself deals with a bad state, and
@@ -160,11 +164,11 @@ def make_image(
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
-    linked = (head, table, sand.scene, workspace.record, shapes)
+    linked = (head, table, binding.scene, workspace.record, shapes)
     # Those that read the model are needed at each step, and so lie in the block.
     count = sum(of_model.holds(int(word)) for array in linked for word in _words(array))
     live = np.zeros(count, RELOCATION_DTYPE)
-    own = [head, live, shapes, table, binding.bodies, binding.contacts, sand.scene]
+    own = [head, live, shapes, table, binding.bodies, binding.contacts, binding.scene]
     own += [workspace.record, *workspace.arrays.values(), ends := np.zeros(6)]
     places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
     for name, value in {
@@ -186,7 +190,7 @@ def make_image(
         "instances": model.nplugin,
         "senses": senses_forces(model),
         "results": binding.bodies.ctypes.data,
-        "results_size": places[sand.scene.ctypes.data] - places[binding.bodies.ctypes.data],
+        "results_size": places[binding.scene.ctypes.data] - places[binding.bodies.ctypes.data],
         "slots": slots.ctypes.data,
         "geoms": geoms.ctypes.data,
         "ends": ends.ctypes.data,
@@ -211,13 +215,12 @@ def make_image(
     )
     reads_model = relocations["kind"] >= IN_MODEL
     live[:] = relocations[reads_model]
-    first = places[live.ctypes.data]
-    content[first : first + live.nbytes] = _bytes(live)
-    return Image(
-        content.view(np.float64),
-        relocations[~reads_model],
-        (sand.packed, slots, geoms, tunings, texts),
-    )
+    begin = places[live.ctypes.data]
+    content[begin : begin + live.nbytes] = _bytes(live)
+    shared = [sand.packed, slots, geoms, tunings, texts]
+    if sand.footprint is not None:
+        shared += [sand.footprint.points, sand.footprint.feet]
+    return Image(content.view(np.float64), relocations[~reads_model], tuple(shared))
 
 
 def senses_forces(model: mujoco.MjModel) -> bool:

@@ -44,6 +44,7 @@ from mjgranular.kernel.memory import (
     NBODY,
     NV,
     SUBTREE_COM,
+    UPDATE,
     XIPOS,
     floats,
     ints,
@@ -190,6 +191,10 @@ def life(layout: Layout) -> Callbacks:
             numbers = floats(state, STATE_SIZE)
             for k in range(STATE_SIZE):
                 numbers[k] = INITIAL[k]
+        else:  # what sand remembers: nothing
+            numbers = floats(state, sizes[instance])
+            for k in range(len(numbers)):
+                numbers[k] = 0.0
 
     return {
         "destroy": (destroy, "void(int64, int32)"),
@@ -240,16 +245,22 @@ def sand_callbacks(layout: Layout) -> Callbacks:
 
     @compiled
     def advance(model, data, instance):
-        """Refuses to go on where MuJoCo computes no passive forces: it does not ask for ours."""
-        disabled = ints(model + flags, 1)[0]
-        if disabled & NO_PASSIVE_FORCES != NO_PASSIVE_FORCES:
-            return
+        """Updates what the sand remembers, at the end of a step.
+
+        It refuses to go on where MuJoCo computes no passive forces: it does not ask for ours.
+        """
         block = find_block(data, instance)
         if block == 0:
             return
-        texts = _header(block, 1)[0].refusals
-        if texts != 0:
-            _fail(texts + REFUSAL_SIZE * len(REFUSED))
+        header = _header(block, 1)[0]
+        disabled = ints(model + flags, 1)[0]
+        if disabled & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
+            if header.refusals != 0:
+                _fail(header.refusals + REFUSAL_SIZE * len(REFUSED))
+        elif header.program != 0:
+            update = table_at(header.table)[UPDATE]
+            if update != 0:
+                call_step(update, header.table, 0.0)
 
     return {
         **life(layout),

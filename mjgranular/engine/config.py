@@ -21,6 +21,7 @@ from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.law import laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.registry import Registry
+from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
 from mjgranular.scheme import get_scheme, schemes
@@ -30,6 +31,9 @@ from mjgranular.words import read_value, split_words
 
 KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""
+
+STATE_KEYS = ("memory", "tunable")
+"""Keys that say how many numbers an instance has in MuJoCo's state."""
 
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
 
@@ -76,6 +80,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
         "groups": lambda text: [read_value(word, int, "a group") for word in split_words(text)],
         "resolution": _read_resolution,
         "instead_of": split_words,
+        "memory": as_memory,
         "draw": _read_draw,
         "tunable": lambda text: read_value(text, bool, "tunable"),
     }
@@ -89,6 +94,11 @@ def read_config(texts: Mapping[str, str]) -> Config:
             law = given["law"]
             read["law"] = law_of(law, read.get("medium") or medium_for(law))
     draw, tunable = read.pop("draw", ()), read.pop("tunable", False)
+    if tunable and "memory" in read:
+        raise InputError(
+            "sand with memory cannot be tunable, as heights lie over a surface that stays where it "
+            "is: leave one of the two out"
+        )
     return Config(SandSpec(**read), draw, tunable)
 
 
@@ -115,6 +125,7 @@ def write_config(
         "groups": lambda groups: _write_words(np.atleast_1d(groups).tolist()),
         "resolution": str,
         "instead_of": lambda geoms: _write_words(names_in(geoms)),
+        "memory": _write_memory,
         "draw": _write_words,
         "tunable": lambda _: "true",
     }
@@ -143,6 +154,13 @@ def _read_resolution(text: str) -> int:
     if resolution < 1:
         raise InputError(f"resolution must be at least 1, not {shown(resolution)}")
     return resolution
+
+
+def _write_memory(memory: Memory | float | bool) -> str:
+    read = as_memory(memory)
+    default = Memory()
+    given = [f.name for f in fields(Memory) if getattr(read, f.name) != getattr(default, f.name)]
+    return " ".join(_write_field(read, name) for name in given) or "true"
 
 
 def _read_draw(text: str) -> tuple[str, ...]:

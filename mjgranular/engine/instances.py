@@ -9,8 +9,12 @@ import numpy as np
 
 from mjgranular.engine.config import KEYS, read_config
 from mjgranular.engine.library import config_texts, instance_name, plugin_slot
-from mjgranular.errors import UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.relief.heights import Heights, heights_of
+from mjgranular.relief.memory import as_memory
+from mjgranular.relief.relief import place_in_plane
 from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.surface.choice import surface_of
 
 NAME = "mjgranular.sand"
 """Of the plugin."""
@@ -51,3 +55,37 @@ def bodies_of_sands(model: mujoco.MjModel) -> Iterator[tuple[str, set[int]]]:
         texts = config_texts(model._address, instance_of(model, name), KEYS)
         geoms = geoms_in_sand(model, read_config(texts).sand)
         yield name, {int(model.geom_bodyid[geom]) for geom in geoms}
+
+
+def relief_of(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    name: str = "sand",
+    middle: tuple[float, float] | None = None,
+) -> Heights:
+    """What a sand inside `mj_step` remembers, as `Sand.relief` has it.
+
+    Args:
+        model: the model.
+        data: the simulation.
+        name: of the instance.
+        middle: of the square that is asked for, along the axes of the surface's plane [m]; None for
+            the middle of the bodies that meet the sand.
+
+    Raises:
+        UnknownNameError: the model has no such sand; lists those it has.
+        InputError: it has no memory.
+    """
+    instance = instance_of(model, name)
+    sand = read_config(config_texts(model._address, instance, KEYS)).sand
+    memory = as_memory(sand.memory)
+    if memory is None:
+        raise InputError(
+            f"the sand {name!r} has no memory: make it with add_sand(..., memory=True)"
+        )
+    if middle is None:
+        bodies = sorted({int(model.geom_bodyid[geom]) for geom in geoms_in_sand(model, sand)})
+        point = data.xpos[bodies].mean(axis=0)
+        middle = place_in_plane(surface_of(sand.surface), model, point)
+    first = int(model.plugin_stateadr[instance])
+    return heights_of(data.plugin_state[first : first + memory.state_size], memory, middle)

@@ -29,13 +29,14 @@ from mjgranular.engine.library import config_texts, instance_name, library, plug
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.preparing import prepare_in_worker
 from mjgranular.engine.sensor import Sensors, Sites
-from mjgranular.engine.tuning import NO_TUNINGS, make_tunings
+from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.look import TILES, PlaneLook, radius_of
 from mjgranular.medium import media
 from mjgranular.names import name_of
+from mjgranular.relief.relief import Relief
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.scheme import Auto
 from mjgranular.shape.select import names_in
@@ -222,15 +223,15 @@ class Loader:
         key = self._key(model, instance, texts)
         prepared = self._prepared.get(key)
         if prepared is None:
-            prepared = prepare_in_worker(lambda: self._make(key, model, texts))
+            prepared = prepare_in_worker(lambda: self._make(key, model, instance, texts))
         else:
             self._prepared.move_to_end(key)
         if self._disable_contacts(model, prepared.disabled):
             self._keep(self._key(model, instance, texts), prepared)
         return prepared
 
-    def _make(self, key: bytes, model: int, texts: dict[str, str]) -> Prepared:
-        prepared = _prepare(_copy(model), texts)
+    def _make(self, key: bytes, model: int, instance: int, texts: dict[str, str]) -> Prepared:
+        prepared = _prepare(_copy(model), instance, texts)
         if prepared.draws and not self._draws:
             self._draw()
             self._draws = True
@@ -311,8 +312,8 @@ def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
     return found
 
 
-def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
-    """Prepares the sand that is written in those texts for a model, which is changed.
+def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Prepared:
+    """Prepares the sand of an instance, written in those texts, for a model, which is changed.
 
     Raises:
         InputError: a text cannot be read, or does not fit the model.
@@ -331,10 +332,16 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
     if config.tunable:
         with named("tunable"):
             tunings = make_tunings(sand, model)
+    size = sand.surface.state_size + (STATE_SIZE if config.tunable else 0)
+    if model.plugin_statenum[instance] != size:
+        raise InputError(
+            f"the model has room for {model.plugin_statenum[instance]} numbers of the sand's "
+            f"state, which has {size}: compile it anew"
+        )
     drawing = _drawing(model, config.draw, sand)
     bodies, geoms = (dict.fromkeys(sand.elements[key].tolist()) for key in ("body", "geom"))
     return Prepared(
-        make_image(model, mujoco.MjData(model), sand, tunings, drawing),
+        make_image(model, mujoco.MjData(model), instance, sand, tunings, drawing),
         bodies={body: name_of(model, "body", body) or str(body) for body in bodies},
         geoms={geom: name_of(model, "geom", geom) or str(geom) for geom in geoms},
         disabled=sand.disabled,
@@ -346,6 +353,8 @@ def _prepare(model: mujoco.MjModel, texts: dict[str, str]) -> Prepared:
 
 def _place_of(surface: Surface) -> str:
     """The same words for surfaces under which a body would always meet both sands."""
+    if isinstance(surface, Relief):
+        surface = surface.base
     return "an endless plane" if isinstance(surface, Plane) else repr(surface)
 
 

@@ -11,17 +11,17 @@ from __future__ import annotations
 import ctypes
 import logging
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import mujoco
 
-from mjgranular.engine.config import KEYS
+from mjgranular.engine.config import KEYS, STATE_KEYS, read_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.layout import LayoutError, find_layout, laid_out
-from mjgranular.engine.library import instance_name, library
+from mjgranular.engine.library import config_texts, instance_name, library
 from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
 from mjgranular.engine.preparing import is_preparing, prepare_in_worker
 from mjgranular.engine.trampolines import (
@@ -42,6 +42,7 @@ from mjgranular.kernel.compiler import CompilerError
 from mjgranular.kernel.fork import ENGINE
 from mjgranular.kernel.machine import publish_functions
 from mjgranular.kernel.worker import is_main
+from mjgranular.relief.memory import as_memory
 
 _logger = logging.getLogger(__name__)
 
@@ -79,7 +80,7 @@ class Plugin:
     keys: tuple[str, ...]
     capability: int
     stage: int = 0
-    nstate: Size = NONE
+    count_state: Callable[[int, int, int], object] | None = None
     nsensordata: Size = NONE
 
 
@@ -109,7 +110,7 @@ class Engine:
         struct.capabilityflags = plugin.capability
         struct.needstage = plugin.stage
         trampolines = make_trampolines(
-            plugin.name, partial(self._init, plugin), plugin.nstate, plugin.nsensordata
+            plugin.name, partial(self._init, plugin), plugin.count_state, plugin.nsensordata
         )
         for callback, address in trampolines.items():
             setattr(struct, callback, address)
@@ -257,6 +258,20 @@ def _check_struct(lib: ctypes.CDLL) -> None:
         raise LayoutError("a struct mjpPlugin of the known size")
 
 
+def _count_state(model: int, instance: int, place: int) -> None:
+    """Writes how many numbers an instance of sand has in MuJoCo's state.
+
+    Of what cannot be read there are none; it is said when the sand is prepared.
+    """
+    try:
+        config = read_config(config_texts(model, instance, STATE_KEYS))
+        memory = as_memory(config.sand.memory)
+        size = (STATE_SIZE if config.tunable else 0) + (memory.state_size if memory else 0)
+    except GranularError:
+        size = 0
+    ctypes.c_int64.from_address(place).value = size
+
+
 _PLUGINS = (
     # What is neither true nor false is an error when the sand is prepared.
     Plugin(
@@ -264,7 +279,7 @@ _PLUGINS = (
         KEYS,
         _PASSIVE | _SENSOR,  # it measures nothing, but is asked when MuJoCo's sensors are through
         _ACCELERATION,
-        nstate=Size("tunable", {"true": STATE_SIZE}, 0),
+        count_state=_count_state,
     ),
     Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, nsensordata=Size("measure", MEASURES, 1)),
 )

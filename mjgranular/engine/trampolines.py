@@ -210,6 +210,34 @@ declare ptr @mj_getPluginConfig(i64, i32, ptr)
 declare i1 @mjgranular_equal(ptr, ptr)
 """
 
+_COUNT = r"""
+@format_of_count = private constant [4 x i8] c"LiL\00"
+
+define i32 @NAME_nstate(i64 %model, i32 %instance) {
+  %answer = alloca i64
+  store volatile i64 0, ptr %answer
+  %place = ptrtoint ptr %answer to i64
+  %function = inttoptr i64 FUNCTION to ptr
+  %held = call i32 @PyGILState_Ensure()
+  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %function, ptr @format_of_count,
+    i64 %model, i32 %instance, i64 %place)
+  %failed = icmp eq ptr %made, null
+  br i1 %failed, label %lost, label %counted
+lost:
+  call void @PyErr_Clear()
+  call void @PyErr_SetInterrupt()
+  br label %leave
+counted:
+  call void @Py_DecRef(ptr %made)
+  br label %leave
+leave:
+  call void @PyGILState_Release(i32 %held)
+  %number = load volatile i64, ptr %answer
+  %size = trunc i64 %number to i32
+  ret i32 %size
+}
+"""
+
 _WHY = (
     "mjgranular: the sand of this mjData was not prepared, as that failed or was interrupted: "
     "make a new mjData"
@@ -258,14 +286,18 @@ def _notice(place: int) -> None:
 
 
 def make_trampolines(
-    name: str, init: Callable[[int, int, int, int], object], nstate: Size, nsensordata: Size
+    name: str,
+    init: Callable[[int, int, int, int], object],
+    count_state: Callable[[int, int, int], object] | None,
+    nsensordata: Size,
 ) -> dict[str, int]:
     """Makes the functions of a plugin of which nothing is compiled yet.
 
     Args:
         name: of the plugin.
         init: `init(model, data, instance, answer)` writes at the address `answer` (`Answer`).
-        nstate: of its state.
+        count_state: `count_state(model, instance, place)` writes at an address how many numbers its
+            state has; None for none.
         nsensordata: of its readings.
 
     Returns:
@@ -284,7 +316,12 @@ def make_trampolines(
         INTERRUPT=INTERRUPT,
         ERROR=ERROR,
     )
-    code += _size(name, "nstate", nstate, "") + _size(name, "nsensordata", nsensordata, ", i32")
+    if count_state is None:
+        code += _size(name, "nstate", NONE, "")
+    else:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(count_state))
+        code += _filled(_COUNT, NAME=name, FUNCTION=id(count_state))
+    code += _size(name, "nsensordata", nsensordata, ", i32")
     own = {f"{name}_{field}": field for field in ("init", "nstate", "nsensordata")}
     found = load_functions(code, own)
     return common | {own[name]: address for name, address in found.items()}

@@ -21,8 +21,8 @@ from mjgranular.surface.place import replace_geoms
 class PlainSand:
     """A `SandSpec` in plain values, SI units and radians, as folders of results have it.
 
-    `medium`, `law`, `scheme`, `bodies`, `geoms`, `groups`, `resolution` and `instead_of` are those
-    of `SandSpec`, by name; None and `()` stand for no choice.
+    `medium`, `law`, `scheme`, `bodies`, `geoms`, `groups`, `resolution`, `instead_of` and `memory`
+    are those of `SandSpec`, by name; None and `()` stand for no choice.
 
     Attributes:
         surface_height: world z of a level or sloping surface [m].
@@ -46,6 +46,7 @@ class PlainSand:
     groups: tuple[int, ...] = ()
     resolution: int | None = None
     instead_of: tuple[str, ...] = ()
+    memory: str | None = None
     keep_floor: bool = False
 
     def __post_init__(self) -> None:
@@ -75,6 +76,7 @@ class PlainSand:
             groups=self.groups or None,
             resolution=self.resolution,
             instead_of=self.instead_of,
+            memory=self.memory,
         )
 
 

@@ -24,11 +24,13 @@ from mjgranular.kernel.machine import intrinsic
 # The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
 # Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there they are MuJoCo's own
-# business.
+# business. The last three are those of a surface that remembers: the address of its state, how many
+# numbers that has, and the address of the program that updates it after a step; 0 without memory.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
-TABLE_SIZE = 23
+STATE, STATE_SIZE, UPDATE = range(23, 26)
+TABLE_SIZE = 26
 
 
 def simulation_table(
@@ -45,6 +47,8 @@ def simulation_table(
     options: int,
     integrators: int,
     longest_step: int,
+    state: np.ndarray,
+    update: int,
 ) -> np.ndarray:
     """Makes the table of sizes and addresses.
 
@@ -61,9 +65,11 @@ def simulation_table(
         options: address of the model's options (`kernel.options`).
         integrators: that can be stepped, a bit each.
         longest_step: the longest time step that can be taken [ns].
+        state: of the surface (`relief.grid`), empty without memory.
+        update: address of the program that updates it, 0 without memory.
 
     Returns:
-        The table, shape (23,), int64. It keeps nothing alive: all of the arguments must outlive
+        The table, shape (26,), int64. It keeps nothing alive: all of the arguments must outlive
         every use of it.
     """
     arrays = (
@@ -86,7 +92,8 @@ def simulation_table(
     )
     numbers = (model.nbody, model.nv, count, len(bodies), integrators, longest_step)
     addresses = (options, *(array.ctypes.data for array in arrays))
-    return np.array([*numbers, *addresses], dtype=np.int64)
+    remembered = (state.ctypes.data if state.size else 0, state.size, update)
+    return np.array([*numbers, *addresses, *remembered], dtype=np.int64)
 
 
 def records(dtype: np.dtype) -> Any:

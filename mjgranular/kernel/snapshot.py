@@ -65,6 +65,12 @@ def save_snapshot(table):
         k += 1
 
 
+@compiled
+def kept_time(table):
+    """The time of the state that is kept [s]."""
+    return floats(_spans(table[SNAPSHOT], _MOST)[1].target, 1)[0]
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """The snapshot of one simulation, and the spans that are copied to it.

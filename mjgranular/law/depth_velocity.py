@@ -169,4 +169,4 @@ class DepthVelocityLaw(Law):
         return blobs_from_model(model, geoms)
 
     def kernel(self, surface: Surface) -> LawKernel:
-        return depth_velocity_kernel(type(surface).probe)
+        return depth_velocity_kernel(surface.probe_kernel())

@@ -58,7 +58,13 @@ class FacetSample(NamedTuple):
 
 @cache
 def facet_kernel(
-    probe: Any, *, stress: Any = None, slope: Any = None, is_plane: bool = False
+    probe: Any,
+    *,
+    stress: Any = None,
+    slope: Any = None,
+    is_plane: bool = False,
+    toward: Any = None,
+    ceiling: Any = None,
 ) -> LawKernel:
     """The kernels of a law of surface elements for surfaces with that `probe`.
 
@@ -66,16 +72,25 @@ def facet_kernel(
         probe: the surface's.
         stress: see `RftLaw`; asked where there is no slope.
         slope: see `RftLaw`.
-        is_plane: whether facets may be culled, and sampled side by side.
+        is_plane: whether facets may be sampled side by side.
+        toward: see `Surface.toward_kernel`.
+        ceiling: see `Surface.ceiling_kernel`.
 
     The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
     turning body is lowered.
     """
 
     @partial(compiled, inline=True)
+    def straight_up(surface, point, outward):
+        return probe(surface, point)
+
+    look = straight_up if toward is None else toward
+
+    @partial(compiled, inline=True)
     def facet_sample(facet, pose, law, surface, g):
         point = pose.position + pose.rotation @ facet.point
-        middle, up = probe(surface, point)
+        outward = pose.rotation @ facet.normal
+        middle, up = look(surface, point, outward)
         edge_1, edge_2 = pose.rotation @ facet.edges[0], pose.rotation @ facet.edges[1]
         rise_1, rise_2 = -dot(edge_1, up), -dot(edge_2, up)
         reach = abs(rise_1) + abs(rise_2)
@@ -109,13 +124,13 @@ def facet_kernel(
         above = choose(mean > 0.0, middle, 1.0) <= 0.0
         if not all_of(choose(above, 0.0, 1.0) > 0.0):
             # Where that is dry, the middle is not above the sand but beside it.
-            below, _ = probe(surface, centre)
+            below, _ = look(surface, centre, outward)
             depth = choose(choose(above, below, 1.0) <= 0.0, middle, depth)
         return FacetSample(
             depth,
             0.0,
             centre,
-            pose.rotation @ facet.normal,
+            outward,
             up,
             pose.rotation @ facet.spread[0],
             pose.rotation @ facet.spread[1],
@@ -168,8 +183,8 @@ def facet_kernel(
         facet_sample,
         respond_kernel(led_by_differences(stress) if slope is None else led_slope_kernel(slope)),
         lanes=LANES,
-        probe=probe if is_plane else None,
-        cull=facet_cull if is_plane else None,
+        probe=ceiling,
+        cull=None if ceiling is None else facet_cull,
         side_by_side=is_plane,
     )
     if slope is None:

@@ -73,7 +73,7 @@ class _LinkForm(Law):
         return parameters
 
     def kernel(self, surface: Surface) -> LawKernel:
-        return link_kernel(type(self).limits, type(surface).probe)
+        return link_kernel(type(self).limits, surface.probe_kernel())
 
 
 @register_law
@@ -163,5 +163,5 @@ class DistributedLinkLaw(_LinkForm):
         return cut_rods(rods_from_model(model, geoms), pieces)
 
     def kernel(self, surface: Surface) -> LawKernel:
-        place = type(surface)
-        return link_kernel(type(self).limits, place.probe, place.is_plane, lanes=4)
+        probe, ceiling = surface.probe_kernel(), surface.ceiling_kernel()
+        return link_kernel(type(self).limits, probe, ceiling, lanes=4)

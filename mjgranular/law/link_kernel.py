@@ -101,13 +101,13 @@ def rod_cull(rod, level):
 
 
 @cache
-def link_kernel(limits: Any, probe: Any, is_plane: bool = False, lanes: int = 1) -> LawKernel:
+def link_kernel(limits: Any, probe: Any, ceiling: Any = None, lanes: int = 1) -> LawKernel:
     """The kernels of one form of the law for surfaces with that `probe`.
 
     Args:
         limits: kernel like `lumped_limits`.
         probe: the surface's.
-        is_plane: whether rods may be culled.
+        ceiling: see `Surface.ceiling_kernel`.
         lanes: as in `LawKernel`; 1 where a body is one rod.
     """
 
@@ -139,6 +139,6 @@ def link_kernel(limits: Any, probe: Any, is_plane: bool = False, lanes: int = 1)
         link_respond,
         TWO_LIMITS,
         lanes=lanes,
-        probe=probe if is_plane else None,
-        cull=rod_cull if is_plane else None,
+        probe=ceiling,
+        cull=None if ceiling is None else rod_cull,
     )

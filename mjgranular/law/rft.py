@@ -81,5 +81,10 @@ class RftLaw(Law):
     def kernel(self, surface: Surface) -> LawKernel:
         law, place = type(self), type(surface)
         return facet_kernel(
-            place.probe, stress=law.stress, slope=law.slope, is_plane=place.is_plane
+            surface.probe_kernel(),
+            stress=law.stress,
+            slope=law.slope,
+            is_plane=place.is_plane,
+            toward=surface.toward_kernel(),
+            ceiling=surface.ceiling_kernel(),
         )

@@ -32,6 +32,8 @@ class Binding:
     contacts: np.ndarray
     snapshot: Snapshot
     workspace: Workspace
+    scene: np.ndarray
+    state: np.ndarray  # of the surface (`relief.grid`); empty without memory
 
 
 def bind(
@@ -40,6 +42,7 @@ def bind(
     sand: PreparedSand,
     *,
     within: bool = False,
+    state: np.ndarray | None = None,
 ) -> Binding:
     """Makes the binding of a prepared sand to a simulation.
 
@@ -48,6 +51,7 @@ def bind(
         data: the simulation.
         sand: that was prepared for the model.
         within: whether forces are asked for among MuJoCo's passive ones, inside its step.
+        state: room for that of the surface; None for an array of its own, of untouched sand.
 
     Raises:
         InputError: elements that do not come body by body.
@@ -68,18 +72,26 @@ def bind(
     # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
     anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
+    scene = sand.scene
+    if state is None:
+        state = np.zeros(sand.surface.state_size)
+    if sand.footprint is not None:
+        scene = scene.copy()
+        scene["surface"]["state"] = state.ctypes.data
     table = simulation_table(
         model,
         data,
         packed=sand.packed,
         count=len(elements),
         bodies=bodies,
-        scene=sand.scene,
+        scene=scene,
         contacts=contacts,
         spans=snapshot.spans,
         workspace=workspace.record,
         options=options_address(model),
         integrators=EVERY_INTEGRATOR if anywhere else bits_of(scheme.integrators),
         longest_step=nanoseconds(scheme.step_limit),
+        state=state,
+        update=sand.update,
     )
-    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace)
+    return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)

@@ -4,15 +4,28 @@ from __future__ import annotations
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.machine import call_step
-from mjgranular.kernel.memory import table_at
-from mjgranular.kernel.snapshot import save_snapshot
+from mjgranular.kernel.memory import STATE, STATE_SIZE, UPDATE, floats, table_at
+from mjgranular.kernel.snapshot import kept_time, save_snapshot
+from mjgranular.relief.grid import TIME
 from mjgranular.scheme.status import BAD_STATE, FINE
 from mjgranular.scheme.wrenches import is_bad, take_back_wrenches, withdraw_wrenches
 
 
 @compiled
+def forget_after_reset(table):
+    """Forgets all that a surface remembers where time has gone back: the simulation begins anew."""
+    state, time = floats(table[STATE], table[STATE_SIZE]), kept_time(table)
+    if time < state[TIME]:
+        for k in range(len(state)):
+            state[k] = 0.0
+    state[TIME] = time
+
+
+@compiled
 def guarded_step(program, address, lead):
     """Calls a scheme's program, and keeps the state that it is called with if it is good.
+
+    A surface that remembers is updated after it.
 
     Args:
         program: address of the program.
@@ -26,7 +39,13 @@ def guarded_step(program, address, lead):
     if is_bad(table):
         return BAD_STATE
     save_snapshot(table)
-    return call_step(program, address, lead)
+    if table[UPDATE] == 0:
+        return call_step(program, address, lead)
+    forget_after_reset(table)
+    failed = call_step(program, address, lead)
+    if failed == FINE:
+        call_step(table[UPDATE], address, 0.0)
+    return failed
 
 
 @compiled

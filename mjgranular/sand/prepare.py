@@ -12,6 +12,10 @@ from mjgranular.kernel.compiled import program_address
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
+from mjgranular.relief.footprint import Footprint, footprint_of, surroundings_of
+from mjgranular.relief.memory import as_memory
+from mjgranular.relief.relief import Relief
+from mjgranular.relief.update import update_program
 from mjgranular.sand.cost import warn_of_cost
 from mjgranular.sand.material import elements_of, material_of
 from mjgranular.sand.points import warn_of_points
@@ -44,6 +48,8 @@ class PreparedSand:
         scene: parameters of law and surface, shape (1,).
         kernel: of the law under this surface.
         program: address of the scheme's compiled program (`Scheme.program`).
+        footprint: by which bodies press sand down; None without memory.
+        update: address of the program that updates what is remembered; 0 without memory.
         disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
     """
 
@@ -57,6 +63,8 @@ class PreparedSand:
     scene: np.ndarray
     kernel: LawKernel
     program: int
+    footprint: Footprint | None
+    update: int
     disabled: tuple[int, ...]
 
 
@@ -90,9 +98,17 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     elements = elements_of(model, geoms, law, spec.resolution)
     scheme = scheme.scheme_for(model, len(elements))
     scheme.check(model)
+    memory, footprint = as_memory(spec.memory), None
+    if memory is not None:
+        surface = Relief(surface, memory, surroundings_of(model, geoms, memory))
+        footprint = footprint_of(model, geoms, elements, memory.cell)
     warn_of_cost(elements, spec.resolution, scheme)
     scene = make_scene(law, medium, surface, model)
-    kernel = law.kernel(surface)
+    if footprint is not None:
+        scene["surface"]["points"] = footprint.points.ctypes.data
+        scene["surface"]["feet"] = footprint.feet.ctypes.data
+        scene["surface"]["foot_count"] = len(footprint.feet)
+    kernel = _kernel_of(law, surface)
     program = scheme.program(kernel, scene.dtype)
     what = f"law {law.name}, scheme {scheme.name}, {type(surface).__name__}"
     return PreparedSand(
@@ -106,8 +122,27 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scene=scene,
         kernel=kernel,
         program=program_address(program, STEP, what),
+        footprint=footprint,
+        update=update_program(surface, scene.dtype),
         disabled=(*surface.geoms(model), *replaced),
     )
+
+
+def _kernel_of(law: Law, surface: Surface) -> LawKernel:
+    """The kernel of a law under a surface.
+
+    Raises:
+        InputError: a law that asks for the probe of the surface's class, under one with memory.
+    """
+    try:
+        return law.kernel(surface)
+    except AttributeError as error:
+        if not isinstance(surface, Relief):
+            raise
+        raise InputError(
+            f"the law {law.name!r} cannot be used with memory ({error}): its `kernel` has to ask "
+            "for surface.probe_kernel() in place of type(surface).probe"
+        ) from error
 
 
 def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:

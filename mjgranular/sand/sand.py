@@ -15,8 +15,13 @@ import numpy as np
 from mjgranular.errors import InputError, UnstableError
 from mjgranular.given import check_data, check_model
 from mjgranular.kernel.compiled import entry
+from mjgranular.kernel.memory import UPDATE
 from mjgranular.law import Law
 from mjgranular.medium import Medium
+from mjgranular.relief.grid import TIME
+from mjgranular.relief.heights import Heights, heights_of
+from mjgranular.relief.memory import Memory
+from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.changes import Original, warn_of_missed_steps
 from mjgranular.sand.guard import finish_step, guarded_step
@@ -46,6 +51,11 @@ class Sand:
 
     Everything is checked and prepared here, once. One `Sand` serves any number of `MjData` of its
     model, also from several threads (one `MjData` a thread, as for MuJoCo itself).
+
+    With `memory` the sand keeps the prints of what has stood in it, for each `MjData` its own,
+    until time goes back (`mj_resetData`), or the `MjData` is let go (`release`). A copy of an
+    `MjData` begins with untouched sand unless `copy_memory` is called; so does a pickled `Sand`.
+    After an `UnstableError` the sand is as the step that failed has left it.
 
     Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each
     once between `mj_step1` and `mj_step2`: a `step` of each would be two steps of time. They may
@@ -137,8 +147,15 @@ class Sand:
 
     @property
     def surface(self) -> Surface:
-        """The surface."""
-        return self._sand.surface
+        """The surface, as it is where nothing has moved the sand."""
+        surface = self._sand.surface
+        return surface.base if isinstance(surface, Relief) else surface
+
+    @property
+    def memory(self) -> Memory | None:
+        """How the sand remembers; None if it does not."""
+        surface = self._sand.surface
+        return surface.memory if isinstance(surface, Relief) else None
 
     @property
     def scheme(self) -> Scheme:
@@ -213,6 +230,47 @@ class Sand:
             self._recent = _NOBODY
             registry_of(data).remove(self, binding)
 
+    def relief(self, data: mujoco.MjData, middle: tuple[float, float] | None = None) -> Heights:
+        """What the sand of a simulation remembers: heights over its surface.
+
+        Args:
+            data: the simulation.
+            middle: of the square that is asked for, along the axes of the surface's plane [m]; None
+                for the middle of the bodies that meet the sand.
+
+        Raises:
+            InputError: it has no memory.
+        """
+        surface = self._remembering()
+        self._bind(data)
+        state = self._bindings[data].state
+        if middle is None:
+            places = data.xpos[np.unique(self._sand.elements["body"])]
+            middle = place_in_plane(surface.base, self._model, places.mean(axis=0))
+        return heights_of(state, surface.memory, middle)
+
+    def copy_memory(self, origin: mujoco.MjData, to: mujoco.MjData) -> None:
+        """Has one simulation remember what another does, whose state it was given.
+
+        MuJoCo's own copies do not know of it: after `mj_copyData`, `mj_setState` or `copy.copy`
+        call this too. (Sand inside `mj_step` has its heights in MuJoCo's state.)
+
+        Raises:
+            InputError: the sand has no memory.
+        """
+        self._remembering()
+        self._bind(origin)
+        self._bind(to)
+        state = self._bindings[to].state
+        state[:] = self._bindings[origin].state
+        state[TIME] = to.time  # whatever it is: what is copied is not forgotten
+
+    def _remembering(self) -> Relief:
+        surface = self._sand.surface
+        if not isinstance(surface, Relief):
+            raise InputError("this sand has no memory: make it with Sand(..., memory=True)")
+        return surface
+
     def report(self, data: mujoco.MjData) -> Report:
         """Reports the sand's action at the state in `data` (`qpos`, `qvel`), which stays.
 
@@ -232,6 +290,7 @@ class Sand:
         except IndexError:
             probe = mujoco.MjData(model)
             binding = bind(model, probe, self._sand)
+            binding.table[UPDATE] = 0  # what is looked at leaves no trace
         lead = 0.0
         if self._scheme.whole_state:
             lead = self._lead * self._options.timestep
@@ -242,6 +301,8 @@ class Sand:
         mujoco.mj_fwdPosition(model, probe)
         mujoco.mj_fwdVelocity(model, probe)
         binding.bodies["written"] = np.nan  # what is there now is the user's
+        bound = self._bindings.get(data)
+        binding.state[:] = 0.0 if bound is None else bound.state
         failed = self._guarded(self._program, binding.address, lead)
         if failed != FINE:
             raise self._failure(data, failed, binding)

@@ -10,6 +10,7 @@ from typing import Any, TypedDict
 from mjgranular.errors import InputError, UnknownArgumentError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium
+from mjgranular.relief import Memory
 from mjgranular.scheme.scheme import SchemeChoice
 from mjgranular.shape.select import Choice
 from mjgranular.surface import Surface
@@ -44,6 +45,9 @@ class SandSpec:
         instead_of: names or numbers of geoms that the sand replaces, such as the model's own floor.
             They must be fixed to the world. Their contacts are switched off in the model; what is
             drawn stays.
+        memory: how the sand remembers what has been pressed down: a `Memory`, the side of a cell
+            [m], words such as "cell=0.01 extent=4", or True for one of defaults; None for sand that
+            closes behind what has passed.
     """
 
     medium: str | Path | Medium | None = None
@@ -55,6 +59,7 @@ class SandSpec:
     groups: Sequence[int] | int | None = None
     resolution: int | None = None
     instead_of: Choice = None
+    memory: Memory | float | bool | str | None = None
 
     def __repr__(self) -> str:
         """Short: what differs from the defaults."""
@@ -75,6 +80,7 @@ class SandFields(TypedDict, total=False):
     groups: Sequence[int] | int | None
     resolution: int | None
     instead_of: Choice
+    memory: Memory | float | bool | str | None
 
 
 SAND_FIELDS = tuple(field.name for field in fields(SandSpec))

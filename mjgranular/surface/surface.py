@@ -26,6 +26,21 @@ class Surface(ABC):
     probe: ClassVar[Any]
     is_plane: ClassVar[bool] = False
 
+    def probe_kernel(self) -> Any:
+        """The kernel by which elements find their depth; `probe` unless it says otherwise."""
+        return type(self).probe
+
+    def toward_kernel(self) -> Any:
+        """Kernel `toward(record, point, outward)`: `probe` for a face with an outward normal.
+
+        None where depth does not depend on that.
+        """
+        return None
+
+    def ceiling_kernel(self) -> Any:
+        """Kernel like `probe`, of a plane that nothing of the sand is above; None for none."""
+        return type(self).probe if type(self).is_plane else None
+
     @abstractmethod
     def record(self, model: mujoco.MjModel) -> np.ndarray:
         """The surface in a model as its `probe` reads it: structured, shape (1,).
@@ -59,6 +74,11 @@ class Surface(ABC):
             InputError: this kind of surface cannot rise.
         """
         raise InputError(f"a surface of the kind {type(self).__name__} cannot be moved")
+
+    @property
+    def state_size(self) -> int:
+        """Number of numbers of the surface's own state in a simulation."""
+        return 0
 
     @abstractmethod
     def tilt(self, model: mujoco.MjModel) -> float:

@@ -29,6 +29,7 @@ ORDER = (
     "kernel",
     "shape",
     "surface",
+    "relief",
     "law",
     "scheme",
     "sand",

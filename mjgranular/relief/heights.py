@@ -1,0 +1,43 @@
+"""`Heights`: what a surface remembers about a place, as arrays for figures and drawings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjgranular.relief.grid import HEADER, node_keys
+from mjgranular.relief.memory import Memory
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Heights of the sand over its surface, on a square of nodes.
+
+    Attributes:
+        x: of the nodes along the first axis of the surface's plane [m], shape (n,).
+        y: along the second [m], shape (n,). On a level plane both are the world's.
+        height: over the surface, along its normal [m], shape (n, n): `height[i, j]` at
+            (x[i], y[j]). Zero where nothing has moved the sand, and where that is forgotten.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    height: np.ndarray
+
+
+def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -> Heights:
+    """The heights about a place, as far as they are remembered.
+
+    Args:
+        state: of the relief (`relief.grid`).
+        memory: how it remembers.
+        middle: of the square, along the axes of the plane [m].
+    """
+    size = memory.size
+    first = [round(place / memory.cell) - size // 2 for place in middle]
+    i, j = (begin + np.arange(size) for begin in first)
+    places = (i % size)[:, None] * size + j % size
+    heights, numbers = state[HEADER:][: 2 * size * size].reshape(2, size * size)
+    own = numbers[places] // 4 == node_keys(i[:, None], j)
+    return Heights(memory.cell * i, memory.cell * j, np.where(own, heights[places], 0.0))

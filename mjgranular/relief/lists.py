@@ -1,0 +1,105 @@
+"""Marks of nodes and lists of places in the state: what lies under bodies, and where sand flows.
+
+Counts and places are read as numbers that anybody may have written: none leads out of the state.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.relief.grid import (
+    ACTIVE,
+    COVERED,
+    FLOWS,
+    FORGOTTEN,
+    HEIGHT,
+    KEY,
+    LISTS,
+    UNDER,
+    UNMARKED,
+    WAS_UNDER,
+    add_height,
+    key_at,
+    mark_at,
+    set_mark,
+    start_of,
+)
+
+
+@partial(compiled, inline=True)
+def count_at(state, size, number):
+    """The length of a list: `COVERED` or `ACTIVE`."""
+    return min(max(int(state[number]), 0), size * size)
+
+
+@partial(compiled, inline=True)
+def listed_at(state, size, n):
+    """The place that stands somewhere in the lists."""
+    n = min(max(n, 0), size * size - 1)
+    return min(max(int(state[start_of(size, LISTS) + n]), 0), size * size - 1)
+
+
+@partial(compiled, inline=True)
+def is_full(state, size):
+    """Tells whether the lists have no room."""
+    return state[COVERED] + state[ACTIVE] >= size * size
+
+
+@compiled
+def claim(state, size, blocks, area, k, key):
+    """Makes a place that of a node: what was there before is forgotten."""
+    if key_at(state, size, k) != key:
+        height = state[start_of(size, HEIGHT) + k]
+        state[FORGOTTEN] += area * height
+        add_height(state, size, blocks, k, -height)
+        state[start_of(size, HEIGHT) + k] = 0.0
+        # Where sand may flow stands in a list.
+        mark = FLOWS if mark_at(state, size, k) == FLOWS else UNMARKED
+        state[start_of(size, KEY) + k] = 4.0 * key + mark
+
+
+@compiled
+def activate(state, size, k):
+    """Has sand flow at a place, from the next step on."""
+    if mark_at(state, size, k) == UNMARKED and not is_full(state, size):
+        count = count_at(state, size, ACTIVE)
+        state[start_of(size, LISTS) + size * size - 1 - count] = k
+        state[ACTIVE] = count + 1.0
+        set_mark(state, size, k, FLOWS)
+
+
+@compiled
+def cover(state, size, k):
+    """Marks a place as under a body; it is not listed twice in a step."""
+    mark = mark_at(state, size, k)
+    if mark != UNDER and not is_full(state, size):
+        count = count_at(state, size, COVERED)
+        state[start_of(size, LISTS) + count] = k
+        state[COVERED] = count + 1.0
+        set_mark(state, size, k, UNDER)
+
+
+@compiled
+def begin_covering(state, size):
+    """Marks what lay under bodies as such; the number of these places, which are listed first."""
+    before = count_at(state, size, COVERED)
+    for n in range(before):
+        k = listed_at(state, size, n)
+        if mark_at(state, size, k) == UNDER:
+            set_mark(state, size, k, WAS_UNDER)
+    return before
+
+
+@compiled
+def end_covering(state, size, before):
+    """Has sand flow where bodies have left, and lists nothing but what lies under bodies now."""
+    count, lists = count_at(state, size, COVERED), start_of(size, LISTS)
+    for n in range(before):
+        k = listed_at(state, size, n)
+        if mark_at(state, size, k) == WAS_UNDER:
+            set_mark(state, size, k, UNMARKED)
+            activate(state, size, k)
+    for n in range(before, count):
+        state[lists + n - before] = state[lists + n]
+    state[COVERED] = 1.0 * max(count - before, 0)

@@ -1,0 +1,123 @@
+"""`Memory`: how finely, how far and as what kind of sand a surface remembers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from mjgranular.errors import InputError, shown
+from mjgranular.relief.grid import state_size
+from mjgranular.words import read_options, read_value, split_words
+
+REPOSE = math.radians(32)
+"""Angle of repose of dry sand [rad]. Chosen within the published range of 29 to 35 degrees
+(docs/memory.md)."""
+
+MOST_CELLS = 2000
+"""Along a side. Chosen: 100 MB for each simulation."""
+
+_MULTIPLE = 20  # of cells along a side, so that blocks of several sizes fill it
+_WINDOW = 5  # blocks along a side that a mean may look at
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """Memory of a surface: heights on a grid of square cells, part of the simulation's state.
+
+    Attributes:
+        cell: side of a cell [m]; several to the width of a foot.
+        extent: side of the square that is remembered [m], rounded up to a multiple of 20 cells. The
+            grid is wrapped around: who walks farther writes over what lies this far behind.
+        surroundings: how far around a place the sand counts for its level [m]: the mean is that of
+            a square of four times this. None for the width of the widest geom and four cells.
+        repose: angle of repose [rad]; steeper slopes flow down.
+        bulking: volume that sand takes when it is moved, in parts of what it took before.
+
+    Raises:
+        InputError: a value without meaning, or more cells than there is room for.
+    """
+
+    cell: float = 0.01
+    extent: float = 2.0
+    surroundings: float | None = None
+    repose: float = REPOSE
+    bulking: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, high in (
+            ("cell", math.inf),
+            ("extent", math.inf),
+            ("surroundings", math.inf),
+            ("repose", math.pi / 2),
+            ("bulking", math.inf),
+        ):
+            value = getattr(self, name)
+            if name == "surroundings" and value is None:
+                continue
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not is_number or not 0.0 < value < high:
+                raise InputError(
+                    f"the memory's {name} must be a number above 0"
+                    f"{'' if math.isinf(high) else f' and below {high:.4g}'}, not {shown(value)}"
+                )
+        if not self.extent / self.cell <= MOST_CELLS:
+            count = self.extent / self.cell
+            raise InputError(
+                f"a memory of {self.extent:g} m in cells of {self.cell:g} m has {count:.3g} cells "
+                f"along a side, and {8.0 * 3 * count * count:.3g} bytes for each simulation; at "
+                f"most {MOST_CELLS} are kept: cells of {self.extent / MOST_CELLS:.2g} m would fit"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of cells along a side."""
+        return _MULTIPLE * max(math.ceil(self.extent / (_MULTIPLE * self.cell) - 1e-9), 1)
+
+    @property
+    def state_size(self) -> int:
+        """Number of numbers of the state."""
+        return state_size(self.size)
+
+    def blocks(self, surroundings: float) -> int:
+        """Number of blocks along a side, of at least that width [m].
+
+        Raises:
+            InputError: the extent is too small for so wide ones.
+        """
+        size = self.size
+        # A quarter of the cells at most: so many have room in the state.
+        for count in range(size // 4, _WINDOW - 1, -1):
+            if size % count == 0 and size // count * self.cell >= surroundings * (1 - 1e-9):
+                return count
+        raise InputError(
+            f"a memory of {size * self.cell:g} m is too small for surroundings of "
+            f"{surroundings:.3g} m: it needs an extent of at least {_WINDOW * surroundings:.3g} m"
+        )
+
+
+def as_memory(memory: Any) -> Memory | None:
+    """A memory as it may be given.
+
+    Args:
+        memory: a `Memory`; the side of a cell [m]; True for one of defaults; words such as
+            "cell=0.01 extent=4", "0.01" and "true", as MJCF and the command line have them; None or
+            False for none.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    if memory is None or memory is False:
+        return None
+    if memory is True or memory == "true":
+        return Memory()
+    if isinstance(memory, Memory):
+        return memory
+    if isinstance(memory, (int, float)):
+        return Memory(cell=float(memory))
+    if isinstance(memory, str):
+        words = split_words(memory)
+        if len(words) == 1 and "=" not in words[0]:
+            return Memory(cell=read_value(words[0], float, "memory, the side of a cell,"))
+        return Memory(**read_options(words, Memory, "memory"))
+    raise InputError(f"memory is a Memory, the side of a cell [m] or True, not {shown(memory)}")

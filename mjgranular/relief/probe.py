@@ -1,0 +1,162 @@
+"""Kernels that find depth under a surface with a relief.
+
+Resistance goes with the depth below the sand *around* the body, not below what it has pressed down
+itself. And there is none where there is no sand: a face that has moved away from the sand that it
+pressed moves freely until it meets sand again. So
+
+    depth = (around - z) min((height - z) / min(slack, around - z), 1)
+
+with z the place's own height, `height` that of the sand there, and `around` the mean around the
+body. On untouched sand both are 0, and the depth is that below the surface, exactly. `slack` is
+what is left of the depth of a print: sand is pressed down to within it, so that who stands still in
+his print is held by all of it, and force falls to nothing as he rises by as much.
+
+What resists a steep face is the sand ahead of it, a cell and a half away; what resists a flat one
+is under it.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Any
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import floats
+from mjgranular.kernel.vector import dot, norm, read_vector
+from mjgranular.relief.grid import HIGHEST, height_at, mean_at, state_size
+
+AHEAD = 1.5
+"""How far ahead of a steep face its sand is looked at [cells]: beyond all nodes that the body
+itself has pressed down. Chosen."""
+
+STEEP = 0.7
+"""Sine of the tilt from which on a face looks as far ahead, and presses nothing down: 45 degrees.
+Chosen."""
+
+state_length = compiled(state_size)
+"""`state_size` for kernels."""
+
+
+@cache
+def level_kernel(probe: Any, is_flat: bool) -> Any:
+    """Makes a kernel `level(relief, u, v)`: the surface's height over its own plane [m].
+
+    Args:
+        probe: of the surface itself.
+        is_flat: whether that is plane where it is.
+    """
+
+    @compiled
+    def level(relief, u, v):
+        origin, n = read_vector(relief.origin, 0), read_vector(relief.normal, 0)
+        point = origin + u * read_vector(relief.along, 0) + v * read_vector(relief.across, 0)
+        depth, normal = probe(relief.base, point)
+        return depth / dot(normal, n)
+
+    @partial(compiled, inline=True)
+    def none(relief, u, v):
+        return 0.0
+
+    return none if is_flat else level
+
+
+@cache
+def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
+    """Makes a kernel `look(relief, point, ahead)`: depth of a point [m], and the normal above it.
+
+    Args:
+        probe: of the surface itself.
+        is_flat: whether that is plane where it is.
+        height: kernel `height(relief, state, u, v, ahead)`: of the sand that counts there [m].
+    """
+    level = level_kernel(probe, is_flat)
+
+    @compiled
+    def look(relief, point, ahead):
+        depth, normal = probe(relief.base, point)
+        n = read_vector(relief.normal, 0)
+        place = point - read_vector(relief.origin, 0)
+        z = dot(place, n)
+        u, v = dot(place, read_vector(relief.along, 0)), dot(place, read_vector(relief.across, 0))
+        # Beside a bed, or under it, there is no sand.
+        if not (abs(u) <= relief.half_along and abs(v) <= relief.half_across):
+            return depth, normal
+        if is_flat and z < 0.0 and depth < 0.0:
+            return depth, normal
+        size, blocks, cell = relief.size, relief.blocks, relief.cell
+        state = floats(relief.state, state_length(size))
+        z -= level(relief, u, v)
+        above = height(relief, state, u, v, ahead) - z
+        if not above > 0.0:
+            return above, normal
+        deep = mean_at(state, size, blocks, cell, u, v) - z
+        if not deep > 0.0:
+            return deep, normal
+        return min(above / min(relief.slack, deep), 1.0) * deep * dot(normal, n), normal
+
+    return look
+
+
+@cache
+def toward_kernel(probe: Any, is_flat: bool) -> Any:
+    """Makes a kernel `toward(relief, point, outward)`: `look` from a face with that normal.
+
+    The more a face is tilted, the farther ahead it looks: a cell is too coarse to tell what is
+    under one side of it from what is under the other.
+    """
+
+    @partial(compiled, inline=True)
+    def height(relief, state, u, v, ahead):
+        u += dot(ahead, read_vector(relief.along, 0))
+        v += dot(ahead, read_vector(relief.across, 0))
+        return height_at(state, relief.size, relief.cell, u, v)
+
+    look = look_kernel(probe, is_flat, height)
+
+    @compiled
+    def toward(relief, point, outward):
+        n = read_vector(relief.normal, 0)
+        level = outward - dot(outward, n) * n
+        tilt = norm(level)
+        far = AHEAD * relief.cell / max(tilt, STEEP)
+        return look(relief, point, far * level)
+
+    return toward
+
+
+@cache
+def around_kernel(probe: Any, is_flat: bool) -> Any:
+    """Makes a kernel `around(relief, point)`: `look` at the highest sand under and beside a point.
+
+    For elements without a face, such as the axis of a rod: sand on any side resists them.
+    """
+
+    @partial(compiled, inline=True)
+    def height(relief, state, u, v, ahead):
+        size, cell = relief.size, relief.cell
+        far = AHEAD * cell
+        highest = height_at(state, size, cell, u, v)
+        highest = max(highest, height_at(state, size, cell, u + far, v))
+        highest = max(highest, height_at(state, size, cell, u - far, v))
+        highest = max(highest, height_at(state, size, cell, u, v + far))
+        return max(highest, height_at(state, size, cell, u, v - far))
+
+    look = look_kernel(probe, is_flat, height)
+
+    @compiled
+    def around(relief, point):
+        return look(relief, point, point)
+
+    return around
+
+
+@cache
+def ceiling_kernel(probe: Any) -> Any:
+    """Makes a kernel `ceiling(relief, point)`: the plane above all that is heaped up."""
+
+    @compiled
+    def ceiling(relief, point):
+        depth, normal = probe(relief.base, point)
+        return depth + floats(relief.state, 1)[HIGHEST], normal
+
+    return ceiling

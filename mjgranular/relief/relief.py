@@ -1,0 +1,151 @@
+"""`Relief`: a surface that remembers, as laws and schemes see it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.relief.memory import Memory
+from mjgranular.relief.probe import around_kernel, ceiling_kernel, toward_kernel
+from mjgranular.surface import Bed, HeightField, Plane, Surface
+
+SLACK = 0.1
+"""Depth of what stands in its print below the sand that it has pressed down [cells]. Chosen."""
+
+FLOWS_AT = 0.95
+"""Share of the tangent of repose at which sand flows between neighbours: eight directions allow a
+slope that is up to 8 % steeper between them. Chosen so that both lie about the angle alike."""
+
+
+@cache
+def relief_dtype(base: np.dtype) -> np.dtype:
+    """The record of a relief over a surface with that record."""
+    vectors = [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
+    numbers = ("cell", "slack", "repose", "bulking", "half_along", "half_across")
+    # Addresses: of the state (`grid`), of points of the skin and of bodies (`footprint`).
+    integers = ("size", "blocks", "state", "points", "feet", "foot_count")
+    return np.dtype(
+        [
+            ("base", base),
+            *vectors,
+            *((name, np.float64) for name in numbers),
+            *((name, np.int64) for name in integers),
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class Relief(Surface):
+    """A surface that remembers.
+
+    Attributes:
+        base: the surface without memory.
+        memory: how it remembers.
+        surroundings: how far around a place the sand counts for its level [m].
+
+    Raises:
+        InputError: a surface of a kind that has no plane to have heights over, or an extent that is
+            too small.
+    """
+
+    base: Surface
+    memory: Memory
+    surroundings: float
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.base, (Plane, Bed, HeightField)):
+            raise InputError(
+                f"a surface of the kind {type(self.base).__name__} cannot remember: memory is for "
+                "Plane, Bed and HeightField"
+            )
+        self.memory.blocks(self.surroundings)
+
+    def probe_kernel(self) -> Any:
+        return around_kernel(type(self.base).probe, self.is_flat)
+
+    def toward_kernel(self) -> Any:
+        return toward_kernel(type(self.base).probe, self.is_flat)
+
+    def ceiling_kernel(self) -> Any:
+        return ceiling_kernel(type(self.base).probe) if type(self.base).is_plane else None
+
+    @property
+    def state_size(self) -> int:
+        return self.memory.state_size
+
+    @property
+    def is_flat(self) -> bool:
+        """Tells whether the surface itself is plane where it is."""
+        return isinstance(self.base, (Plane, Bed))
+
+    def record(self, model: mujoco.MjModel) -> np.ndarray:
+        base, memory = self.base.record(model), self.memory
+        relief = np.zeros(1, relief_dtype(base.dtype))
+        relief["base"] = base
+        for name, value in frame_of(self.base, base[0]).items():
+            relief[name] = value
+        relief["cell"], relief["slack"] = memory.cell, SLACK * memory.cell
+        relief["repose"], relief["bulking"] = FLOWS_AT * np.tan(memory.repose), memory.bulking
+        relief["size"], relief["blocks"] = memory.size, memory.blocks(self.surroundings)
+        return relief
+
+    def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
+        return self.base.geoms(model)
+
+    def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
+        return self.base.shape(model)
+
+    def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
+        raise InputError("a surface that remembers cannot be moved: leave memory or tunable out")
+
+    def tilt(self, model: mujoco.MjModel) -> float:
+        return self.base.tilt(model)
+
+
+def frame_of(surface: Surface, record: Any) -> dict[str, Any]:
+    """The plane that heights are over: its origin and axes, world, and half its extents [m].
+
+    Args:
+        surface: without memory.
+        record: of it.
+    """
+    if isinstance(surface, Plane):
+        normal = record["normal"]
+        along = np.array([1.0, 0.0, 0.0])
+        along = along - normal[0] * normal
+        along /= np.linalg.norm(along)
+        return {
+            "origin": record["offset"] * normal,
+            "along": along,
+            "across": np.cross(normal, along),
+            "normal": normal,
+            "half_along": np.inf,
+            "half_across": np.inf,
+        }
+    if isinstance(surface, Bed):
+        names = ("along", "across", "normal", "half_along", "half_across")
+        return {"origin": record["top"], **{name: record[name] for name in names}}
+    axes = record["axes"].reshape(3, 3)
+    return {
+        "origin": record["position"],
+        "along": axes[:, 0],
+        "across": axes[:, 1],
+        "normal": axes[:, 2],
+        "half_along": record["half_x"],
+        "half_across": record["half_y"],
+    }
+
+
+def place_in_plane(
+    surface: Surface, model: mujoco.MjModel, point: np.ndarray
+) -> tuple[float, float]:
+    """The place of a point [m], world, along the axes of the plane that heights are over."""
+    frame = frame_of(surface, surface.record(model)[0])
+    away = point - frame["origin"]
+    return float(away @ frame["along"]), float(away @ frame["across"])
