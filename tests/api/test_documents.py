@@ -14,6 +14,7 @@ from mjgranular import laws, media
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+QUICK = ("README.md", "docs/conventions.md", "docs/index.md", "docs/media.md", "docs/shapes.md")
 PYTHON = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```)?", re.DOTALL | re.MULTILINE)
 
 
@@ -62,7 +63,14 @@ def test_the_video_script(tmp_path):
     assert (tmp_path / "film.mp4").stat().st_size > 1000
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=name, marks=() if name in QUICK else pytest.mark.slow)
+        for page in PAGES
+        for name in [str(page.relative_to(ROOT))]
+    ],
+)
 def test_code_in_the_pages_runs_and_prints_what_is_shown(
     page, capsys, registers, models, check_printed
 ):

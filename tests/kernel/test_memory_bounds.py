@@ -230,6 +230,7 @@ for cone, jacobian, integrator, count in (
 """
 
 
+@pytest.mark.slow
 def test_the_implicit_scheme_stays_within_its_arrays(tmp_path):
     checked = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
     done = run(tmp_path, WORKSPACE, **checked)

@@ -242,7 +242,13 @@ def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(("typed", "words"), CASES, ids=[case[0] for case in CASES])
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [  # one in four is tried by the fast tests
+        pytest.param(*case, id=case[0], marks=pytest.mark.slow if number % 4 else ())
+        for number, case in enumerate(CASES)
+    ],
+)
 def test_a_silly_mistake_is_told_in_one_sentence(
     at_home: Path, capfd: pytest.CaptureFixture[str], typed: str, words: str
 ) -> None:
