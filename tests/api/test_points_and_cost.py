@@ -132,6 +132,7 @@ def test_the_command_tells_of_points_and_cost(tmp_path, capsys):
     assert printed["cost"] == {"above": cost.above, "within": cost.within}
 
 
+@pytest.mark.slow
 def test_sand_that_costs_much_says_what_would_help():
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body pos="0 0 1"><freejoint/><geom size=".1"/></body></worldbody>'

@@ -116,6 +116,7 @@ print("at", data.time, data.qvel[0], data.qfrc_passive.any())
 """
 
 
+@pytest.mark.slow
 def test_studio_steps_it() -> None:
     # What the browser draws is not looked at here.
     pytest.importorskip("mujoco.studio.launch_web", reason="MuJoCo Studio is not installed")

@@ -637,6 +637,7 @@ def child(content: bytes, steps: int, mischief: str = "") -> subprocess.Complete
     return subprocess.run([sys.executable, "-c", code], input=content, capture_output=True)
 
 
+@pytest.mark.slow
 def test_another_process_goes_on(model: mujoco.MjModel, landed: np.ndarray) -> None:
     data = released(model)
     mujoco.mj_step(model, data, 100)
@@ -645,6 +646,7 @@ def test_another_process_goes_on(model: mujoco.MjModel, landed: np.ndarray) -> N
     np.testing.assert_array_equal(np.array(eval(done.stdout)), landed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("woken", [False, True])
 def test_another_process_that_lacks_something_says_so(register: Any, woken: bool) -> None:
     constants = dict.fromkeys(("eta_d", "eta_h", "eta_v", "exponent"), Quantity(1.0, "", ""))
@@ -677,6 +679,7 @@ def test_a_model_without_joints_is_refused_in_words() -> None:
         spec.compile()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mischief", ["layout.PointerType = type(None)", "layout.STRUCTS = {}"], ids=["moved", "gone"]
 )

@@ -206,6 +206,7 @@ def test_sand_that_is_switched_off_does_nothing_and_is_not_felt() -> None:
     assert not other.sensordata.any()
 
 
+@pytest.mark.slow
 def test_the_first_model_of_a_process_begins_as_all_do() -> None:
     code = """
 import mujoco, mjgranular

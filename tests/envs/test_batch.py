@@ -164,6 +164,7 @@ def test_stable_baselines_sees_what_it_sees_of_single_environments(name):
         assert one.keys() == other.keys()
 
 
+@pytest.mark.slow
 def test_stable_baselines_learns_on_it():
     batch = make_vec_env(id_of("LinkDrop"), 4, seed=0, frame_skip=20)
     model = PPO("MlpPolicy", batch, n_steps=4, batch_size=8, n_epochs=1, device="cpu")

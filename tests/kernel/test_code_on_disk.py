@@ -103,6 +103,7 @@ def test_numba_is_left_as_it_was(root: Path) -> None:
     assert [path.name for path in (root / BUILD).iterdir()] == [NAME]
 
 
+@pytest.mark.slow
 def test_two_that_compile_at_once(root: Path) -> None:
     """Whoever ends first: what is kept is whole, and of one of them."""
     places = [Path(root.parent, name) for name in "ab"]

@@ -148,6 +148,7 @@ def test_a_program_is_loaded_not_compiled_again(run, tmp_path):
     assert run(f"import sys; sys.modules.pop('kernels'); {another}") == ["5", "True"]
 
 
+@pytest.mark.slow
 def test_a_kernel_is_compiled_again_when_a_file_that_it_calls_has_changed(run, tmp_path):
     (tmp_path / "inner.py").write_text(
         "from mjgranular.kernel import compiled\n@compiled\ndef grow(x):\n    return x + 1\n"

@@ -200,6 +200,7 @@ def derivative(function, v, speed):
     return None if abs(fine - coarse).max() > 3e-4 * abs(fine).max() else both
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_against_polygons_and_differences(kernels, name):
     law = LAWS[name]
@@ -281,6 +282,7 @@ def test_a_facet_begins_to_lead_as_a_whole_without_a_jump(kernels, name):
             assert full == pytest.approx(simple, rel=0, abs=close * abs(simple).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rft2d", "rft3d"])
 def test_without_a_slope_there_are_differences(kernels, name):
     law = LAWS[name]

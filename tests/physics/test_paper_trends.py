@@ -34,6 +34,7 @@ def test_flatter_stops_sooner_and_shallower():
         assert (np.diff(depth) < 0).all()
 
 
+@pytest.mark.slow
 def test_faster_sinks_less_than_in_proportion():
     # Fig. 5: ten times the speed, not twice the depth.
     _, depth = sweep("speed", 1.0, 10.0)

@@ -221,6 +221,7 @@ def test_spatial_stress_is_the_one_in_angles():
         assert stress(QUIKRETE, n, v) == pytest.approx(expected, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANAR["sets"])
 def test_planar_stress_turns_with_the_plane(name):
     # Motion in the plane of normal and vertical: any plane gives the two-dimensional response.

@@ -187,6 +187,7 @@ def test_unknown_options_and_commands_exit_with_2():
         assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_help_of_every_command():
     done = run("--help")
     assert done.returncode == 0
@@ -211,6 +212,7 @@ def test_lists_name_their_sources(capfd):
     assert "play_sand" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_sweep_in_processes_equals_sweep_in_one(tmp_path, capfd):
     common = ["sweep", "--json", "--first", "2", "--last", "6", "--points", "4"]
     assert main([*common, "--workers", "1"]) == 0

@@ -517,6 +517,7 @@ def test_a_policy_file_that_cannot_be_read_says_what_wrote_it(trained, tmp_path)
         load_policy(folder)
 
 
+@pytest.mark.slow
 def test_without_the_extra_the_install_line_is_given():
     code = (
         "import sys\n"
@@ -606,6 +607,7 @@ def test_the_search_finds_the_gait_that_goes_farthest(capfd):
     assert "NAME=LOW:HIGH" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
     small = ["num_envs=2", "n_steps=32", "batch_size=64", "n_epochs=1", "checkpoint_every=1000"]
     command = ["compare", "Hopper", "--policies", "1", "--seeds", "2", "--total-steps", "64"]

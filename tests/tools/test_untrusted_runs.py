@@ -254,6 +254,7 @@ def test_a_damaged_run_is_told_of_in_one_sentence(name, change, message, tmp_pat
     assert "Traceback" not in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["link", "chain:2"])
 def test_a_damaged_result_is_told_of_in_one_sentence(body, tmp_path, capfd):
     folder = tmp_path / "run"
