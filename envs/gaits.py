@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mjgranular.envs.options import check_number
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, UnknownNameError
 
@@ -25,8 +26,7 @@ class Gait(ABC):
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            if not math.isfinite(getattr(self, field.name)):
-                raise InputError(f"the gait's {field.name} must be finite")
+            check_number(f"the gait's {field.name}", getattr(self, field.name))
 
     @abstractmethod
     def action(self, time: float, size: int) -> np.ndarray:

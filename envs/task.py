@@ -27,6 +27,7 @@ from mjgranular import HeightField, InputError, Medium, Plane, SandSpec, Surface
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand
+from mjgranular.envs.options import check_option
 from mjgranular.envs.ranges import (
     Choice,
     Sample,
@@ -38,6 +39,7 @@ from mjgranular.envs.ranges import (
     sands_of,
     told,
 )
+from mjgranular.sand.spec import SAND_FIELDS
 from mjgranular.surface.choice import surface_of
 
 State = SimpleNamespace
@@ -110,6 +112,9 @@ class Task(SandSpec, ABC):
     def __post_init__(self) -> None:
         if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
             raise InputError(f"frame_skip must be a whole number from 1 up, not {self.frame_skip}")
+        for option in fields(self):
+            if option.name not in SAND_FIELDS:
+                check_option(option.name, getattr(self, option.name), option.default)
         check_drawing(self.randomise, self.curriculum)
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")

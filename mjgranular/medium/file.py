@@ -7,6 +7,7 @@ from typing import Any
 
 from mjgranular.errors import InputError, shown
 from mjgranular.extras import need
+from mjgranular.given import kind_of
 from mjgranular.medium.medium import Medium, Quantity
 from mjgranular.medium.outline import OutlineError, read_outline
 from mjgranular.reading import place, read_file
@@ -31,7 +32,7 @@ constants:
 _REQUIRED = ("name", "title", "density", "default_law", "constants")
 
 
-def read_medium(path: Path) -> Medium:
+def read_medium(path: str | Path) -> Medium:
     """Reads a medium from a YAML file of the form of `EXAMPLE`.
 
     The file may be anybody's: nothing in it is executed, and no more is read than a medium needs
@@ -41,6 +42,9 @@ def read_medium(path: Path) -> Medium:
         InputError: the file cannot be read, is none, or is too large, lacks a key, or a value is
             not a number or outside its range; says which.
     """
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"a medium is read from a file, not from {kind_of(path)}")
+    path = Path(path)
     yaml = need("yaml", extra="media", purpose="Reading a medium from a file")
     content = read_file(path, "the medium", largest=LARGEST)
     name = place(path)

@@ -13,6 +13,7 @@ import pytest
 import mjgranular as mg
 from mjgranular.engine import tune
 from mjgranular.errors import GranularError
+from mjgranular.medium.file import read_medium
 from mjgranular.models import Link, model_path
 
 BLOCK = """
@@ -408,6 +409,27 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: vec("CartPole-v1", 2),
         "CartPole-v1 has no batch of mjgranular's",
     ),
+    "text for a weight": (
+        lambda: vec("mjgranular/Hopper-v0", 2, forward_reward_weight="big"),
+        "forward_reward_weight must be a finite number, not 'big'",
+    ),
+    "weight that is none": (
+        lambda: vec("mjgranular/Hopper-v0", 2, healthy_reward=math.nan),
+        "healthy_reward must be a finite number, not nan",
+    ),
+    "number for a range of health": (
+        lambda: vec("mjgranular/Hopper-v0", 2, healthy_z_range=0.7),
+        "healthy_z_range must be a range, (low, high), not 0.7",
+    ),
+    "range of health upside down": (
+        lambda: vec("mjgranular/Hopper-v0", 2, healthy_z_range=(2, 1)),
+        "healthy_z_range has its low end above its high end: [2, 1]",
+    ),
+    "text for a switch": (
+        lambda: vec("mjgranular/Hopper-v0", 2, observe_sand="no"),
+        "observe_sand must be True or False, not 'no'",
+    ),
+    "medium of a number": (lambda: read_medium(3), "a medium is read from a file, not from 3"),
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",

@@ -1,0 +1,44 @@
+"""Options of tasks and gaits: each is of the kind that its default is of."""
+
+from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import Any
+
+from mjgranular.errors import InputError, shown
+
+
+def check_number(name: str, value: Any) -> None:
+    """Refuses what is no finite number.
+
+    Raises:
+        InputError: says so.
+    """
+    if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
+        raise InputError(f"{name} must be a finite number, not {shown(value)}")
+
+
+def check_option(name: str, value: Any, default: Any) -> None:
+    """Refuses a value of another kind than the default: a switch, a number, a range.
+
+    Raises:
+        InputError: says what would be right.
+    """
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise InputError(f"{name} must be True or False, not {shown(value)}")
+    elif isinstance(default, (int, float)):
+        check_number(name, value)
+    elif _is_range(default):
+        if not _is_range(value):
+            raise InputError(f"{name} must be a range, (low, high), not {shown(value)}")
+        if value[0] > value[1]:
+            raise InputError(f"{name} has its low end above its high end: {shown(value)}")
+
+
+def _is_range(value: Any) -> bool:
+    """Tells whether a value is two numbers, which may be infinite."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        return False
+    return all(isinstance(one, Real) and not math.isnan(one) for one in value)
