@@ -34,7 +34,7 @@ def check_option(name: str, value: Any, default: Any) -> None:
         if not _is_range(value):
             raise InputError(f"{name} must be a range, (low, high), not {shown(value)}")
         if value[0] > value[1]:
-            raise InputError(f"{name} has its low end above its high end: {shown(value)}")
+            raise InputError(f"{name} must be a range with its low end first, not {shown(value)}")
 
 
 def _is_range(value: Any) -> bool:

@@ -423,7 +423,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "range of health upside down": (
         lambda: vec("mjgranular/Hopper-v0", 2, healthy_z_range=(2, 1)),
-        "healthy_z_range has its low end above its high end: [2, 1]",
+        "healthy_z_range must be a range with its low end first, not [2, 1]",
     ),
     "text for a switch": (
         lambda: vec("mjgranular/Hopper-v0", 2, observe_sand="no"),
