@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,9 +28,12 @@ MODEL = """
 </mujoco>
 """
 
-# The simulation's half, with a viewer that nobody looks at, and the panel without a window.
+# The simulation's half, with a viewer that nobody looks at, and the panel without a window. What
+# they find goes to a file: Studio's server prints from a thread of its own, into any line.
 SCRIPT = """
+import json
 import sys
+from pathlib import Path
 import mujoco
 from mujoco.studio import launch_web, messages, plugin, viewer_protocol
 
@@ -48,16 +53,18 @@ with launch_web.launch(config, plugins=[Stepper(), scene]) as handle:
         handle.sync()
     felt = [one for one in sent if type(one).__name__ == "SandFelt"][-1]
     weight = 9.81 * handle.model.body("block").mass[0]
-    print("what", felt.what)
-    print("carried", round(felt.force[2] / weight, 3), 0 < felt.depth < 0.03)
+    said = {"what": felt.what, "carried": felt.force[2] / weight, "depth": felt.depth}
     handle.dispatch(type(panel.wanted())(medium="moon"))
-    print("bad", sent[-1].model.nplugin, scene._what)
+    said["bad"] = [sent[-1].model.nplugin, scene._what]
     handle.dispatch(type(panel.wanted())(law="rft3d scale=2"))
-    print("again", handle.model.nplugin, scene._what)
+    said["again"] = [handle.model.nplugin, scene._what]
+Path("said.json").write_text(json.dumps(said))
 """
 
 PANEL = """
+import json
 import sys
+from pathlib import Path
 from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
@@ -70,12 +77,12 @@ for _ in range(2):
     panel.on_build_gui(messages.BuildGuiEvent())
     imgui.Render()
 imgui.DestroyContext(context)
-print("drawn", panel.wanted())
+Path("said.json").write_text(json.dumps({"drawn": str(panel.wanted())}))
 """
 
 
-def run(folder: Path, script: str, *arguments: object) -> dict[str, str]:
-    """What a script prints in a process of its own, by the first word of each line."""
+def run(folder: Path, script: str, *arguments: object) -> dict[str, Any]:
+    """What a script finds in a process of its own."""
     done = subprocess.run(
         [sys.executable, "-c", script, *map(str, arguments)],
         cwd=folder,  # where the panel keeps how its windows lie
@@ -85,7 +92,7 @@ def run(folder: Path, script: str, *arguments: object) -> dict[str, str]:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    return dict(line.split(" ", 1) for line in done.stdout.splitlines() if " " in line)
+    return json.loads((folder / "said.json").read_text(encoding="utf-8"))
 
 
 def test_the_plugin_puts_sand_under_a_model(tmp_path: Path) -> None:
@@ -93,9 +100,12 @@ def test_the_plugin_puts_sand_under_a_model(tmp_path: Path) -> None:
     path.write_text(MODEL, encoding="utf-8")
     said = run(tmp_path, SCRIPT, PLUGIN, path)
     assert said["what"] == "sand instead of floor"
-    assert said["carried"] == "1.0 True"
-    assert said["bad"].startswith("0 no sand: no medium 'moon'; there are: ")
-    assert said["again"] == "1 sand instead of floor"
+    assert said["carried"] == pytest.approx(1.0, abs=5e-4)
+    assert 0 < said["depth"] < 0.03
+    plugins, sentence = said["bad"]
+    assert plugins == 0
+    assert sentence.startswith("no sand: no medium 'moon'; there are: ")
+    assert said["again"] == [1, "sand instead of floor"]
 
 
 def test_the_panel_is_drawn(tmp_path: Path) -> None:
