@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.lanes import all_of, choose
-from mjgranular.kernel.vector import Vector, cross, dot, norm, outer, vector
+from mjgranular.kernel.vector import Vector, cross, dot, norm, outer, transposed, vector
 from mjgranular.law.facet_slope import (
     EDGE,
     RAMP,
@@ -91,11 +91,13 @@ def facet_kernel(
         point = pose.position + pose.rotation @ facet.point
         outward = pose.rotation @ facet.normal
         middle, up = look(surface, point, outward)
-        edge_1, edge_2 = pose.rotation @ facet.edges[0], pose.rotation @ facet.edges[1]
-        rise_1, rise_2 = -dot(edge_1, up), -dot(edge_2, up)
+        edge_1, edge_2 = facet.edges
+        up_there = transposed(pose.rotation) @ up  # in the body's frame
+        rise_1, rise_2 = -dot(edge_1, up_there), -dot(edge_2, up_there)
         reach = abs(rise_1) + abs(rise_2)
         depth = middle + reach
-        if all_of(depth <= 0.0):
+        # Side by side all are not dry (`cull`), and a second way out would take longer.
+        if not is_plane and all_of(depth <= 0.0):
             return FacetSample(
                 depth,
                 0.0,
@@ -120,12 +122,11 @@ def facet_kernel(
         else:
             mean, s, t = wet_part(lowered, rise_1, rise_2)
         # The force acts at the wet part's centre of pressure.
-        centre = point + s * edge_1 + t * edge_2
-        above = choose(mean > 0.0, middle, 1.0) <= 0.0
-        if not all_of(choose(above, 0.0, 1.0) > 0.0):
+        centre = point + pose.rotation @ (s * edge_1 + t * edge_2)
+        if not is_plane and mean > 0.0 and middle <= 0.0:
             # Where that is dry, the middle is not above the sand but beside it.
             below, _ = look(surface, centre, outward)
-            depth = choose(choose(above, below, 1.0) <= 0.0, middle, depth)
+            depth = middle if below <= 0.0 else depth
         return FacetSample(
             depth,
             0.0,

@@ -20,13 +20,10 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.elementary import bits_of
-from mjgranular.kernel.fields import column, rows
+from mjgranular.kernel.fields import rows
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
     SCENE,
     records,
     scratch,
@@ -39,11 +36,11 @@ from mjgranular.kernel.motion import (
     velocity_change,
     write_motion,
 )
-from mjgranular.kernel.records import body_records, contact_records
-from mjgranular.kernel.vector import Vector, cross, write_vector
+from mjgranular.kernel.records import body_records
+from mjgranular.kernel.vector import Vector, cross
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.forces import add_total, force_kernel
-from mjgranular.scheme.layout import ARM, FORCE, INDEX, LED, VELOCITY, WEIGHT, tile_size
+from mjgranular.scheme.layout import ARM, FORCE, LED, VELOCITY, WEIGHT, tile_size
 from mjgranular.scheme.sampling import sampling_kernel
 from mjgranular.scheme.scheme import Scheme, refuse_runge_kutta, schemes
 from mjgranular.scheme.status import BAD_STATE, FINE, check_options
@@ -96,13 +93,12 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
     """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
     lanes, size = kernel.lanes, tile_size(kernel)
     force_on, scene_records, room = force_kernel(kernel), records(scene_dtype), scratch(size)
-    vectors, points = rows(Vector, lanes), column(Vector, lanes)
-    read_all, write_all, read = vectors.read, vectors.write, points.read
+    read_all, write_all = rows(Vector, lanes).read, rows(Vector, lanes).write
     read_weight = rows(float, lanes).read
 
     @partial(compiled, inline=True)
     def act(table, workspace, body, place, g, tile, number, live, is_first, lead):
-        """Adds the forces on a tile to its body's wrench, and writes them to contacts."""
+        """Finds the forces on a tile, and adds them to its body's wrench."""
         if is_first:  # most bodies of a robot are above the sand
             write_motion(body.change, 0, velocity_change(table, body.last_dof, lead))
         # Drag takes the velocity ahead, static resistance the direction of the velocity now: led as
@@ -115,11 +111,6 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         force = read_weight(tile, WEIGHT * lanes) * read_all(tile, FORCE * lanes)
         add_total(body.wrench, 0, force)
         add_total(body.wrench, 3, cross(arm + (pose.tree - pose.com), force))
-        contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
-        for lane in range(lanes):
-            if tile[WEIGHT * lanes + lane] > 0.0:
-                contact = contacts[bits_of(tile[INDEX * lanes + lane])]
-                write_vector(contact.force, 0, read(tile, FORCE * lanes + lane))
 
     sample_all = sampling_kernel(kernel, scene_dtype, act, compact=False)
 

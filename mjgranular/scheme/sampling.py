@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of, number_of
 from mjgranular.kernel.fields import column, rows, size_of
-from mjgranular.kernel.lanes import all_of, count_of
+from mjgranular.kernel.lanes import all_of, choose, count_of
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -29,6 +29,7 @@ from mjgranular.kernel.vector import Vector, write_vector
 from mjgranular.law.kernel import LawKernel, level_kernel
 from mjgranular.scheme.layout import (
     ARM,
+    FORCE,
     INDEX,
     POINT,
     SAMPLE,
@@ -61,7 +62,7 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
         scene_dtype: record of law and surface.
         finish: kernel `finish(table, workspace, body, place, g, tile, number, live, is_first,
             lead)`, which is handed each tile: its number, how many elements are in it, and whether
-            it is the first of its body.
+            it is the first of its body. Forces that it leaves in the tile are put in the contacts.
         compact: put together what is in the sand of several packed tiles. It pays where forces are
             asked for several times.
 
@@ -82,19 +83,20 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
 
     @partial(compiled, inline=True)
     def complete(table, workspace, body, place, g, address, number, live, is_first, lead):
-        """Writes what is known of a tile's elements before their forces."""
+        """Hands on a tile, and writes its elements' contacts."""
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         tile, pose = floats(address, size), pose_at(place)
         arm = read_all(tile, POINT * lanes) - pose.tree
         write_all(tile, ARM * lanes, arm)
         write_all(tile, VELOCITY * lanes, velocity_at(pose.motion, arm))
+        finish(table, workspace, body, place, g, tile, number, live, is_first, lead)
         for lane in range(lanes):
             if tile[WEIGHT * lanes + lane] > 0.0:
                 contact = contacts[bits_of(tile[INDEX * lanes + lane])]
                 contact.length = tile[(SAMPLE + 1) * lanes + lane]
                 write_vector(contact.point, 0, read(tile, POINT * lanes + lane))
                 write_vector(contact.velocity, 0, read(tile, VELOCITY * lanes + lane))
-        finish(table, workspace, body, place, g, tile, number, live, is_first, lead)
+                write_vector(contact.force, 0, read(tile, FORCE * lanes + lane))
 
     @compiled
     def sample_all(table, workspace, tiles, step, lead):
@@ -193,6 +195,7 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
     read_elements, read_element, write_element = elements.read, one.read, one.write
     write_samples, all_depths = rows(kernel.samples, lanes).write, rows(float, lanes)
     read_all_depths, write_depths = all_depths.read, all_depths.write
+    write_all_weights = all_depths.write
     # Of a loop the compiler makes scattered stores, which take longer than single ones.
     contact_size = CONTACT_DTYPE.itemsize
     stride = contact_size // 8  # the depth comes first
@@ -227,7 +230,9 @@ def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tu
         if is_whole or not compact:
             for k in range(lanes):
                 tile[INDEX * lanes + k] = number_of(first + k)
-                tile[WEIGHT * lanes + k] = 0.0 if depths[k] <= 0.0 or k >= here else 1.0
+            write_all_weights(tile, WEIGHT * lanes, choose(is_dry, 0.0, 1.0))
+            for k in range(here, lanes):
+                tile[WEIGHT * lanes + k] = 0.0
             sample_tile(table, found, 0, place, g, tile)
             return here, lanes
         while lane < here and live < lanes:
