@@ -14,8 +14,10 @@ from mjgranular import MissingExtraError, OutputError, Sand, add_sand, errors
 from mjgranular.cli import main
 from mjgranular.experiment.drop import Drop
 from mjgranular.models import model_path
-from mjgranular.picture import elements
-from mjgranular.picture.elements import add_elements, draw_elements, kind_of
+from mjgranular.picture.elements import draw_elements
+from mjgranular.picture.outlines import area_vectors, facet_corners, polygons_of
+from mjgranular.picture.shown import Shown, kind_of
+from mjgranular.picture.solids import GAP, add_elements, facet_bodies
 
 FOOT = """
 <mujoco><worldbody><body name="foot" pos="0.1 0 0"><freejoint/>
@@ -67,12 +69,12 @@ def at_qpos0(sand):
 
 
 def polygons(sand):
-    return elements._polygons(elements._Shown.at(sand, at_qpos0(sand), "body"))
+    return polygons_of(Shown.at(sand, at_qpos0(sand), "body"))
 
 
 def test_facets_are_drawn_with_their_true_areas(facets):
     drawn, owners = polygons(facets)
-    areas = np.linalg.norm(elements._area_vectors(drawn), axis=1)
+    areas = np.linalg.norm(area_vectors(drawn), axis=1)
     assert (owners == np.arange(len(facets.elements))).all()
     np.testing.assert_allclose(areas, facets.elements["area"], rtol=1e-12)
 
@@ -82,7 +84,7 @@ def test_patches_of_meshes_are_drawn_with_their_areas(pyramid, tmp_path):
     assert set(facets["geom"]) == {0, 1}
     drawn, owners = polygons(pyramid)
     assert (owners == np.arange(len(facets))).all()
-    vectors = elements._area_vectors(drawn)
+    vectors = area_vectors(drawn)
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), facets["area"], rtol=1e-12)
     # Around their centroids, across their normals.
     mine = facets["geom"] == 0
@@ -101,9 +103,9 @@ def test_strips_of_patches_are_drawn_as_discs():
     facets = np.zeros(2, [*kept, ("edges", float, (2, 3))])
     facets["normal"], facets["area"] = (0, 0, 1), (0.5, 0.1)
     facets["edges"] = [[(0.5, 0, 0), (0, 0.25, 0)], [(0.5, 0, 0), (0, 0, 0)]]
-    corners = elements._facet_corners(facets)
-    np.testing.assert_allclose(elements._area_vectors(corners)[:, 2], (0.5, 0.1))
-    kinds, sizes, _ = elements._facet_bodies(facets)
+    corners = facet_corners(facets)
+    np.testing.assert_allclose(area_vectors(corners)[:, 2], (0.5, 0.1))
+    kinds, sizes, _ = facet_bodies(facets)
     assert kinds == [mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER]
     assert sizes[1, 0] == pytest.approx(math.sqrt(0.1 / math.pi))
 
@@ -113,13 +115,13 @@ def test_facets_with_edges_are_parallelograms_of_their_true_areas():
     facet = np.zeros(1, [*kept, ("edges", float, (2, 3))])
     facet["point"], facet["normal"], facet["area"] = (1, 2, 3), (0, 0, 1), 0.5
     facet["edges"] = [(0.3, 0.1, 0), (0, 0.2, 0)]
-    corners = elements._facet_corners(facet)
+    corners = facet_corners(facet)
     assert corners.shape == (1, 4, 3)
-    np.testing.assert_allclose(elements._area_vectors(corners), [[0, 0, 0.5]], atol=1e-15)
+    np.testing.assert_allclose(area_vectors(corners), [[0, 0, 0.5]], atol=1e-15)
     np.testing.assert_allclose(corners.mean(axis=1), facet["point"])
-    _, sizes, axes = elements._facet_bodies(facet)
+    _, sizes, axes = facet_bodies(facet)
     volume = 8 * sizes.prod() * np.linalg.det(axes[0])
-    assert volume == pytest.approx(2 * sizes[0, 2] * 0.5 * elements._GAP**2)
+    assert volume == pytest.approx(2 * sizes[0, 2] * 0.5 * GAP**2)
 
 
 def test_rods_are_drawn_from_end_to_end(rods):
@@ -261,9 +263,7 @@ def test_a_scene_gets_rods_and_blobs(rods, blobs):
     scene = scene_of(rods, at_qpos0(rods))
     before = scene.ngeom
     assert add_elements(scene, rods, at_qpos0(rods), color="depth") == 40
-    np.testing.assert_allclose(
-        scene.geoms[before].size, [0.005, 0.005, 0.005 * elements._GAP], rtol=1e-6
-    )
+    np.testing.assert_allclose(scene.geoms[before].size, [0.005, 0.005, 0.005 * GAP], rtol=1e-6)
     scene = scene_of(blobs, at_qpos0(blobs))
     before = scene.ngeom
     assert add_elements(scene, blobs, at_qpos0(blobs)) == 2
