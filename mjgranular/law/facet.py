@@ -26,8 +26,8 @@ LANES = 8
 _STILL = 1e-300
 _ROUNDED = 1.0 + 1e-12  # what is beyond a bound by more is so however it is rounded; chosen
 _THIRD = 1.0 / 3.0
-# Speed into the sand at which half of the sand in front is moved along [m/s]. Chosen, far below what
-# is of inertia at all: what rests or creeps moves none, so that rest is what it is without.
+# Speed into the sand at which half of what is in front is moved along [m/s]. Chosen, far below what
+# is fast: what rests or creeps moves none, so that rest is what it is without.
 _CREEP = 1e-3
 
 
@@ -205,7 +205,7 @@ def facet_kernel(
 
 @partial(compiled, inline=True)
 def facet_added(facet, v, h):
-    """Sand that a facet moves along (`Added`): a layer kappa w deep in front of what is in the sand.
+    """Sand that a facet moves along (`Added`): a layer kappa w deep in front of its wet part.
 
     What was in the sand a step ago follows from the velocity, by which the step has brought the
     facet here.

@@ -85,9 +85,9 @@ class LawKernel:
             element, 1 where `respond_simple` would do, else 2. Where `eps` is 0 it is asked with a
             multiplier of any size.
         respond_simple: a quicker `respond`, for lanes that are all simple.
-        added: kernel `added(sample, v, h)`: the sand that is moved along with the element (`Added`),
-            by the velocity of its point at the start of the step [m/s] and the time step [s]. Its
-            inertia needs the implicit scheme.
+        added: kernel `added(sample, v, h)`: the sand that is moved along with the element
+            (`Added`), by the velocity of its point at the start of the step [m/s] and the time step
+            [s]. Its inertia needs the implicit scheme.
     """
 
     element: type

@@ -84,8 +84,8 @@ class Explicit(Scheme):
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
         if kernel.added is not None:
             raise InputError(
-                "sand that is moved along (the law's `added`) needs scheme='implicit': the explicit "
-                "scheme knows no acceleration"
+                "sand that is moved along (the law's `added`) needs scheme='implicit': the "
+                "explicit scheme knows no acceleration"
             )
         return explicit_program(kernel, scene)
 
