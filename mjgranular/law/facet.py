@@ -17,7 +17,7 @@ from mjgranular.law.facet_slope import (
     led_slope_kernel,
     simple_slope_kernel,
 )
-from mjgranular.law.kernel import LawKernel
+from mjgranular.law.kernel import Added, LawKernel
 from mjgranular.law.patch import wet_part
 
 LANES = 8
@@ -26,6 +26,9 @@ LANES = 8
 _STILL = 1e-300
 _ROUNDED = 1.0 + 1e-12  # what is beyond a bound by more is so however it is rounded; chosen
 _THIRD = 1.0 / 3.0
+# Speed into the sand at which half of what is in front is moved along [m/s]. Chosen, far below what
+# is fast: what rests or creeps moves none, so that rest is what it is without.
+_CREEP = 1e-3
 
 
 class Facet(NamedTuple):
@@ -36,6 +39,7 @@ class Facet(NamedTuple):
     edges: tuple[Vector, Vector]
     spread: tuple[Vector, Vector]
     area: float
+    width: float  # of the geom [m]
 
 
 class FacetSample(NamedTuple):
@@ -54,6 +58,7 @@ class FacetSample(NamedTuple):
     mean: float  # depth over the whole facet, nothing counting for negative [m]
     area: float  # [m^2]
     push: float  # lambda rho area: the inertial term's [N s^2/m^2]
+    moved: float  # sand that would move along, were all of it in the sand [kg]
 
 
 @cache
@@ -65,6 +70,7 @@ def facet_kernel(
     is_plane: bool = False,
     toward: Any = None,
     ceiling: Any = None,
+    added: bool = False,
 ) -> LawKernel:
     """The kernels of a law of surface elements for surfaces with that `probe`.
 
@@ -75,9 +81,10 @@ def facet_kernel(
         is_plane: whether facets may be sampled side by side.
         toward: see `Surface.toward_kernel`.
         ceiling: see `Surface.ceiling_kernel`.
+        added: whether sand is moved along (`facet_added`).
 
-    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
-    turning body is lowered.
+    The law's record has `inertia`, lambda rho [kg/m^3], `added`, kappa rho [kg/m^3], and `rise`, 1
+    where the surface behind a turning body is lowered.
     """
 
     @partial(compiled, inline=True)
@@ -112,6 +119,7 @@ def facet_kernel(
                 depth,
                 depth,
                 depth,
+                depth,
             )
         lowered = middle
         if law.rise != 0.0:
@@ -141,6 +149,7 @@ def facet_kernel(
             mean,
             facet.area,
             choose(depth <= 0.0, 0.0, law.inertia * facet.area),
+            law.added * facet.width * facet.area,
         )
 
     def respond_kernel(led: Any) -> Any:
@@ -187,11 +196,39 @@ def facet_kernel(
         probe=ceiling,
         cull=None if ceiling is None else facet_cull,
         side_by_side=is_plane,
+        added=facet_added if added else None,
     )
     if slope is None:
         return kernel
     simple = respond_kernel(simple_slope_kernel(slope))
     return replace(kernel, complexity=complexity, respond_simple=simple)
+
+
+@partial(compiled, inline=True)
+def facet_added(facet, v, h):
+    """Sand that a facet moves along (`Added`): a layer kappa w deep in front of its wet part.
+
+    What was in the sand a step ago follows from the velocity, by which the step has brought the
+    facet here.
+
+    Args:
+        facet: its sample.
+        v: velocity of its centre of pressure at the start of the step [m/s].
+        h: time step [s].
+    """
+    ahead = max(dot(v, facet.normal), 0.0)
+    share = ahead * ahead / (ahead * ahead + _CREEP * _CREEP)
+    # Of the facet's height, twice its reach, the part in the sand.
+    height = 2.0 * (abs(facet.rise_1) + abs(facet.rise_2))
+    depth = max(facet.depth, 0.0)
+    now = min(depth, height)
+    before = min(max(depth + h * dot(v, facet.up), 0.0), now)
+    if height > 0.0:
+        now, before = now / height, before / height
+    else:
+        now, before = 1.0, 1.0 if depth + h * dot(v, facet.up) > 0.0 else 0.0
+    mass = share * facet.moved
+    return Added(mass * now, mass * before, facet.normal)
 
 
 @partial(compiled, inline=True)

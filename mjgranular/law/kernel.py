@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections import namedtuple
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import packed
 from mjgranular.kernel.lanes import aligned
-from mjgranular.kernel.vector import transposed
+from mjgranular.kernel.vector import Vector, transposed
 from mjgranular.law.multiplier import ONE_LIMIT, Multiplier
 
 Pose = namedtuple("Pose", ["position", "rotation", "com", "tree", "motion"])
@@ -38,6 +38,20 @@ Attributes:
     normal: of the plane, a vector.
     depth: of the frame's origin [m].
 """
+
+
+class Added(NamedTuple):
+    """Sand that is moved along with an element, as a mass in one direction.
+
+    Attributes:
+        mass: at the start of the step [kg].
+        before: of that, what was moved along a step ago [kg]; the rest was at rest.
+        normal: the direction, a unit vector, world.
+    """
+
+    mass: float
+    before: float
+    normal: Vector
 
 
 @dataclass(frozen=True)
@@ -71,6 +85,9 @@ class LawKernel:
             element, 1 where `respond_simple` would do, else 2. Where `eps` is 0 it is asked with a
             multiplier of any size.
         respond_simple: a quicker `respond`, for lanes that are all simple.
+        added: kernel `added(sample, v, h)`: the sand that is moved along with the element
+            (`Added`), by the velocity of its point at the start of the step [m/s] and the time step
+            [s]. Its inertia needs the implicit scheme.
     """
 
     element: type
@@ -84,6 +101,7 @@ class LawKernel:
     side_by_side: bool = False
     complexity: Any = None
     respond_simple: Any = None
+    added: Any = None
 
     def pack(self, elements: np.ndarray) -> np.ndarray:
         """The elements as a program reads them, shape (tiles, numbers of an element, lanes).

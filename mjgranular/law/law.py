@@ -48,6 +48,11 @@ class Law(ABC):
     strength_keys: ClassVar[tuple[str, ...]] = ()
     density_keys: ClassVar[tuple[str, ...]] = ()
 
+    @property
+    def adds_mass(self) -> bool:
+        """Whether sand is moved along (`LawKernel.added`), which needs the implicit scheme."""
+        return False
+
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
         """The law with the published constants of a medium, or of that of a name.

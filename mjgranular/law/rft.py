@@ -47,12 +47,13 @@ class RftLaw(Law):
             `strength (alpha n + beta u + gamma z)`; and the factors' derivatives by u.z, by n.z
             and by n.u, three vectors.
         inertia: lambda of the dynamic term.
+        added: kappa of the added mass.
         rise: whether the surface behind a turning body is lowered.
     """
 
     stress: ClassVar[Any] = None
     slope: ClassVar[Any] = None
-    density_keys: ClassVar[tuple[str, ...]] = ("inertia",)
+    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "added")
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("froude", 0.4, "quasi-static RFT, Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),
         Limit("inertial_number", 0.1, "Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),
@@ -63,15 +64,21 @@ class RftLaw(Law):
     )
 
     inertia: float
+    added: float
     rise: bool
+
+    @property
+    def adds_mass(self) -> bool:
+        return self.added > 0
 
     def check_options(self) -> None:
         """Refuses options without meaning."""
-        if not (is_finite(self.inertia) and self.inertia >= 0):
-            raise InputError(
-                f"{type(self).__name__}: inertia must be finite and not negative, "
-                f"not {self.inertia}"
-            )
+        for key in ("inertia", "added"):
+            value = getattr(self, key)
+            if not (is_finite(value) and value >= 0):
+                raise InputError(
+                    f"{type(self).__name__}: {key} must be finite and not negative, not {value}"
+                )
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
@@ -87,4 +94,5 @@ class RftLaw(Law):
             is_plane=place.is_plane,
             toward=surface.toward_kernel(),
             ceiling=surface.ceiling_kernel(),
+            added=self.adds_mass,
         )

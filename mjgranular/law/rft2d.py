@@ -20,7 +20,7 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 
 RFT2D_DTYPE = np.dtype(
-    [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "rise")]
+    [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "rise")]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
 # Horizontal part of the normal of an element that counts as level: of Treers et al.
@@ -152,6 +152,7 @@ class Rft2dLaw(RftLaw):
         density: bulk density, for the inertial term [kg/m^3].
         scale: factor zeta on the coefficients; for the generic set, the medium's.
         inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
+        added: kappa of the added mass, see `Rft3dLaw`; 0 leaves it out.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
     Raises:
@@ -181,6 +182,7 @@ class Rft2dLaw(RftLaw):
     scale: float = 1.0
     inertia: float = 0.0
     rise: bool = False
+    added: float = 0.0
 
     def __post_init__(self) -> None:
         self.check_options()
@@ -192,8 +194,8 @@ class Rft2dLaw(RftLaw):
             if not (is_finite(value) and value >= 0):
                 raise InputError(f"Rft2dLaw: {key} must be finite and not negative, not {value}")
 
-        if self.inertia > 0 and self.density == 0:
-            raise InputError("Rft2dLaw: the inertial term needs the bulk density [kg/m^3]")
+        if (self.inertia > 0 or self.added > 0) and self.density == 0:
+            raise InputError("Rft2dLaw: inertia of sand needs the bulk density [kg/m^3]")
 
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
@@ -214,5 +216,6 @@ class Rft2dLaw(RftLaw):
         parameters["side"] = self.C11 + self.C01 + self.Cm11
         parameters["scale"] = self.scale * _PER_CUBIC_CENTIMETRE
         parameters["inertia"] = self.inertia * self.density
+        parameters["added"] = self.added * self.density
         parameters["rise"] = self.rise
         return parameters

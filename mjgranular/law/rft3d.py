@@ -34,7 +34,7 @@ C3 = (-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532, 0.06790
 # fmt: on
 
 RFT3D_DTYPE = np.dtype(
-    [(name, np.float64) for name in ("stiffness", "friction", "inertia", "rise")]
+    [(name, np.float64) for name in ("stiffness", "friction", "inertia", "added", "rise")]
 )
 
 
@@ -169,6 +169,8 @@ class Rft3dLaw(RftLaw):
         surface_friction: mu_s between grains and the intruder.
         inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out. 1.1 is the value
             of Agarwal et al. 2021 for horizontal plates.
+        added: kappa of the added mass: leading facets move along a layer of sand that is kappa
+            times as deep as their geom is wide; 0 leaves it out.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
         scale: factor on the stiffness, from a calibration; see `calibrated`.
 
@@ -193,6 +195,7 @@ class Rft3dLaw(RftLaw):
     inertia: float = 0.0
     rise: bool = False
     scale: float = 1.0
+    added: float = 0.0
 
     def __post_init__(self) -> None:
         self.check_options()
@@ -237,5 +240,6 @@ class Rft3dLaw(RftLaw):
         parameters["stiffness"] = self.stiffness
         parameters["friction"] = self.surface_friction
         parameters["inertia"] = self.inertia * self.density
+        parameters["added"] = self.added * self.density
         parameters["rise"] = self.rise
         return parameters

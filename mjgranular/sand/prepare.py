@@ -21,7 +21,7 @@ from mjgranular.sand.material import elements_of, material_of
 from mjgranular.sand.points import warn_of_points
 from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec
-from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
+from mjgranular.scheme import Auto, Explicit, Implicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.scheme.scheme import STEP, SchemeChoice
 from mjgranular.shape import select_geoms
@@ -96,6 +96,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     warn_of_ranges(model, geoms, law, surface)
     warn_of_points(model, geoms, spec)
     elements = elements_of(model, geoms, law, spec.resolution)
+    if isinstance(scheme, Auto) and law.adds_mass:
+        scheme = Implicit()  # the only one that can
     scheme = scheme.scheme_for(model, len(elements))
     scheme.check(model)
     memory, footprint = as_memory(spec.memory), None

@@ -79,6 +79,11 @@ class Explicit(Scheme):
         return 0.5 if self.half_step else 0.0
 
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        if kernel.added is not None:
+            raise InputError(
+                "sand that is moved along (the law's `added`) needs scheme='implicit': the "
+                "explicit scheme knows no acceleration"
+            )
         return explicit_program(kernel, scene)
 
     def check(self, model: mujoco.MjModel) -> None:

@@ -16,6 +16,7 @@ from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
+from mjgranular.scheme.added import added_kernel, momentum_kernel
 from mjgranular.scheme.layout import (
     ARM,
     FORCE,
@@ -73,6 +74,11 @@ class TileKernels:
     follow: Any
 
 
+@partial(compiled, inline=True)
+def _no_momentum(tile, h):
+    pass
+
+
 @cache
 def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
     """The implicit scheme's loops over a law's tiles.
@@ -82,10 +88,12 @@ def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
         scene_dtype: record of law and surface.
     """
     size = tile_size(kernel)
+    note_momentum = _no_momentum if kernel.added is None else momentum_kernel(kernel)
 
     @partial(compiled, inline=True)
     def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
         w.heads[number].body, w.heads[number].live = body.body, live
+        note_momentum(tile, w.h)
 
     sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
 
@@ -223,7 +231,17 @@ def respond_kernel(kernel: LawKernel) -> Any:
 
         return respond_all
 
-    return by_complexity(kernel, in_lanes, soft=True)
+    respond = by_complexity(kernel, in_lanes, soft=True)
+    if kernel.added is None:
+        return respond
+    add_momentum = added_kernel(kernel)
+
+    @compiled
+    def respond_and_add(tile, record, g, eps):
+        respond(tile, record, g, eps)
+        add_momentum(tile)
+
+    return respond_and_add
 
 
 def force_kernel(kernel: LawKernel) -> Any:

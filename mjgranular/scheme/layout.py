@@ -19,6 +19,7 @@ ARM, VELOCITY, MULTIPLIER, FORCE, WEIGHT, INDEX, LED, SAMPLE = 0, 3, 6, 9, 22, 2
 SLOPE, MISMATCH = FORCE + 3, FORCE + 12
 TURN = MISMATCH  # which is not needed any more
 POINT = SAMPLE + 2
+ADDED_ROWS = 5  # of `scheme.added.Momentum`
 
 HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
 
@@ -28,10 +29,15 @@ def element_row(kernel: LawKernel) -> int:
     return SAMPLE + size_of(kernel.samples)
 
 
+def added_row(kernel: LawKernel) -> int:
+    """First row of what is known of sand that is moved along (`scheme.added`)."""
+    return element_row(kernel) + (size_of(kernel.element) if kernel.side_by_side else 0)
+
+
 def tile_size(kernel: LawKernel) -> int:
     """Number of numbers of a tile."""
-    elements = size_of(kernel.element) if kernel.side_by_side else 0
-    return (element_row(kernel) + elements) * kernel.lanes
+    added = 0 if kernel.added is None else ADDED_ROWS
+    return (added_row(kernel) + added) * kernel.lanes
 
 
 def tile_count(kernel: LawKernel, elements: np.ndarray) -> int:
