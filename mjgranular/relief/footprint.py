@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import warn_user
+from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import Memory
 from mjgranular.shape import facets_from_model
 from mjgranular.shape.sizes import check_count, geom_name, geom_width
@@ -24,11 +25,18 @@ POINT_DTYPE = np.dtype(
 FOOT_DTYPE = np.dtype(
     [
         ("body", np.int64),
-        ("end", np.int64),  # one past its last point
+        ("end", np.int64),  # one past its last tile of points
         ("middle", np.float64, (3,)),  # of the box around its points [m], body frame
         ("half", np.float64, (3,)),  # half the extents of that box [m]
     ]
 )
+
+
+LANES = 8
+"""Points that are looked at side by side, a tile."""
+
+TILE = 6 * LANES
+"""Numbers of a tile: each of a point's and a normal's for all points in turn."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +44,7 @@ class Footprint:
     """Points of the skin, geom by geom.
 
     Attributes:
-        points: rows of `POINT_DTYPE`.
+        points: tiles, shape (n, 6, LANES); the last of a geom is filled up with its last point.
         feet: rows of `FOOT_DTYPE`, one for each geom, body by body.
     """
 
@@ -96,13 +104,20 @@ def footprint_of(
     points, feet, count = [], [], 0
     for geom in dict.fromkeys(elements["geom"].tolist()):
         mine = [part for owner, part in parts if owner == geom]
-        points.extend(mine)
         here = np.concatenate(mine)
-        count += len(here)
-        check_count(count)
+        points.append(_in_tiles(here))
+        count += len(points[-1])
+        check_count(LANES * count)
         low, high = here["point"].min(axis=0), here["point"].max(axis=0)
         feet.append((model.geom_bodyid[geom], count, (low + high) / 2, (high - low) / 2))
-    return Footprint(np.concatenate(points), np.array(feet, FOOT_DTYPE))
+    return Footprint(aligned(np.concatenate(points)), np.array(feet, FOOT_DTYPE))
+
+
+def _in_tiles(points: np.ndarray) -> np.ndarray:
+    """Points as kernels read them, shape (n, 6, LANES)."""
+    points = np.concatenate([points, np.repeat(points[-1:], -len(points) % LANES)])
+    numbers = np.concatenate([points["point"], points["normal"]], axis=1)
+    return numbers.reshape(-1, LANES, 6).transpose(0, 2, 1)
 
 
 def _on_rod(rod: np.void, cell: float) -> np.ndarray:
