@@ -7,6 +7,9 @@ from functools import cache
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.fields import rows
+from mjgranular.kernel.lanes import bits_in, lowest_bit
+from mjgranular.kernel.memory import scratch
 from mjgranular.kernel.vector import vector
 from mjgranular.relief.grid import (
     ACTIVE,
@@ -48,20 +51,28 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
         level: see `level_kernel`.
         is_flat: whether the surface is plane where it is.
     """
+    read, room = rows(float, 8).read, scratch(5 * 8)
 
     @compiled
     def flow(state, relief, rate):
         cell, size, blocks, tangent = relief.cell, relief.size, relief.blocks, relief.repose
         has_edge = has_edges(relief)
-        heights, lists, sums = (
-            start_of(size, HEIGHT),
-            start_of(size, LISTS),
-            start_of(size, ARRAYS),
-        )
-        end = lists + size * size - 1  # where the list of active places begins, backwards
+        heights, sums = start_of(size, HEIGHT), start_of(size, ARRAYS)
+        # Where the list of active places begins, backwards.
+        end = start_of(size, LISTS) + size * size - 1
         area, steeper, rest = cell * cell, tangent * tangent, _REST * cell
         # What is up along the axes of the plane.
         up = vector(relief.along[2], relief.across[2], relief.normal[2])
+        # Of the eight neighbours: how much higher and how far away they would be on the bare plane,
+        # where they are from here, and how much higher they are over the plane.
+        around, lane = room(), 0
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                if di != 0 or dj != 0:
+                    around[lane] = (up.x * di + up.y * dj) * cell
+                    around[8 + lane] = (di * di + dj * dj) * area
+                    around[16 + lane], around[24 + lane] = di, dj
+                    lane += 1
         count, kept, highest = count_at(state, size, ACTIVE), 0, 0.0
         for n in range(count):
             k = listed_at(state, size, size * size - 1 - n)
@@ -69,43 +80,54 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
                 continue
             row, middle = row_at(size, k), base_at(state, size, k)
             column = k - row * size
-            is_inner = 0 < row < size - 1 and 0 < column < size - 1
             i, j = node_of(middle)
             ground = level(relief, i * cell, j * cell)
-            # The node's own height is written when all its neighbours have been looked at.
-            height, moved = state[heights + k], False
+            # The node's own height is written when all its neighbours have been seen to.
+            height, moved, lane = state[heights + k], False, 0
             for di in range(-1, 2):
+                begin = wrapped(row + di, size) * size
                 for dj in range(-1, 2):
-                    q = k + di * size + dj
-                    if not is_inner:
-                        q = wrapped(row + di, size) * size + wrapped(column + dj, size)
-                    base = base_beside(middle, di, dj)
-                    mark = own_mark(state, size, q, base)
-                    # Of two active neighbours one sees to both; and a node is not beside itself.
-                    if mark == UNDER or (mark == FLOWS and 3 * di + dj <= 0):
-                        continue
-                    other = (state[heights + q] if mark >= 0.0 else 0.0) - height
-                    if not is_flat:
-                        other += level(relief, (i + di) * cell, (j + dj) * cell) - ground
-                    rise = (up.x * di + up.y * dj) * cell + up.z * other
-                    run = (di * di + dj * dj) * area + other * other - rise * rise
-                    if not rise * rise > steeper * run:
-                        continue
-                    excess = abs(rise) - tangent * math.sqrt(max(run, 0.0))
-                    if not excess > rest:
-                        continue
-                    if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):
-                        continue
-                    moved = True
-                    if mark < 0.0:
-                        claim(state, size, blocks, area, q, base)
-                    amount = math.copysign(0.25 * rate * excess, rise)
-                    height += amount
-                    state[heights + q] -= amount
-                    state[sums + block_of(size, blocks, q)] -= amount
-                    highest = max(highest, state[heights + q])
-                    if mark <= 0.0:
-                        activate(state, size, q)
+                    if di != 0 or dj != 0:
+                        q = begin + wrapped(column + dj, size)
+                        mark = own_mark(state, size, q, base_beside(middle, di, dj))
+                        other = state[heights + q]
+                        other = (other if mark >= 0.0 else 0.0) - height
+                        if not is_flat:
+                            other += level(relief, (i + di) * cell, (j + dj) * cell) - ground
+                        # Of two active neighbours one sees to both.
+                        first = 3 * di + dj < 0
+                        idle = mark == UNDER or (mark == FLOWS and first)
+                        around[32 + lane] = math.nan if idle else other
+                        lane += 1
+            others = read(around, 32)
+            rises = read(around, 0) + up.z * others
+            runs = read(around, 8) + others * others - rises * rises
+            steep = bits_in(rises * rises > steeper * runs)
+            while steep != 0:
+                lane = lowest_bit(steep)
+                steep &= steep - 1
+                di, dj = int(around[16 + lane]), int(around[24 + lane])
+                other = around[32 + lane] + (state[heights + k] - height)
+                rise = around[lane] + up.z * other
+                run = around[8 + lane] + other * other - rise * rise
+                excess = abs(rise) - tangent * math.sqrt(max(run, 0.0))
+                if not excess > rest:
+                    continue
+                if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):
+                    continue
+                q = wrapped(row + di, size) * size + wrapped(column + dj, size)
+                base = base_beside(middle, di, dj)
+                mark = own_mark(state, size, q, base)
+                if mark < 0.0:
+                    claim(state, size, blocks, area, q, base)
+                amount = math.copysign(0.25 * rate * excess, rise)
+                moved = True
+                height += amount
+                state[heights + q] -= amount
+                state[sums + block_of(size, blocks, q)] -= amount
+                highest = max(highest, state[heights + q])
+                if mark <= 0.0:
+                    activate(state, size, q)
             highest = max(highest, height)
             if moved:
                 state[sums + block_of(size, blocks, k)] += height - state[heights + k]

@@ -10,11 +10,10 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from mjgranular.errors import warn_user
 from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import Memory
 from mjgranular.shape import facets_from_model
-from mjgranular.shape.sizes import check_count, geom_name, geom_width
+from mjgranular.shape.sizes import check_count, geom_width
 
 POINT_DTYPE = np.dtype(
     [
@@ -59,21 +58,10 @@ def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory)
         model: the model.
         geoms: ids of those that meet the sand.
         memory: which may say so itself.
-
-    Warns:
-        GranularWarning: a geom is narrower than a cell; names both sizes.
     """
-    widths = {geom: geom_width(model, geom) for geom in geoms}
-    narrow = min(geoms, key=lambda geom: widths[geom])
-    if widths[narrow] < memory.cell * (1 - 1e-9):
-        warn_user(
-            f"the memory's cells of {1e3 * memory.cell:g} mm are larger than geom "
-            f"{geom_name(model, narrow)}, which is {1e3 * widths[narrow]:.3g} mm wide: its print "
-            f"is a cell; take cells of {1e3 * widths[narrow] / 4:.2g} mm"
-        )
     if memory.surroundings is not None:
         return memory.surroundings
-    return max(widths.values()) + 4 * memory.cell
+    return max(geom_width(model, geom) for geom in geoms) + 4 * memory.cell
 
 
 def footprint_of(

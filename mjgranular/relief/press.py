@@ -20,12 +20,14 @@ from mjgranular.relief.grid import (
     HIGHEST,
     LISTS,
     UNDER,
+    UNMARKED,
     WAITING,
     add_height,
     base_at,
     base_beside,
     base_of,
     corner_of,
+    mark_at,
     node_of,
     own_mark,
     row_at,
@@ -167,53 +169,47 @@ def heap(state, relief, first, volume):
     if not volume > 0.0:
         return
     cell, size, blocks, has_edge = relief.cell, relief.size, relief.blocks, has_edges(relief)
-    heights, lists = start_of(size, HEIGHT), start_of(size, LISTS)
+    heights, lists, area = start_of(size, HEIGHT), start_of(size, LISTS), cell * cell
     last = count_at(state, size, COVERED)
-    room = size * size - last - count_at(state, size, ACTIVE)
-    found = 0  # written down between the lists, with room for these places in the second
+    # What is found is written down between the lists, with room for all of it in the second.
+    room, found = (size * size - last - count_at(state, size, ACTIVE)) // 2, 0
     for n in range(first, last):
         k = listed_at(state, size, n)
-        row = row_at(size, k)
-        column, middle = k - row * size, base_at(state, size, k)
-        is_inner = 1 < row < size - 2 and 1 < column < size - 2
+        row, middle = row_at(size, k), base_at(state, size, k)
+        column = k - row * size
         at_edge = False
         for di in range(-1, 2):
+            begin = wrapped(row + di, size) * size
             for dj in range(-1, 2):
-                q = k + di * size + dj
-                if not is_inner:
-                    q = wrapped(row + di, size) * size + wrapped(column + dj, size)
-                if own_mark(state, size, q, base_beside(middle, di, dj)) < UNDER:
-                    at_edge = True
+                q = begin + wrapped(column + dj, size)
+                mark = own_mark(state, size, q, base_beside(middle, di, dj))
+                at_edge = at_edge or mark < UNDER
         if not at_edge:
             continue
         i, j = node_of(middle)
         for di in range(-2, 3):
+            begin = wrapped(row + di, size) * size
             for dj in range(-2, 3):
-                q = k + di * size + dj
-                if not is_inner:
-                    q = wrapped(row + di, size) * size + wrapped(column + dj, size)
-                base = base_beside(middle, di, dj)
-                # Where a body was in the last step it most likely is, though its turn has not come.
-                if own_mark(state, size, q, base) >= UNDER or 3 * found + 3 >= room:
+                q, base = begin + wrapped(column + dj, size), base_beside(middle, di, dj)
+                mark = own_mark(state, size, q, base)
+                # Where a body was in the last step it most likely is, if not yet seen to.
+                if mark >= UNDER or found == room:
                     continue
-                if not has_edge or is_sand(relief, (i + di) * cell, (j + dj) * cell):
-                    state[lists + last + 2 * found] = q
-                    state[lists + last + 2 * found + 1] = base
-                    found += 1
+                if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):
+                    continue
+                if mark < 0.0:
+                    claim(state, size, blocks, area, q, base)
+                state[lists + last + found] = q
+                found += 1
     if found == 0:
         state[WAITING] = volume
         return
-    area = cell * cell
     share = min(volume / (found * area), cell)  # the rest waits
     for n in range(found):
-        q = int(state[lists + last + 2 * n])
-        base = state[lists + last + 2 * n + 1]
-        mark = own_mark(state, size, q, base)
-        if mark < 0.0:
-            claim(state, size, blocks, area, q, base)
+        q = int(state[lists + last + n])
         add_height(state, size, blocks, q, share)
         state[HIGHEST] = max(state[HIGHEST], state[heights + q])
-        if mark <= 0.0:
+        if mark_at(state, size, q) == UNMARKED:
             activate(state, size, q)
     state[HEAPED] += found * area * share
     state[WAITING] = volume - found * area * share
