@@ -32,7 +32,7 @@ _feet = records(FOOT_DTYPE)
 # cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with half of it
 # the way of a walking hexapod is the same within 1 %. A rate goes with the time gone by, and so
 # not with the time step.
-_PRESSED_AFTER, _FLOWS_AFTER = 0.2, 1.0
+_PRESSED_AFTER, _FLOWS_AFTER = 0.3, 1.0
 _FASTEST = 1.5  # rate at which what is exchanged leaves the steeper of two the higher; chosen
 
 
