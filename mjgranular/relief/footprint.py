@@ -10,10 +10,10 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from mjgranular.errors import warn_user
+from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import Memory
 from mjgranular.shape import facets_from_model
-from mjgranular.shape.sizes import check_count, geom_name, geom_width
+from mjgranular.shape.sizes import check_count, geom_width
 
 POINT_DTYPE = np.dtype(
     [
@@ -24,11 +24,18 @@ POINT_DTYPE = np.dtype(
 FOOT_DTYPE = np.dtype(
     [
         ("body", np.int64),
-        ("end", np.int64),  # one past its last point
+        ("end", np.int64),  # one past its last tile of points
         ("middle", np.float64, (3,)),  # of the box around its points [m], body frame
         ("half", np.float64, (3,)),  # half the extents of that box [m]
     ]
 )
+
+
+LANES = 8
+"""Points that are looked at side by side, a tile."""
+
+TILE = 6 * LANES
+"""Numbers of a tile: each of a point's and a normal's for all points in turn."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,7 @@ class Footprint:
     """Points of the skin, geom by geom.
 
     Attributes:
-        points: rows of `POINT_DTYPE`.
+        points: tiles, shape (n, 6, LANES); the last of a geom is filled up with its last point.
         feet: rows of `FOOT_DTYPE`, one for each geom, body by body.
     """
 
@@ -51,21 +58,10 @@ def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory)
         model: the model.
         geoms: ids of those that meet the sand.
         memory: which may say so itself.
-
-    Warns:
-        GranularWarning: a geom is narrower than a cell; names both sizes.
     """
-    widths = {geom: geom_width(model, geom) for geom in geoms}
-    narrow = min(geoms, key=lambda geom: widths[geom])
-    if widths[narrow] < memory.cell * (1 - 1e-9):
-        warn_user(
-            f"the memory's cells of {1e3 * memory.cell:g} mm are larger than geom "
-            f"{geom_name(model, narrow)}, which is {1e3 * widths[narrow]:.3g} mm wide: its print "
-            f"is a cell; take cells of {1e3 * widths[narrow] / 4:.2g} mm"
-        )
     if memory.surroundings is not None:
         return memory.surroundings
-    return max(widths.values()) + 4 * memory.cell
+    return max(geom_width(model, geom) for geom in geoms) + 4 * memory.cell
 
 
 def footprint_of(
@@ -96,13 +92,20 @@ def footprint_of(
     points, feet, count = [], [], 0
     for geom in dict.fromkeys(elements["geom"].tolist()):
         mine = [part for owner, part in parts if owner == geom]
-        points.extend(mine)
         here = np.concatenate(mine)
-        count += len(here)
-        check_count(count)
+        points.append(_in_tiles(here))
+        count += len(points[-1])
+        check_count(LANES * count)
         low, high = here["point"].min(axis=0), here["point"].max(axis=0)
         feet.append((model.geom_bodyid[geom], count, (low + high) / 2, (high - low) / 2))
-    return Footprint(np.concatenate(points), np.array(feet, FOOT_DTYPE))
+    return Footprint(aligned(np.concatenate(points)), np.array(feet, FOOT_DTYPE))
+
+
+def _in_tiles(points: np.ndarray) -> np.ndarray:
+    """Points as kernels read them, shape (n, 6, LANES)."""
+    points = np.concatenate([points, np.repeat(points[-1:], -len(points) % LANES)])
+    numbers = np.concatenate([points["point"], points["normal"]], axis=1)
+    return numbers.reshape(-1, LANES, 6).transpose(0, 2, 1)
 
 
 def _on_rod(rod: np.void, cell: float) -> np.ndarray:

@@ -49,8 +49,9 @@ key_of = compiled(node_keys, inline=True)
 
 
 @partial(compiled, inline=True)
-def node_of(key):
-    """The node (i, j) of a key."""
+def node_of(base):
+    """The node (i, j) of a `base_of`."""
+    key = int(0.25 * base)
     return (key - 1) // _STRIDE - _BIAS, (key - 1) % _STRIDE - _BIAS
 
 
@@ -75,15 +76,34 @@ def start_of(size, array):
 
 
 @partial(compiled, inline=True)
-def key_at(state, size, k):
-    """The key of the node that is kept at a place; 0 for none."""
-    return int(state[start_of(size, KEY) + k]) >> 2
+def base_of(i, j):
+    """What is written in the place of a node that has no mark."""
+    return 4.0 * key_of(i, j)
+
+
+@partial(compiled, inline=True)
+def base_beside(base, di, dj):
+    """`base_of` of a node so many rows and columns away: quicker than to work it out anew."""
+    return base + 4.0 * (di * _STRIDE + dj)
+
+
+@partial(compiled, inline=True)
+def base_at(state, size, k):
+    """What `base_of` is of the node that is kept at a place; 0 for none."""
+    return 4.0 * (int(state[start_of(size, KEY) + k]) >> 2)
 
 
 @partial(compiled, inline=True)
 def mark_at(state, size, k):
     """The mark of a place."""
     return int(state[start_of(size, KEY) + k]) & 3
+
+
+@partial(compiled, inline=True)
+def own_mark(state, size, k, base):
+    """The mark of a node, as a number; -1 where another is kept in its place, or none."""
+    mark = state[start_of(size, KEY) + k] - base
+    return mark if 0.0 <= mark <= 3.0 else -1.0
 
 
 @partial(compiled, inline=True)
@@ -115,11 +135,11 @@ def height_at(state, size, cell, u, v):
     """Height of the sand over the surface at a place [m], bilinear."""
     i, j, a, b = corner_of(cell, u, v)
     heights, row, column = start_of(size, HEIGHT), i % size, j % size
-    height = 0.0
+    height, base = 0.0, base_of(i, j)
     for di in range(2):
         for dj in range(2):
             k = wrapped(row + di, size) * size + wrapped(column + dj, size)
-            if key_at(state, size, k) == key_of(i + di, j + dj):
+            if own_mark(state, size, k, base_beside(base, di, dj)) >= 0.0:
                 weight = (a if di else 1.0 - a) * (b if dj else 1.0 - b)
                 height += weight * state[heights + k]
     return height
@@ -168,10 +188,20 @@ def share_of(a, d):
 
 
 @partial(compiled, inline=True)
+def row_at(size, k):
+    """The row that a place is in: quicker than a division of integers."""
+    return int((k + 0.5) * (1.0 / size))
+
+
+@partial(compiled, inline=True)
+def block_of(size, blocks, k):
+    """The block that a place is in."""
+    row, per_node = row_at(size, k), blocks / size
+    return int((row + 0.5) * per_node) * blocks + int((k - row * size + 0.5) * per_node)
+
+
+@partial(compiled, inline=True)
 def add_height(state, size, blocks, k, amount):
     """Adds to the height at a place that has been claimed [m]."""
     state[start_of(size, HEIGHT) + k] += amount
-    row = int((k + 0.5) / size)
-    per_node = blocks / size
-    block = int((row + 0.5) * per_node) * blocks + int((k - row * size + 0.5) * per_node)
-    state[start_of(size, ARRAYS) + block] += amount
+    state[start_of(size, ARRAYS) + block_of(size, blocks, k)] += amount

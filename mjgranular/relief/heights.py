@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from mjgranular.errors import InputError, shown
 from mjgranular.relief.grid import HEADER, node_keys
 from mjgranular.relief.memory import Memory
 
@@ -24,6 +26,34 @@ class Heights:
     x: np.ndarray
     y: np.ndarray
     height: np.ndarray
+
+
+def checked_state(saved: Any, size: int) -> np.ndarray:
+    """What a surface remembers, as somebody gives it back.
+
+    Args:
+        saved: numbers of the state.
+        size: how many there should be.
+
+    Raises:
+        InputError: others, or some that are not finite.
+    """
+    try:
+        state = np.asarray(saved, float)
+    except (TypeError, ValueError):
+        raise InputError(f"what the sand remembers is {size} numbers, not {shown(saved)}") from None
+    if state.shape != (size,):
+        raise InputError(
+            f"what this sand remembers is {size} numbers, as `save_memory` gives them, not an "
+            f"array of shape {state.shape}: a memory of other cells or extent has others"
+        )
+    wrong = np.flatnonzero(~np.isfinite(state))
+    if len(wrong):
+        raise InputError(
+            f"what the sand remembers must be finite numbers: {len(wrong)} of {size} are not, the "
+            f"first is number {wrong[0]}, {state[wrong[0]]}; nothing was changed"
+        )
+    return state
 
 
 def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -> Heights:

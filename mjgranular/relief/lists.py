@@ -20,7 +20,6 @@ from mjgranular.relief.grid import (
     UNMARKED,
     WAS_UNDER,
     add_height,
-    key_at,
     mark_at,
     set_mark,
     start_of,
@@ -47,16 +46,24 @@ def is_full(state, size):
 
 
 @compiled
-def claim(state, size, blocks, area, k, key):
-    """Makes a place that of a node: what was there before is forgotten."""
-    if key_at(state, size, k) != key:
-        height = state[start_of(size, HEIGHT) + k]
-        state[FORGOTTEN] += area * height
-        add_height(state, size, blocks, k, -height)
-        state[start_of(size, HEIGHT) + k] = 0.0
-        # Where sand may flow stands in a list.
-        mark = FLOWS if mark_at(state, size, k) == FLOWS else UNMARKED
-        state[start_of(size, KEY) + k] = 4.0 * key + mark
+def claim(state, size, blocks, area, k, base):
+    """Makes a place that of a node: what was there before is forgotten.
+
+    Args:
+        state: of the simulation.
+        size: of the grid.
+        blocks: along a side.
+        area: of a cell [m^2].
+        k: the place.
+        base: of the node (`base_of`).
+    """
+    height = state[start_of(size, HEIGHT) + k]
+    state[FORGOTTEN] += area * height
+    add_height(state, size, blocks, k, -height)
+    state[start_of(size, HEIGHT) + k] = 0.0
+    # Where sand may flow stands in a list.
+    mark = FLOWS if mark_at(state, size, k) == FLOWS else UNMARKED
+    state[start_of(size, KEY) + k] = base + mark
 
 
 @compiled

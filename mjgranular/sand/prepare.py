@@ -12,6 +12,7 @@ from mjgranular.kernel.compiled import program_address
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
+from mjgranular.relief.advice import warn_of_buried, warn_of_cells
 from mjgranular.relief.footprint import Footprint, footprint_of, surroundings_of
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.relief import Relief
@@ -102,6 +103,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     scheme.check(model)
     memory, footprint = as_memory(spec.memory), None
     if memory is not None:
+        warn_of_cells(model, geoms, surface, memory)
+        warn_of_buried(model, geoms, surface, memory)
         surface = Relief(surface, memory, surroundings_of(model, geoms, memory))
         footprint = footprint_of(model, geoms, elements, memory.cell)
     warn_of_cost(elements, spec.resolution, scheme)

@@ -19,7 +19,7 @@ from mjgranular.kernel.memory import UPDATE
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.grid import TIME
-from mjgranular.relief.heights import Heights, heights_of
+from mjgranular.relief.heights import Heights, checked_state, heights_of
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.binding import Binding, bind
@@ -264,6 +264,33 @@ class Sand:
         state = self._bindings[to].state
         state[:] = self._bindings[origin].state
         state[TIME] = to.time  # whatever it is: what is copied is not forgotten
+
+    def save_memory(self, data: mujoco.MjData) -> np.ndarray:
+        """What the sand of a simulation remembers, to be given to `restore_memory`: numbers.
+
+        Raises:
+            InputError: the sand has no memory.
+        """
+        self._remembering()
+        self._bind(data)
+        return self._bindings[data].state.copy()
+
+    def restore_memory(self, data: mujoco.MjData, saved: np.ndarray) -> None:
+        """Has the sand of a simulation remember what was saved, also by another process.
+
+        Args:
+            data: the simulation, with the state that it had then.
+            saved: by `save_memory`, of a sand with the same memory.
+
+        Raises:
+            InputError: the sand has no memory; or numbers that are not finite, or too many or too
+                few of them, and then nothing is changed.
+        """
+        self._remembering()
+        self._bind(data)
+        state = self._bindings[data].state
+        state[:] = checked_state(saved, len(state))
+        state[TIME] = data.time
 
     def _remembering(self) -> Relief:
         surface = self._sand.surface

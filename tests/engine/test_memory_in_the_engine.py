@@ -119,6 +119,82 @@ def test_rollouts_go_on_alike() -> None:
     np.testing.assert_array_equal(states[0, -1], end)
 
 
+def test_threads_of_rollouts_and_batches_remember_alike() -> None:
+    """As single simulations do, to the last bit, on any number of threads."""
+    batch_module = pytest.importorskip("mujoco.batch", reason="a MuJoCo without batches")
+    model = made()
+    singles, speeds = [], (0.0, 0.5, -0.5, 0.9)
+    for speed in speeds:
+        data = thrown(model)
+        data.qvel[0] = speed
+        singles.append(data)
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    initial = np.zeros((len(speeds), mujoco.mj_stateSize(model, kind)))
+    for row, data in zip(initial, singles, strict=True):
+        mujoco.mj_getState(model, data, row, kind)
+    pool = [mujoco.MjData(model) for _ in range(2)]
+    warm = np.zeros((len(speeds), model.nv))
+    states, _ = rollout.rollout(model, pool, initial, nstep=200, initial_warmstart=warm)
+    ends = np.zeros_like(initial)
+    for end, data in zip(ends, singles, strict=True):
+        mujoco.mj_step(model, data, 200)
+        mujoco.mj_getState(model, data, end, kind)
+    np.testing.assert_array_equal(states[:, -1], ends)
+    for persistent in (False, True):
+        batch = batch_module.Batch(model, len(speeds), 2, persistent=persistent)
+        qvel, remembered = batch.bind("qvel"), batch.bind("plugin_state")
+        for row, speed in zip(qvel, speeds, strict=True):
+            row[:] = thrown(model).qvel
+            row[0] = speed
+        for _ in range(4):
+            batch.step(nstep=50)
+        for row, state, data in zip(batch.bind("qpos"), remembered, singles, strict=True):
+            np.testing.assert_array_equal(row, data.qpos)
+            np.testing.assert_array_equal(state, data.plugin_state)
+        batch.reset(ids=[1, 3])
+        assert not remembered[[1, 3]].any()
+        assert remembered[0].any()
+
+
+def test_what_sleeps_leaves_the_sand_alone() -> None:
+    """A ball on a floor in the sand falls asleep in its print, which stays as it is."""
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><option integrator="implicitfast"><flag sleep="enable"/></option><worldbody>
+        <geom name="floor" type="plane" size="1 1 1"/>
+        <body name="ball" pos="0 0 0.08"><freejoint/><geom type="sphere" size="0.05"/></body>
+        <body name="other" pos="0.5 0 1"><freejoint/><geom type="sphere" size="0.05"/></body>
+        </worldbody></mujoco>"""
+    )
+    add_sand(spec, law=LAW, surface=Plane(0.02), memory=Memory(extent=1.0))
+    model = spec.compile()
+    data, ball = mujoco.MjData(model), model.body("ball").id
+    for _ in range(2000):
+        mujoco.mj_step(model, data)
+        if data.body_awake[ball] == 0:
+            break
+    assert data.body_awake[ball] == 0
+    about = {"middle": (0.0, 0.0)}
+    mujoco.mj_step(model, data, 300)  # walls come to rest
+    before = relief_of(model, data, **about).height
+    middle = np.abs(np.arange(100) - 50) < 20
+    assert before[np.ix_(middle, middle)].min() < -0.005
+    mujoco.mj_step(model, data, 300)
+    assert data.body_awake[ball] == 0
+    after = relief_of(model, data, **about).height
+    np.testing.assert_allclose(after[middle][:, middle], before[middle][:, middle], atol=1e-4)
+
+
+def test_numbers_that_are_none_in_the_heights_are_left_to_mujoco() -> None:
+    """It warns and resets, as with any bad state; then the sand is untouched."""
+    model = made()
+    data = thrown(model)
+    mujoco.mj_step(model, data, 150)
+    data.plugin_state[HEADER:] = math.nan
+    mujoco.mj_step(model, data, 100)
+    assert data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number >= 1
+    assert np.isfinite(data.plugin_state).all()
+
+
 def test_forward_does_not_change_what_is_remembered() -> None:
     model = made()
     data = thrown(model)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import pickle
+import sys
 import threading
 from typing import Any
 
@@ -301,6 +303,65 @@ def test_reset_and_release_forget() -> None:
     np.testing.assert_array_equal(run(sand, data, 300), first)
     sand.release(data)
     assert not sand.relief(data).height.any()
+
+
+def test_memory_is_saved_and_restored_and_bad_numbers_change_nothing() -> None:
+    sand, data = dropped()
+    run(sand, data, 150)
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.zeros(mujoco.mj_stateSize(sand.model, kind))
+    mujoco.mj_getState(sand.model, data, state, kind)
+    saved = sand.save_memory(data)
+    expected = run(sand, data, 250)
+    sand, other = dropped()  # a sand of another process, perhaps
+    mujoco.mj_setState(sand.model, other, state, kind)
+    for wrong, message in (
+        (np.where(np.arange(len(saved)) == 20, math.nan, saved), "1 of .* the first is number 20"),
+        (np.full(len(saved), math.inf), "must be finite numbers"),
+        (saved[:-1], "as `save_memory` gives them, not an array of shape"),
+        ("heights", "is .* numbers, not 'heights'"),
+    ):
+        before = sand.save_memory(other)
+        with pytest.raises(InputError, match=message):
+            sand.restore_memory(other, wrong)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(sand.save_memory(other), before)
+    sand.restore_memory(other, saved)
+    np.testing.assert_array_equal(run(sand, other, 250), expected)
+    plain = Pushed()
+    with pytest.raises(InputError, match="has no memory"):
+        plain.sand.save_memory(plain.data)
+
+
+def test_a_step_allocates_nothing() -> None:
+    sand, data = dropped()
+    run(sand, data, 300)  # in its print
+    step, loop = sand.step, range(5000)
+    gc.collect()
+    before = sys.getallocatedblocks()
+    for _ in loop:
+        step(data)
+    assert sys.getallocatedblocks() - before < 50
+
+
+def test_ground_that_is_finer_than_cells_is_told() -> None:
+    with pytest.warns(GranularWarning, match=r"10 mm are too large for the bed 'tray'.* 30 mm"):
+        Pushed(bed=0.015, surface=Bed("tray"), instead_of=None, memory=memory())
+    text = """<mujoco><asset><hfield name="field" nrow="401" ncol="401" size="1 1 0.2 0.1"/>
+    </asset><worldbody><geom name="field" type="hfield" hfield="field"/>
+    <body pos="0 0 1"><freejoint/>{}</body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text.format(BALL))
+    with pytest.warns(GranularWarning, match=r"cells of 10 mm .*'field'.* are 5 mm apart"):
+        Sand(model, law=LAW, surface=HeightField("field"), memory=memory())
+
+
+def test_what_starts_buried_is_told_and_what_stands_in_the_sand_is_taken_as_placed() -> None:
+    with pytest.warns(GranularWarning, match=r"starts 75 mm and more under the sand"):
+        Pushed(BALL, surface=Plane(0.1), memory=memory())
+    plain, remembering = (Pushed(BALL, memory=one) for one in (None, memory()))
+    np.testing.assert_allclose(
+        remembering.force(0.0, 0.0), plain.force(0.0, 0.0), rtol=1e-9, atol=1e-12
+    )  # half in at the first step: fresh sand
+    assert remembering.height.min() < -0.02  # and the print of it is pressed
 
 
 def test_report_tells_the_force_in_a_print_and_leaves_no_trace() -> None:

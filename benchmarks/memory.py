@@ -1,0 +1,102 @@
+"""Cost of memory: steps of environments' models on sand with and without, in turns.
+
+    python benchmarks/memory.py
+    python benchmarks/memory.py --names Hexapod --cells 0.01 0.005 --turns 20
+
+A gait where the environment has one (a tripod for the hexapod), random actions elsewhere. Each turn
+runs a piece of an episode in each of the cases; figures are the least of a piece's turns, added up
+over all pieces, so that a busy machine does not count.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import mujoco
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from mjgranular.envs import tasks
+from mjgranular.envs.gaits import Tripod
+
+
+@dataclass(frozen=True)
+class Options:
+    """Cost of memory."""
+
+    names: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME...")] = ("Hexapod", "Hopper")
+    """Environments."""
+    cells: Annotated[tuple[float, ...], tyro.conf.arg(metavar="M...")] = (0.01,)
+    """Sides of cells [m]."""
+    turns: int = 8
+    """Turns of each case."""
+    seconds: float = 6.0
+    """Of simulated time in a turn."""
+
+
+class Case:
+    """A simulation with recorded actions."""
+
+    def __init__(self, name: str, seconds: float, **options: Any) -> None:
+        self.task = tasks[name](**options)
+        self.model = self.task.model
+        self.data = mujoco.MjData(self.model)
+        self.state = self.task.state_of(self.data)
+        self.skip = self.task.frame_skip
+        rng, count = np.random.default_rng(0), round(seconds / self.task.dt)
+        size = self.model.nu
+        self.actions = rng.uniform(-1, 1, (count, size))
+        if name == "Hexapod":
+            gait = Tripod()
+            self.actions = np.array([gait.action(k * self.task.dt, size) for k in range(count)])
+
+    def turn(self, piece: int = 25) -> np.ndarray:
+        """Runs the actions; times of pieces of so many [s per step of the model]."""
+        times, random = [], np.random.default_rng(1)
+        model, data, task = self.model, self.data, self.task
+        self._begin(random)
+        for first in range(0, len(self.actions), piece):
+            ctrl = task.act(self.actions[first : first + piece], self.state)
+            began = time.perf_counter()
+            for action in ctrl:
+                data.ctrl[:] = action
+                mujoco.mj_step(model, data, nstep=self.skip)
+            times.append((time.perf_counter() - began) / (self.skip * len(ctrl)))
+            self.state.found.clear()
+            if task.terminated(self.state)[0]:
+                self._begin(random)
+        return np.array(times)
+
+    def _begin(self, random: np.random.Generator) -> None:
+        start = self.task.begin(random, None)
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:], self.data.qvel[:] = start.qpos, start.qvel
+
+
+def main() -> None:
+    """Prints a table."""
+    options = tyro.cli(Options)
+    table = Table("environment", "cells [mm]", "without [µs]", "with [µs]", "ratio")
+    for name in options.names:
+        cases = [Case(name, options.seconds)]
+        cases += [Case(name, options.seconds, memory=cell) for cell in options.cells]
+        least: list[Any] = [np.inf] * len(cases)
+        for _ in range(options.turns):
+            for number, case in enumerate(cases):
+                least[number] = np.minimum(least[number], case.turn())
+        plain, *others = (1e6 * float(np.mean(times)) for times in least)
+        for cell, cost in zip(options.cells, others, strict=True):
+            ratio = f"{cost / plain:.2f}"
+            table.add_row(name, f"{1e3 * cell:g}", f"{plain:.1f}", f"{cost:.1f}", ratio)
+    console = Console()
+    console.print(table)
+    console.print(f"{os.cpu_count()} cores; steps of the model; least of {options.turns} turns")
+
+
+if __name__ == "__main__":
+    main()
