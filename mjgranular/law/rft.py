@@ -17,7 +17,7 @@ from mjgranular.kernel.vector import dot, vector
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law
-from mjgranular.law.validity import Limit
+from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
 
@@ -64,6 +64,10 @@ class RftLaw(Law):
 
     inertia: float
     rise: bool
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        return findings_of(f"{self.name} inertia" if self.inertia > 0 else self.name)
 
     def check_options(self) -> None:
         """Refuses options without meaning."""

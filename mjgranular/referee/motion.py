@@ -21,6 +21,7 @@ class Motion:
         force: of the sand against the motion [N]: of a drop its mean since the row before, up; None
             if it is not known.
         pitch: of the body's axis from the vertical [degrees]; None if it has none.
+        to_the_stop: whether the record ends where the lowest point stops.
     """
 
     depth: np.ndarray
@@ -28,6 +29,7 @@ class Motion:
     speed: np.ndarray | None = None
     force: np.ndarray | None = None
     pitch: np.ndarray | None = None
+    to_the_stop: bool = False
 
     @property
     def final_depth(self) -> float:
@@ -39,13 +41,15 @@ class Motion:
         """Time from the touch to the stop of the mass centre [s].
 
         It has stopped where its downward speed is first below 1 % of the greatest. Without a column
-        of speeds, that of the lowest point is taken, from differences. None if it never touches or
-        stops.
+        of speeds, that of the lowest point is taken, from differences. A record `to_the_stop` of
+        the lowest point ends there. None if it never touches or stops.
         """
         if self.time is None or self.depth.max() <= 0:
             return None
         speed = np.gradient(self.depth, self.time) if self.speed is None else self.speed
         touch = _crossing(self.time, self.depth)
+        if touch is not None and self.to_the_stop:
+            return float(self.time[-1] - touch)
         k = int(np.argmax(speed))
         slow = np.flatnonzero(speed[k:] < _STOPPED * speed[k])
         if not len(slow) or touch is None:

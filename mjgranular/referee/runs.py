@@ -13,7 +13,8 @@
       - {name: drawn, kind: drag, body: {shape: plate, length: 0.016, diameter: 0.001},
          angle: 90, depth: 0.028, data: drawn.csv}
 
-`about.json` beside it has `title`, `source` and the `marks` of runs by name.
+`about.json` beside it has `title`, `source`, the `marks` of runs by name, and the names of runs
+that are `guided` (the body keeps its angle) or recorded only `to_the_stop` of the lowest point.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import csv
 import io
 import json
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -102,6 +103,11 @@ class MeasuredRun:
             raise InputError(f"{where}: its times must grow from row to row")
 
     @property
+    def to_the_stop(self) -> bool:
+        """Whether the record ends where the lowest point stops, not where the body rests."""
+        return self.motion.to_the_stop
+
+    @property
     def width(self) -> float:
         """Second largest extent of the body [m], the width of Froude numbers."""
         return 2 * sorted(self.body.halves)[1]
@@ -164,7 +170,7 @@ def read_runs(folder: str | Path) -> RunSet:
     if not isinstance(content, dict) or not isinstance(content.get("runs"), list):
         raise InputError(f"{place(file)}: a set of runs has the keys medium and runs, a list")
     try:
-        runs = tuple(_run(folder, entry, about["marks"]) for entry in content["runs"])
+        runs = tuple(_run(folder, entry, about) for entry in content["runs"])
         medium = _medium(folder.name, about, content.get("medium"))
     except (InputError, UnknownNameError) as error:
         if str(folder) in str(error):
@@ -181,7 +187,13 @@ def _with_place(error: Exception, file: Path) -> tuple[Any, ...]:
 
 def _about(file: Path) -> dict[str, Any]:
     """Title, source and marks of a set; plain words where the file is not there."""
-    plain: dict[str, Any] = {"title": file.parent.name, "source": "not said", "marks": {}}
+    plain: dict[str, Any] = {
+        "title": file.parent.name,
+        "source": "not said",
+        "marks": {},
+        "guided": [],
+        "to_the_stop": [],
+    }
     if not file.exists():
         return plain
     try:
@@ -221,7 +233,7 @@ def _medium(name: str, about: dict[str, Any], given: Any) -> Medium:
     )
 
 
-def _run(folder: Path, entry: Any, marks: dict[str, Any]) -> MeasuredRun:
+def _run(folder: Path, entry: Any, about: dict[str, Any]) -> MeasuredRun:
     if not isinstance(entry, dict):
         raise InputError("a run is a mapping: {name: ..., kind: ..., body: ..., data: ...}")
     for key in ("name", "kind", "body", "data"):
@@ -232,13 +244,15 @@ def _run(folder: Path, entry: Any, marks: dict[str, Any]) -> MeasuredRun:
         raise UnknownNameError("kind of run", kind, get_args(Kind))
     numbers = {k: _number(k, entry[k]) for k in ("speed", "angle", "depth") if k in entry}
     motion = _motion(folder / str(entry["data"]), kind, numbers)
+    if entry["name"] in about["to_the_stop"]:
+        motion = replace(motion, to_the_stop=True)
     return MeasuredRun(
         name=str(entry["name"]),
         kind=kind,
         body=_body(entry["body"]),
         motion=motion,
-        guided=entry.get("guided") is True,
-        mark=marks.get(entry["name"], "seen"),
+        guided=entry["name"] in about["guided"],
+        mark=about["marks"].get(entry["name"], "seen"),
         **numbers,
     )
 
