@@ -24,14 +24,15 @@ _HEAD = """# How far the laws are right
 Every law of the package against every set of measured motion that the repository has, and what
 came out, the bad with the good. `python referee/validate.py` runs all of it anew and writes this
 page, its figures and the errors that `report(data)[body].error` and `info["sand/error"]` tell with
-each force. The data lie in `referee/data`; `referee/README.md` says how simulated grains are made to
-move, and how to add a set of your own.
+each force. The data lie in `referee/data`; `referee/README.md` says how simulated grains are made
+to move, and how to add a set of your own.
 
 Errors are those of whole motions:
 
-- *trajectory*: of a drop the root-mean-square of the error in depth over time, in parts of the final
-  depth; of a push or drag that in force, in parts of the greatest;
-- *final*: error of the final depth, of a push or drag that of the force in the last fifth of the path;
+- *trajectory*: of a drop the root-mean-square of the error in depth over time, in parts of the
+  final depth; of a push or drag that in force, in parts of the greatest;
+- *final*: error of the final depth, of a push or drag that of the force in the last fifth of the
+  path;
 - *stop*: error of the time from the touch until the mass centre is slower than 1 % of its greatest
   speed;
 - *peak*: error of the greatest force after a mean over 1 ms;
@@ -142,12 +143,12 @@ def _verdict(best: dict[str, float]) -> str:
 
 def _travels(found: list[list[Comparison]]) -> list[str]:
     lines = [
-        "The worst error of trajectories in groups of measured runs (the link paper's own drops are",
-        "none), by their greatest Froude number. A force takes the first line that reaches its Froude",
-        "number and whose bodies were as thin in grains; where no grain size is known a body counts",
-        "as wide. Beyond the last line nothing is known, and the error is `None`. `inertia` is the",
-        "same law with its inertial term switched on. Constants other than those compared here have",
-        "errors of their own.",
+        "The worst error of trajectories in groups of measured runs (the link paper's own drops",
+        "are none), by their greatest Froude number. A force takes the first line that reaches its",
+        "Froude number and whose bodies were as thin in grains; where no grain size is known a",
+        "body counts as wide. Beyond the last line nothing is known, and the error is `None`.",
+        "`inertia` is the same law with its inertial term switched on. Constants other than",
+        "those compared here have errors of their own.",
         "",
     ]
     rows = [
@@ -210,10 +211,10 @@ def _small_bed(found: list[list[Comparison]]) -> list[str]:
             return []
         errors = compare(sets["seen"][large].motion, sets["small_bed"][small].motion)
         lines += [
-            "The sphere of 25.4 mm at 1 m/s once more, in a bed of a fifth of the grains that is 2.4",
-            f"spheres wide: final depth {_percent(errors.final)}, stopping time",
-            f"{_percent(errors.stop)}, trajectory {_percent(errors.trajectory, sign=False)}, greatest",
-            f"force {_percent(errors.peak)}. Errors of laws in that set are not known better.",
+            "The sphere of 25.4 mm at 1 m/s once more, in a bed of a fifth of the grains that is",
+            f"2.4 spheres wide: final depth {_percent(errors.final)}, stopping time",
+            f"{_percent(errors.stop)}, trajectory {_percent(errors.trajectory, sign=False)},",
+            f"greatest force {_percent(errors.peak)}. Laws are not judged better than that there.",
             "",
         ]
     return lines
@@ -223,9 +224,9 @@ def _missing() -> list[str]:
     return [
         "## What is not here",
         "",
-        "Wheels, bodies that turn, feet that push off, sand on slopes, sand that remembers, wet sand.",
-        "Raw measurements: papers show them in figures, and the published sets are the lines through",
-        "them. Simulated grains are round and do not resist rolling, so that their friction is at the",
-        "lower end of sands.",
+        "Wheels, bodies that turn, feet that push off, sand on slopes, sand that remembers, wet",
+        "sand. Raw measurements: papers show them in figures, and the published sets are the lines",
+        "through them. Simulated grains are round and do not resist rolling, so that their",
+        "friction is at the lower end of sands.",
         "",
     ]

@@ -172,17 +172,11 @@ def read_runs(folder: str | Path) -> RunSet:
     try:
         runs = tuple(_run(folder, entry, about) for entry in content["runs"])
         medium = _medium(folder.name, about, content.get("medium"))
-    except (InputError, UnknownNameError) as error:
-        if str(folder) in str(error):
+    except InputError as error:
+        if str(folder) in str(error):  # of a CSV file, which is named already
             raise
-        raise type(error)(*_with_place(error, file)) from None
+        raise InputError(f"{place(file)}: {error}") from None
     return RunSet(folder.name, about["title"], about["source"], medium, runs)
-
-
-def _with_place(error: Exception, file: Path) -> tuple[Any, ...]:
-    if isinstance(error, UnknownNameError):
-        return error.args
-    return (f"{place(file)}: {error}",)
 
 
 def _about(file: Path) -> dict[str, Any]:
