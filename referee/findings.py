@@ -20,12 +20,15 @@ Row = tuple[float, float, float, int]
 def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
     """By law: greatest Froude number, least width in grains, worst error, number of runs.
 
+    Runs that a constant of the law was chosen by tell nothing of other motion, and are left out.
     A run counts in the group of its greatest Froude number. It has gone through all slower motion
     too, but runs that were slow throughout say more of that.
     """
     table: dict[str, dict[tuple[int, bool], list[tuple[float, float, float]]]] = {}
     for comparison in (c for group in found for c in group):
-        if comparison.errors is None or comparison.runs.name in _NOT_MEASURED:
+        if comparison.errors is None or comparison.mark == "fitted to":
+            continue
+        if comparison.runs.name in _NOT_MEASURED:
             continue
         run, grain = comparison.run, comparison.runs.medium.grain
         grains = run.width / grain.value if grain is not None else 100.0
@@ -43,7 +46,7 @@ def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
             grains = min(min(m[1] for m in members), 100.0)
             worst = max(m[2] for m in members)
             rows.append((round(froude, 2), round(grains, 1), round(worst, 3), len(members)))
-        out[law] = rows
+        out[law] = sorted(rows)
     return out
 
 

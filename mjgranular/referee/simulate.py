@@ -17,7 +17,7 @@ from mjgranular.sand import Sand
 TIMESTEP = 5e-5
 """Of simulated drops [s]: halving it moves final depths by less than 0.3 %."""
 
-_SAMPLES = 5e-4  # between two samples [s]
+_SAMPLES = 1e-4  # between two samples [s]
 _HEAVY = 1e6  # inertia of a body that keeps its angle [kg m^2]; chosen
 
 
