@@ -156,11 +156,11 @@ def _travels(found: list[list[Comparison]]) -> list[str]:
     lines = [
         "The worst error of trajectories in groups of measured runs, by their greatest Froude",
         "number; without runs that the law's constants were fitted to, and without the link",
-        "paper's own drops, which nobody has measured. A force takes the first line that reaches its",
-        "Froude number and whose bodies were as thin in grains; where no grain size is known a body",
-        "counts as wide. Beyond the last line nothing is known, and the error is `None`. `inertia` is the",
-        "same law with its inertial term switched on. Constants other than those compared here",
-        "have errors of their own.",
+        "paper's own drops, which nobody has measured. A force takes the first line that reaches",
+        "its Froude number and whose bodies were as thin in grains; where no grain size is known a",
+        "body counts as wide. Beyond the last line nothing is known, and the error is `None`.",
+        "`inertia` is the same law with its inertial term switched on. Constants other than those",
+        "compared here have errors of their own.",
         "",
     ]
     rows = [
