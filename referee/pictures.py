@@ -25,6 +25,14 @@ _LOOK = {
     "rft3d inertia": ("#0072B2", "-"),
 }
 _REST = ("#6B6B6B", ":")
+_WHAT = {
+    "seen": "grains (DEM)",
+    "small_bed": "grains (DEM)",
+    "katsuragi_durian": "fit to the measurements",
+    "plates": "line through the measurements",
+    "quikrete": "stiffness as measured",
+    "paper_link": "the paper's equations",
+}
 
 
 def draw(found: list[Comparison], folder: Path) -> str:
@@ -52,12 +60,13 @@ def draw(found: list[Comparison], folder: Path) -> str:
         labels = {}
         for axis, run in zip(axes.ravel(), runs.runs, strict=False):
             motion, drop = run.motion, run.kind == "drop"
+            dot = "o" if len(motion.depth) == 1 else None
             axis.set_title(run.name)
             x = motion.time if drop else (motion.speed if run.kind == "drag" else motion.depth)
             y = motion.depth if drop else motion.force
             scale = (1e3, -1e3) if drop else ((1.0, 1.0) if run.kind == "drag" else (1e3, 1.0))
-            (line,) = axis.plot(scale[0] * x, scale[1] * y, "k", lw=2.6, label="measured")
-            labels["measured"] = line
+            (line,) = axis.plot(scale[0] * x, scale[1] * y, "k", lw=2.6, marker=dot, ms=8)
+            labels[_WHAT.get(runs.name, "measured")] = line
             for c in found:
                 if c.run is not run or c.motion is None:
                     continue
@@ -65,13 +74,15 @@ def draw(found: list[Comparison], folder: Path) -> str:
                 x = c.motion.time if drop else x
                 y = c.motion.depth if drop else c.motion.force
                 name = c.candidate.name
-                (line,) = axis.plot(scale[0] * x, scale[1] * y, style, color=color, lw=1.3)
+                (line,) = axis.plot(
+                    scale[0] * x, scale[1] * y, style, color=color, lw=1.3, marker=dot
+                )
                 labels[name] = line
             if drop:
                 axis.set(xlabel="time [ms]", ylabel="height of the lowest point [mm]")
                 axis.set_xlim(0, 1.05e3 * motion.time[-1])
             elif run.kind == "drag":
-                axis.set(xlabel="speed [m/s]", ylabel="force [N]", ylim=(0, None))
+                axis.set(xlabel="speed [m/s]", ylabel="force [N]", ylim=(0, 1.25 * max(y)))
             else:
                 axis.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0, None))
         figure.legend(

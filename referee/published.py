@@ -202,7 +202,8 @@ def plates() -> None:
         "title": "Upright plate of 16 mm drawn along its normal, 0.04 to 0.64 m/s",
         "source": f"{given['source']}; K = 580 N/m, lambda = 1.1",
         "marks": marks,
-        "doubts": "the line through the measurements, not the measurements; the friction of the "
+        "doubts": "the line through the measurements, not the measurements; the part that grows "
+        "with speed is a hundredth of it and hardly tests the inertial term; the friction of the "
         "sand is not printed with it, so the stiffness is taken from the line",
     }
     medium = "{density: 900, internal_friction: 0.6, surface_friction: 0.4}"
