@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
 from mjgranular.envs.ground import DEPTH, FORCE, POWER, SPEED
-from mjgranular.law.validity import Measure
+from mjgranular.law.validity import Measure, found_at
 from mjgranular.sand import SandSpec
 from mjgranular.sand.material import material_of
 from mjgranular.sand.prepare import geoms_in_sand
@@ -43,6 +43,7 @@ class Figures:
         self._froude = np.array([limit.most("froude") for limit in limits])
         self._depth = np.array([limit.most("depth_over_width") for limit in limits]) * width
         self._slope = np.array([limit.most("slope") - limit.tilt for limit in limits])
+        self._found = [limit.found() for limit in limits]
 
     def read(
         self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0
@@ -62,7 +63,9 @@ class Figures:
         Returns:
             `sand/force`: of the sand on the robot [N], world axes, shape (n, 3); `sand/depth`: of
             its deepest point [m], negative above the sand; `sand/power`: of the sand on it [W];
-            `sand/froude`; `sand/valid`: whether the law holds.
+            `sand/froude`; `sand/valid`: whether the law holds; `sand/error`: found where the law
+            was held against measured motion as fast as this, in parts; 0 above the sand, and nan
+            where nothing as fast was compared.
         """
         first, *others = self._blocks
         block = readings[:, first : first + 6].copy()  # nobody is to hold the simulation's memory
@@ -82,7 +85,16 @@ class Figures:
             "sand/power": block[:, 4],
             "sand/froude": froude,
             "sand/valid": valid,
+            "sand/error": np.where(depth > 0, self._errors(sand, froude), 0.0),
         }
+
+    def _errors(self, active: np.ndarray | int, froude: np.ndarray) -> np.ndarray:
+        """Errors found at Froude numbers, for the sand that is switched on; shape (n,)."""
+        error = np.full(froude.shape, np.nan)
+        for sand, (bounds, errors) in enumerate(self._found):
+            mine = np.broadcast_to(np.asarray(active) == sand, froude.shape)
+            error[mine] = errors[np.searchsorted(bounds, froude[mine])]
+        return error
 
 
 class _Limits:
@@ -90,11 +102,21 @@ class _Limits:
 
     def __init__(self, model: mujoco.MjModel, sand: SandSpec) -> None:
         geoms = geoms_in_sand(model, sand)
-        _, law = material_of(model, geoms, sand)
+        medium, law = material_of(model, geoms, sand)
         elements = law.elements(model, geoms, sand.resolution)
         self._limits = law.validity
         self.width = float(elements["width"].min())
+        grain = medium.grain and medium.grain.value
+        self._grains = None if grain is None else self.width / grain
+        self._findings = law.findings
         self.tilt = surface_of(sand.surface).tilt(model)
+
+    def found(self) -> tuple[np.ndarray, np.ndarray]:
+        """Froude numbers up to which errors were found, and these; one more error, nan, beyond."""
+        bounds = sorted({finding.froude for finding in self._findings})
+        found = [found_at(self._findings, bound, self._grains) for bound in bounds]
+        errors = [np.nan if one is None else one.error for one in found]
+        return np.array(bounds), np.array([*errors, np.nan])
 
     def most(self, measure: Measure) -> float:
         return min((v.most for v in self._limits if v.measure == measure), default=math.inf)

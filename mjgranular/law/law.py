@@ -14,7 +14,7 @@ import numpy as np
 from mjgranular.errors import InputError, UnknownNameError, shown, warn_user
 from mjgranular.given import is_finite, kind_of
 from mjgranular.law.kernel import LawKernel
-from mjgranular.law.validity import Limit
+from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 from mjgranular.registry import Registry
 from mjgranular.surface import Surface
@@ -99,6 +99,11 @@ class Law(ABC):
                 )
             parameters[name] = value
         return parameters
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Errors that were found against measured motion; none for a law that nobody compared."""
+        return findings_of(self.name)
 
     @abstractmethod
     def kernel(self, surface: Surface) -> LawKernel:

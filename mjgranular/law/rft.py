@@ -17,7 +17,7 @@ from mjgranular.kernel.vector import dot, vector
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law
-from mjgranular.law.validity import Limit
+from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
 
@@ -70,6 +70,11 @@ class RftLaw(Law):
     @property
     def adds_mass(self) -> bool:
         return self.added > 0
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        term = " added" if self.added > 0 else " inertia" if self.inertia > 0 else ""
+        return findings_of(self.name + term)
 
     def check_options(self) -> None:
         """Refuses options without meaning."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import UnknownNameError
-from mjgranular.law.validity import Measure, Standing
+from mjgranular.law.validity import Finding, Measure, Standing, found_at
 from mjgranular.names import name_of
 from mjgranular.sand.binding import Binding
 from mjgranular.sand.prepare import PreparedSand
@@ -63,6 +63,8 @@ class BodyReport:
         power: sum over its elements [W].
         froude: greatest of its elements in the sand.
         validity: how the body stands against the law's limits.
+        found: the error that was found against measured motion as fast as this; None above the
+            sand, and where nothing as fast was compared.
     """
 
     body: str
@@ -74,6 +76,12 @@ class BodyReport:
     power: float
     froude: float
     validity: tuple[Standing, ...] = ()
+    found: Finding | None = None
+
+    @property
+    def error(self) -> float | None:
+        """The error that was found for such motion, in parts; None where it is not known."""
+        return None if self.found is None else self.found.error
 
     @property
     def valid(self) -> bool:
@@ -176,7 +184,7 @@ class Report:
     def _repr_html_(self) -> str:
         """One row a body, for notebooks."""
         title = f"{self.medium}, {self.law} law, t = {self.time:.6g} s"
-        headings = ("body", "depth [mm]", "force [N]", "power [W]", "law holds")
+        headings = ("body", "depth [mm]", "force [N]", "power [W]", "law holds", "error found")
         rows = [
             (
                 body.body,
@@ -184,6 +192,7 @@ class Report:
                 _size(body.force),
                 body.power,
                 "yes" if body.valid else "no",
+                "not known" if body.error is None else f"{body.error:.0%}",
             )
             for body in self.bodies
         ]
@@ -263,11 +272,16 @@ def describe(
     """
     table = _element_table(data, sand.elements, binding.contacts, gravity)
     limits, grain = sand.law.validity, sand.medium.grain and sand.medium.grain.value
+    findings = sand.law.findings
     bodies = []
     for row, mine in zip(binding.bodies, members, strict=True):
         deepest = mine[np.argmax(table.depth[mine])]
         wet = mine[table.depth[mine] > 0]
         measures = _measures(table, wet, gravity=gravity, slope=slope, grain=grain)
+        froude = float(measures["froude"] or 0.0)
+        found = None
+        if len(wet):
+            found = found_at(findings, froude, grain and float(table.width[wet].min()) / grain)
         bodies.append(
             BodyReport(
                 body=names.bodies[int(row["body"])],
@@ -277,8 +291,9 @@ def describe(
                 depth=float(table.depth[deepest]),
                 immersed_length=float(table.immersed_length[mine].sum()),
                 power=float(table.power[mine].sum()),
-                froude=float(measures["froude"] or 0.0),
+                froude=froude,
                 validity=tuple(Standing(limit, measures[limit.measure]) for limit in limits),
+                found=found,
             )
         )
     return Report(
@@ -362,5 +377,7 @@ def _plain(report: Any) -> dict[str, Any]:
         value = getattr(report, field.name)
         if field.name == "validity":
             value = {s.limit.measure: {"value": s.value, "most": s.limit.most} for s in value}
+        if isinstance(value, Finding):
+            value = asdict(value)
         plain[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
     return plain

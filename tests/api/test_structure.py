@@ -38,6 +38,7 @@ ORDER = (
     "models",
     "envs",
     "experiment",
+    "referee",
     "picture",
     "studio",
     "learn",

@@ -3,13 +3,15 @@
 import dataclasses
 import json
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
 from mjgranular import DepthVelocityLaw, HeightField, Plane, Quantity, Rft2dLaw, Sand, laws, media
-from mjgranular.law import Limit, Standing
+from mjgranular.law import Finding, Limit, Standing
+from mjgranular.law.validity import found_at
 
 GENERIC = Rft2dLaw.generic(1.0)
 GRAIN = 0.0003  # of the glass beads
@@ -202,3 +204,57 @@ def test_validity_can_be_written_down():
         for measure, standing in found.items()
     }
     assert set(found) == {"froude", "inertial_number", "depth_over_width", "slope"}
+
+
+# The error that travels with a force
+
+SLOW, FAST, THIN = Finding(0.4, 8.0, 0.1, 3), Finding(2.0, 8.0, 0.2, 2), Finding(3.0, 3.0, 0.6, 1)
+
+
+@pytest.mark.parametrize(
+    ("froude", "grains", "finding"),
+    [
+        (0.0, 10.0, SLOW),
+        (0.4, 8.0, SLOW),
+        (0.41, 8.0, FAST),
+        (0.41, None, FAST),  # no grain size is known
+        (0.1, 4.0, THIN),  # nothing as thin was compared slowly
+        (2.5, 100.0, THIN),
+        (3.1, 100.0, None),
+        (0.1, 2.0, None),
+    ],
+)
+def test_the_finding_that_tells_most_of_a_motion(froude, grains, finding):
+    assert found_at((THIN, FAST, SLOW), froude, grains) is finding
+
+
+class Judged(DepthVelocityLaw):
+    """A law about which something was found."""
+
+    findings = (SLOW, FAST)
+
+
+def test_a_report_has_the_error_that_was_found():
+    # Of 5 cm: 0.7 m/s is a Froude number of 1.0.
+    ball = body("<geom type='sphere' size='.025'/>")
+    for speed, error in ((0.1, 0.1), (0.7, 0.2), (2.0, None)):
+        _, report = moving(ball, velocity=(0, 0, -speed), law=Judged(constant=1.0))
+        assert report.bodies[0].error == error
+        assert json.loads(json.dumps(report.as_dict()))["bodies"][0]["found"] == (
+            None if error is None else dataclasses.asdict(report.bodies[0].found)
+        )
+    _, report = moving(ball, height=0.5, law=Judged(constant=1.0))
+    assert report.bodies[0].error is None  # above the sand
+
+
+@pytest.mark.parametrize("law", [GENERIC, dataclasses.replace(GENERIC, inertia=1.1, density=1500)])
+def test_findings_are_those_of_the_page(law):
+    assert law.findings
+    page = (Path(__file__).resolve().parents[2] / "docs" / "validity.md").read_text()
+    name = "rft2d inertia" if law.inertia else "rft2d"
+    for finding in law.findings:
+        row = (
+            f"| `{name}` | {finding.froude:g} | {finding.grains:g} | {100 * finding.error:.0f} % |"
+        )
+        assert row in page
+        assert finding.runs > 0

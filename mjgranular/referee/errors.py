@@ -1,0 +1,84 @@
+"""How far a simulated motion is from a measured one, over the whole of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.referee.motion import Motion
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of a simulated motion; parts of the measured value, positive for too much.
+
+    Attributes:
+        trajectory: of a drop the root-mean-square of the error in depth over time, in parts of the
+            final depth; of a push or drag that of the error in force over the path, in parts of the
+            greatest force.
+        final: of the final depth of a drop; of the mean force in the last fifth of a push or drag.
+        stop: of the stopping time; None where one of the two does not stop, and for a push or drag.
+        peak: of the greatest force after a 1 ms mean; None where no force was measured.
+        pitch: of the final pitch [degrees]; None for bodies without one.
+    """
+
+    trajectory: float
+    final: float
+    stop: float | None = None
+    peak: float | None = None
+    pitch: float | None = None
+
+    def plain(self) -> dict[str, float | None]:
+        """By name, as for JSON."""
+        return asdict(self)
+
+
+def compare(measured: Motion, simulated: Motion) -> Errors:
+    """Works out the errors.
+
+    Args:
+        measured: the motion that is taken for right.
+        simulated: the same one under a law; of a drop at any times, of a push or drag row by row.
+
+    Raises:
+        InputError: one is a drop and the other is not, or a drop of which nothing is in the sand.
+    """
+    if measured.time is None or simulated.time is None:
+        return _compare_forces(measured, simulated)
+    final = measured.final_depth
+    if not final > 0:
+        raise InputError("the measured drop ends above the sand: there is no depth to compare with")
+    depth = np.interp(measured.time, simulated.time, simulated.depth)
+    pitch = None
+    if measured.pitch is not None and simulated.pitch is not None:
+        last = np.interp(measured.time[-1], simulated.time, simulated.pitch)
+        pitch = float(last - measured.pitch[-1])
+    # A mean over the record's time: rows need not be evenly spaced.
+    squares = np.trapezoid((depth - measured.depth) ** 2, measured.time)
+    return Errors(
+        trajectory=float(np.sqrt(squares / (measured.time[-1] - measured.time[0])) / final),
+        final=simulated.final_depth / final - 1,
+        stop=_part(measured.stop, simulated.stop),
+        peak=_part(measured.peak_force, simulated.peak_force),
+        pitch=pitch,
+    )
+
+
+def _compare_forces(measured: Motion, simulated: Motion) -> Errors:
+    if measured.force is None or simulated.force is None:
+        raise InputError("a push or drag is compared by its force: one of the two has none")
+    if measured.force.shape != simulated.force.shape:
+        raise InputError("a push or drag is compared row by row: the two differ in length")
+    late = max(1, len(measured.force) // 5)
+    mean = float(measured.force[-late:].mean())
+    error = simulated.force - measured.force
+    return Errors(
+        trajectory=float(np.sqrt((error**2).mean()) / np.abs(measured.force).max()),
+        final=float(simulated.force[-late:].mean()) / mean - 1,
+    )
+
+
+def _part(measured: float | None, simulated: float | None) -> float | None:
+    return None if measured is None or simulated is None else simulated / measured - 1

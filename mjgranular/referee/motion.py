@@ -1,0 +1,84 @@
+"""One motion, measured or simulated, and the few numbers that sum it up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+_STOPPED = 0.01  # of the greatest speed: a body that is slower has stopped; that of `data/seen`
+_MEAN = 1e-3  # forces are averaged over so long before the greatest is looked for [s]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A drop, a push or a drag, one row a sample; arrays of shape (n,). SI units and degrees.
+
+    Attributes:
+        depth: of the body's lowest point [m], positive below the surface.
+        time: [s]; None for a push or drag without one.
+        speed: of the mass centre, down; of a drag along its path [m/s]; None if it is not known.
+        force: of the sand against the motion [N]: of a drop its mean since the row before, up; None
+            if it is not known.
+        pitch: of the body's axis from the vertical [degrees]; None if it has none.
+        to_the_stop: whether the record ends where the lowest point stops.
+    """
+
+    depth: np.ndarray
+    time: np.ndarray | None = None
+    speed: np.ndarray | None = None
+    force: np.ndarray | None = None
+    pitch: np.ndarray | None = None
+    to_the_stop: bool = False
+
+    @property
+    def final_depth(self) -> float:
+        """At the end [m]."""
+        return float(self.depth[-1])
+
+    @property
+    def stop(self) -> float | None:
+        """Time from the touch to the stop of the mass centre [s].
+
+        It has stopped where its downward speed is first below 1 % of the greatest. Without a column
+        of speeds, that of the lowest point is taken, from differences. A record `to_the_stop` of
+        the lowest point ends there. None if it never touches or stops.
+        """
+        if self.time is None or self.depth.max() <= 0:
+            return None
+        speed = np.gradient(self.depth, self.time) if self.speed is None else self.speed
+        touch = _crossing(self.time, self.depth)
+        if touch is not None and self.to_the_stop:
+            return float(self.time[-1] - touch)
+        k = int(np.argmax(speed))
+        slow = np.flatnonzero(speed[k:] < _STOPPED * speed[k])
+        if not len(slow) or touch is None:
+            return None
+        i = k + int(slow[0])
+        part = (speed[i - 1] - _STOPPED * speed[k]) / (speed[i - 1] - speed[i])
+        return float(self.time[i - 1] + part * (self.time[i] - self.time[i - 1]) - touch)
+
+    @property
+    def peak_force(self) -> float | None:
+        """Greatest mean force over a millisecond [N]; None where no force is known.
+
+        Rows further apart than that are averaged over more.
+        """
+        if self.force is None or self.time is None or len(self.time) < 3:
+            return None
+        impulse = np.concatenate([[0.0], np.cumsum(self.force[1:] * np.diff(self.time))])
+        begin = self.time[self.time <= self.time[-1] - _MEAN]
+        gained = np.interp(begin + _MEAN, self.time, impulse) - np.interp(begin, self.time, impulse)
+        return float(gained.max() / _MEAN) if len(gained) else None
+
+
+def _crossing(time: np.ndarray, depth: np.ndarray) -> float | None:
+    """The time at which a body touches the surface."""
+    wet = np.flatnonzero(depth >= 0)
+    if not len(wet):
+        return None
+    i = int(wet[0])
+    if i == 0:
+        return float(time[0])
+    part = -depth[i - 1] / (depth[i] - depth[i - 1])
+    return float(time[i - 1] + part * (time[i] - time[i - 1]))

@@ -1,0 +1,68 @@
+"""From comparisons to the few numbers that travel with every force."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from validate import Comparison
+
+BANDS = (0.4, 1.5, 2.5, 4.0, 7.0, 10.0)
+"""Froude numbers that part the runs into groups; chosen, 0.4 is the limit of quasi-static RFT."""
+
+_WIDE = 5.0  # grains across a body that counts as wide; chosen
+_NOT_MEASURED = ("paper_link",)
+
+Row = tuple[float, float, float, int]
+
+
+def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
+    """By law: greatest Froude number, least width in grains, worst error, number of runs.
+
+    Runs that a constant of the law was chosen by tell nothing of other motion, and are left out.
+    A run counts in the group of its greatest Froude number. It has gone through all slower motion
+    too, but runs that were slow throughout say more of that.
+    """
+    table: dict[str, dict[tuple[int, bool], list[tuple[float, float, float]]]] = {}
+    for comparison in (c for group in found for c in group):
+        if comparison.errors is None or comparison.mark == "fitted to":
+            continue
+        if comparison.runs.name in _NOT_MEASURED:
+            continue
+        run, grain = comparison.run, comparison.runs.medium.grain
+        grains = run.width / grain.value if grain is not None else 100.0
+        band = next((i for i, top in enumerate(BANDS) if run.froude <= top), None)
+        if band is None:
+            continue
+        groups = table.setdefault(comparison.candidate.name, {})
+        key = (band, grains >= _WIDE)
+        groups.setdefault(key, []).append((run.froude, grains, comparison.errors.trajectory))
+    out: dict[str, list[Row]] = {}
+    for law, groups in table.items():
+        rows = []
+        for (_, _), members in sorted(groups.items()):
+            froude = max(m[0] for m in members)
+            grains = min(min(m[1] for m in members), 100.0)
+            worst = max(m[2] for m in members)
+            rows.append((round(froude, 2), round(grains, 1), round(worst, 3), len(members)))
+        out[law] = sorted(rows)
+    return out
+
+
+def write_findings(file: Path, found: list[list[Comparison]]) -> None:
+    """Writes `mjgranular/found.py`."""
+    lines = [
+        '"""Errors of laws against measured motion: written by `python referee/validate.py`."""',
+        "",
+        "FOUND: dict[str, tuple[tuple[float, float, float, int], ...]] = {",
+    ]
+    for law, rows in findings(found).items():
+        lines += [f'    "{law}": (', *(f"        {row}," for row in rows), "    ),"]
+    lines += [
+        "}",
+        '"""By law: greatest Froude number, least width in grains, worst error, number of runs."""',
+        "",
+        'SOURCE = "docs/validity.md"',
+    ]
+    file.write_text("\n".join(lines) + "\n")

@@ -1,0 +1,244 @@
+"""The page of validity, written from comparisons alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from findings import findings
+
+from mjgranular.referee import MARKS, MeasuredRun, compare
+
+if TYPE_CHECKING:
+    from validate import Comparison
+
+    from mjgranular.referee import Errors
+
+_DATA = Path(__file__).parent / "data"
+# Worst errors of trajectories and final depths, and of stopping times; chosen.
+_BELIEVE, _BELIEVE_STOP, _ESTIMATE = 0.1, 0.2, 0.25
+
+_HEAD = """# How far the laws are right
+
+<!-- Written by `python referee/validate.py`: change that, not this. -->
+
+Every law of the package against every set of measured motion that the repository has, and what
+came out, the bad with the good. `python referee/validate.py` runs all of it anew and writes this
+page, its figures and the errors that `report(data)[body].error` and `info["sand/error"]` tell with
+each force. The data lie in `referee/data`; `referee/README.md` says how simulated grains are made
+to move, and how to add a set of your own.
+
+Errors are those of whole motions:
+
+- *trajectory*: of a drop the root-mean-square of the error in depth over time, in parts of the
+  final depth; of a push or drag that in force, in parts of the greatest;
+- *final*: error of the final depth, of a push or drag that of the force in the last fifth of the
+  path;
+- *stop*: error of the time from the touch until the mass centre is slower than 1 % of its greatest
+  speed;
+- *peak*: error of the greatest force after a mean over 1 ms;
+- *pitch*: error of the final angle from the vertical.
+
+A final depth alone proves little: a law that is too weak at first and too strong later can end
+right. Errors are those of the law with the constants that are said, not of the best constants.
+Each run has a mark:
+"""
+
+_SITUATIONS: tuple[tuple[str, Callable[[MeasuredRun, float], bool]], ...] = (
+    (
+        "plate pushed or drawn, Froude number to 0.4",
+        lambda r, g: r.kind != "drop" and r.froude <= 0.4,
+    ),
+    ("plate pushed or drawn, faster", lambda r, g: r.kind != "drop" and r.froude > 0.4),
+    ("sphere dropped, to 2.5", lambda r, g: r.body.shape == "sphere" and r.froude <= 2.5),
+    ("sphere dropped, faster", lambda r, g: r.body.shape == "sphere" and r.froude > 2.5),
+    ("flat foot dropped", lambda r, g: r.body.shape == "plate" and r.kind == "drop"),
+    ("rod dropped, 5 grains wide or more", lambda r, g: r.body.shape == "capsule" and g >= 5),
+    ("rod dropped, thinner", lambda r, g: r.body.shape == "capsule" and g < 5),
+)
+
+
+def write_page(file: Path, found: list[list[Comparison]], figures: dict[str, str]) -> None:
+    """Writes the page."""
+    lines = [_HEAD]
+    lines += [f"- *{mark}*: {meaning};" for mark, meaning in MARKS.items()]
+    lines[-1] = lines[-1][:-1] + "."
+    lines += ["", "## Which law to believe when", "", *_when(found), ""]
+    lines += ["## The error that travels with a force", "", *_travels(found), ""]
+    for group in found:
+        lines += _set(group, figures[group[0].runs.name])
+    lines += _small_bed(found)
+    lines += _missing()
+    file.write_text("\n".join(lines).rstrip() + "\n")
+
+
+def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    lines = ["| " + " | ".join(headings) + " |", "|" + "---|" * len(headings)]
+    return lines + ["| " + " | ".join(row) + " |" for row in rows]
+
+
+def _percent(value: float | None, sign: bool = True) -> str:
+    if value is None:
+        return ""
+    rounded = round(100 * value)  # no "-0"
+    return f"{rounded:+d} %" if sign and rounded else f"{rounded:d} %"
+
+
+def _when(found: list[list[Comparison]]) -> list[str]:
+    all_ = [c for group in found for c in group if c.runs.name != "paper_link"]
+    names = list(dict.fromkeys(c.candidate.name for c in all_))
+    rows = []
+    for title, belongs in _SITUATIONS:
+        cells: list[str] = []
+        best: dict[str, list[Errors]] = {}
+        for name in names:
+            mine = [
+                c
+                for c in all_
+                if c.candidate.name == name and c.errors is not None and belongs(c.run, _grains(c))
+            ]
+            judged = [c for c in mine if c.mark != "fitted to"]
+            if not mine:
+                cells.append("")
+                continue
+            errors = [c.errors for c in judged or mine if c.errors is not None]
+            text = _span([e.trajectory for e in errors]) + ("" if judged else " (fitted)")
+            stops = [e.stop for e in errors if e.stop is not None]
+            if stops and judged:
+                text += f"; stop {_percent(min(stops))} to {_percent(max(stops))}"
+            cells.append(text)
+            if judged and name != "depth_velocity":
+                best[name] = errors
+        rows.append((title, *cells, _verdict(best)))
+    lines = [
+        "Errors of trajectories, from the best to the worst run, and of stopping times. Runs that",
+        "a law's own constants were fitted to are left out where there are others. In the last",
+        "column stands the law whose worst trajectory is the best. *Believe* it where all its",
+        "trajectories and final depths are within 10 % and its stopping times within 20 %; take it",
+        "for an *estimate* of depths and forces where trajectories are within 25 %; beyond that do",
+        "*not*. `depth_velocity` has constants for one sphere only, and is not named there.",
+        "",
+    ]
+    return lines + _table(("motion", *(f"`{n}`" for n in names), "so"), rows)
+
+
+def _grains(c: Comparison) -> float:
+    grain = c.runs.medium.grain
+    return c.run.width / grain.value if grain is not None else 100.0
+
+
+def _span(errors: Sequence[float]) -> str:
+    low, high = min(errors), max(errors)
+    if round(100 * low) == round(100 * high):
+        return _percent(high, sign=False)
+    return f"{100 * low:.0f} to {100 * high:.0f} %"
+
+
+def _verdict(best: dict[str, list[Errors]]) -> str:
+    """Which law to believe, and how far."""
+    if not best:
+        return "not compared"
+    worst = {name: max(e.trajectory for e in errors) for name, errors in best.items()}
+    name = min(worst, key=lambda key: worst[key])
+    finals = max(abs(e.final) for e in best[name])
+    stops = max((abs(e.stop) for e in best[name] if e.stop is not None), default=0.0)
+    text = f"`{name}`, {_percent(worst[name], sign=False)}"
+    if worst[name] > _ESTIMATE:
+        return f"do not believe any; least wrong {text}"
+    if max(worst[name], finals) <= _BELIEVE and stops <= _BELIEVE_STOP:
+        return f"believe {text}"
+    return f"estimate: {text}" + (f", stops {_percent(stops, sign=False)} off" if stops else "")
+
+
+def _travels(found: list[list[Comparison]]) -> list[str]:
+    lines = [
+        "The worst error of trajectories in groups of measured runs, by their greatest Froude",
+        "number; without runs that the law's constants were fitted to, and without the link",
+        "paper's own drops, which nobody has measured. A force takes the first line that reaches",
+        "its Froude number and whose bodies were as thin in grains; where no grain size is known a",
+        "body counts as wide. Beyond the last line nothing is known, and the error is `None`.",
+        "`inertia` is the same law with its inertial term switched on. Constants other than those",
+        "compared here have errors of their own.",
+        "",
+    ]
+    rows = [
+        (f"`{law}`", f"{froude:g}", f"{grains:g}", _percent(error, sign=False), str(runs))
+        for law, table in findings(found).items()
+        for froude, grains, error, runs in table
+    ]
+    return lines + _table(("law", "Froude number to", "grains across", "error", "runs"), rows)
+
+
+def _set(group: list[Comparison], figure: str) -> list[str]:
+    runs = group[0].runs
+    about = json.loads((_DATA / runs.name / "about.json").read_text())
+    lines = [f"## {runs.title}", "", f"`referee/data/{runs.name}`. {_sentence(runs.source)}"]
+    if about.get("doubts"):
+        lines[-1] += f" Doubts: {_sentence(about['doubts'])}"
+    lines += ["", f"![{runs.title}](figures/{figure})", ""]
+    rows = []
+    for c in group:
+        if c.errors is None:
+            continue
+        e = c.errors
+        pitch = "" if e.pitch is None else f"{round(e.pitch):+d}°"
+        rows.append(
+            (
+                c.run.name,
+                f"{c.run.froude:.2g}",
+                f"`{c.candidate.name}`",
+                c.mark,
+                _percent(e.trajectory, sign=False),
+                _percent(e.final),
+                _percent(e.stop),
+                _percent(e.peak),
+                pitch,
+            )
+        )
+    headings = ("run", "Froude", "law", "mark", "trajectory", "final", "stop", "peak", "pitch")
+    lines += _table(headings, rows)
+    lines += ["", "Constants:", ""]
+    constants = {c.candidate.name: c.candidate.constants for c in group if c.errors is not None}
+    lines += [f"- `{name}`: {text};" for name, text in constants.items()]
+    lines[-1] = lines[-1][:-1] + "."
+    return [*lines, ""]
+
+
+def _sentence(text: str) -> str:
+    text = text.strip()
+    return text[0].upper() + text[1:] + ("" if text.endswith(".") else ".")
+
+
+def _small_bed(found: list[list[Comparison]]) -> list[str]:
+    """What a smaller bed costs: the same drop in both."""
+    sets = {group[0].runs.name: group[0].runs for group in found}
+    if not {"seen", "small_bed"} <= sets.keys():
+        return []
+    pairs = (("sphere 1 m/s", "sphere 25.4 mm, 1 m/s again"),)
+    lines = ["## What a smaller bed costs", ""]
+    for large, small in pairs:
+        if all(run.name != small for run in sets["small_bed"].runs):
+            return []
+        errors = compare(sets["seen"][large].motion, sets["small_bed"][small].motion)
+        lines += [
+            "The sphere of 25.4 mm at 1 m/s once more, in a bed of a fifth of the grains, 2.4 "
+            f"spheres wide: final depth {_percent(errors.final)}, stopping time "
+            f"{_percent(errors.stop)}, trajectory {_percent(errors.trajectory, sign=False)}, "
+            f"greatest force {_percent(errors.peak)}. Laws are judged no better than that there.",
+            "",
+        ]
+    return lines
+
+
+def _missing() -> list[str]:
+    return [
+        "## What is not here",
+        "",
+        "Wheels, bodies that turn, feet that push off, sand on slopes, sand that remembers, wet",
+        "sand. Raw measurements: papers show them in figures, and the published sets are the lines",
+        "through them. Simulated grains are round and do not resist rolling, so that their",
+        "friction is at the lower end of sands.",
+        "",
+    ]

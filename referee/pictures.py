@@ -1,0 +1,95 @@
+"""Figures of the page of validity: whole trajectories, measured and under each law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+
+if TYPE_CHECKING:
+    from validate import Comparison
+
+# Okabe and Ito's colours; dashes for the laws without inertia.
+_LOOK = {
+    "link": ("#AA4499", "--"),
+    "link_distributed": ("#AA4499", "-"),
+    "depth_velocity": ("#009E73", "-"),
+    "rft2d": ("#D55E00", "--"),
+    "rft2d inertia": ("#D55E00", "-"),
+    "rft3d": ("#0072B2", "--"),
+    "rft3d inertia": ("#0072B2", "-"),
+}
+_REST = ("#6B6B6B", ":")
+_WHAT = {
+    "seen": "grains (DEM)",
+    "small_bed": "grains (DEM)",
+    "katsuragi_durian": "fit to the measurements",
+    "plates": "line through the measurements",
+    "quikrete": "stiffness as measured",
+    "paper_link": "the paper's equations",
+}
+
+
+def draw(found: list[Comparison], folder: Path) -> str:
+    """Draws all runs of a set; returns the name of the file."""
+    runs = found[0].runs
+    columns = min(3, len(runs.runs))
+    lines = -(-len(runs.runs) // columns)
+    with plt.rc_context(
+        {
+            "figure.constrained_layout.use": True,
+            "font.size": 9,
+            "axes.titlesize": 9,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.grid": True,
+            "grid.color": "#DDDDDD",
+            "legend.frameon": False,
+        }
+    ):
+        figure, axes = plt.subplots(
+            lines, columns, figsize=(3.3 * columns, 2.6 * lines + 0.6), squeeze=False, dpi=144
+        )
+        for axis in axes.ravel()[len(runs.runs) :]:
+            axis.set_axis_off()
+        labels = {}
+        for axis, run in zip(axes.ravel(), runs.runs, strict=False):
+            motion, drop = run.motion, run.kind == "drop"
+            dot = "o" if len(motion.depth) == 1 else None
+            axis.set_title(run.name)
+            x = motion.time if drop else (motion.speed if run.kind == "drag" else motion.depth)
+            y = motion.depth if drop else motion.force
+            scale = (1e3, -1e3) if drop else ((1.0, 1.0) if run.kind == "drag" else (1e3, 1.0))
+            (line,) = axis.plot(scale[0] * x, scale[1] * y, "k", lw=2.6, marker=dot, ms=8)
+            labels[_WHAT.get(runs.name, "measured")] = line
+            for c in found:
+                if c.run is not run or c.motion is None:
+                    continue
+                color, style = _LOOK.get(c.candidate.name, _REST)
+                x = c.motion.time if drop else x
+                y = c.motion.depth if drop else c.motion.force
+                name = c.candidate.name
+                (line,) = axis.plot(
+                    scale[0] * x, scale[1] * y, style, color=color, lw=1.3, marker=dot
+                )
+                labels[name] = line
+            if drop:
+                axis.set(xlabel="time [ms]", ylabel="height of the lowest point [mm]")
+                axis.set_xlim(0, 1.05e3 * motion.time[-1])
+            elif run.kind == "drag":
+                axis.set(xlabel="speed [m/s]", ylabel="force [N]", ylim=(0, 1.25 * max(y)))
+            else:
+                axis.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0, None))
+        figure.legend(
+            labels.values(), labels.keys(), loc="outside lower center", ncols=min(5, len(labels))
+        )
+        folder.mkdir(parents=True, exist_ok=True)
+        name = f"validity_{runs.name}.png"
+        figure.savefig(folder / name, metadata={"Software": None})
+        plt.close(figure)
+    return name

@@ -1,0 +1,192 @@
+"""Holds every law against every set of measured motion, and writes what comes out.
+
+    python referee/validate.py                          # docs/validity.md, its figures, found.py
+    python referee/validate.py --report page.md --only seen
+
+Run it after a law, a constant or a set has changed. Errors are those of whole trajectories
+(`mjgranular.referee.compare`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mjgranular import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw, Rft2dLaw, Rft3dLaw
+from mjgranular.errors import GranularError
+from mjgranular.referee import Errors, MeasuredRun, Motion, RunSet, compare, read_runs, simulate
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "referee" / "data"
+SETS = ("seen", "small_bed", "katsuragi_durian", "plates", "quikrete", "paper_link")
+"""Folders of data, in the order of the page."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A law for a set of runs.
+
+    Attributes:
+        name: on the page.
+        law: with its constants.
+        fitted_to: names of the runs that a constant was chosen by; empty for nothing fitted.
+        constants: where they are from, in a few words.
+    """
+
+    name: str
+    law: Law
+    fitted_to: tuple[str, ...]
+    constants: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A run under a law; no errors where the law has no elements for the body."""
+
+    runs: RunSet
+    run: MeasuredRun
+    candidate: Candidate
+    motion: Motion | None
+    errors: Errors | None
+
+    @property
+    def mark(self) -> str:
+        """Of the run for this law: only what the law's own constants were chosen by is fitted."""
+        if self.run.name in self.candidate.fitted_to:
+            return "fitted to"
+        return "seen" if self.run.mark == "fitted to" else self.run.mark
+
+
+def candidates(runs: RunSet) -> list[Candidate]:
+    """The laws that there are constants for, with and without the inertial term."""
+    found: list[Candidate] = []
+    stiffness, fitted = _slow_stiffness(runs)
+    play_sand = "play sand's of the link paper; the density is that of the bed"
+    if any(run.body.shape in ("link", "capsule") for run in runs.runs):
+        own = runs.name == "paper_link"
+        names = tuple(run.name for run in runs.runs) if own else ()
+        for law in (LinkLaw, DistributedLinkLaw):
+            text = "the paper's" if own else play_sand
+            found.append(Candidate(law.name, law.from_medium("play_sand"), names, text))
+    if runs.name in ("katsuragi_durian", "seen", "small_bed"):
+        own = runs.name == "katsuragi_durian"
+        names = tuple(run.name for run in runs.runs) if own else ()
+        text = "Katsuragi and Durian's, of glass beads and a steel sphere of 25.4 mm"
+        law = DepthVelocityLaw.from_medium("glass_beads")
+        found.append(Candidate("depth_velocity", law, names, text))
+    for name, law, text, by in _resistive(runs, stiffness, fitted):
+        found.append(Candidate(name, law, by, text))
+        density = runs.medium.density.value
+        changes = {"inertia": 1.1} if name == "rft3d" else {"inertia": 1.1, "density": density}
+        found.append(
+            Candidate(f"{name} inertia", replace(law, **changes), by, f"{text}, lambda = 1.1")
+        )
+    return found
+
+
+def _resistive(
+    runs: RunSet, stiffness: float | None, fitted: tuple[str, ...]
+) -> list[tuple[str, Rft2dLaw | Rft3dLaw, str, tuple[str, ...]]]:
+    """Both laws of resistive force theory with what fits the set: name, law, constants, fitted."""
+    if runs.name == "plates":
+        found = []
+        for name, law in (
+            ("rft2d", Rft2dLaw.generic(1.0)),
+            ("rft3d", Rft3dLaw.from_medium(runs.medium)),
+        ):
+            scale = _scale_to_line(runs, law)
+            text = "stiffness from K = 580 N/m"
+            names = tuple(run.name for run in runs.runs)
+            found.append((name, replace(law, scale=law.scale * scale), text, names))
+        return found
+    found = []
+    if stiffness is not None:
+        text = f"generic coefficients times {1e-6 * stiffness:.3g}, from the slow plate push"
+        found.append(("rft2d", Rft2dLaw.generic(1e-6 * stiffness), text, fitted))
+    elif "rft2d" in runs.medium.constants:
+        law = Rft2dLaw.from_medium(runs.medium)
+        found.append(("rft2d", law, f"{runs.medium.name}'s, times {law.scale:g}", ()))
+    if "rft3d" in runs.medium.constants:
+        law = Rft3dLaw.from_medium(runs.medium)
+        text = f"the published formula for mu = {law.internal_friction:.3g}; nothing fitted"
+        found.append(("rft3d", law, text, ()))
+    return found
+
+
+def _slow_stiffness(runs: RunSet) -> tuple[float | None, tuple[str, ...]]:
+    """Force over area and depth of the slowest level plate [N/m^3], and the run's name."""
+    pushes = [r for r in runs.runs if r.kind == "intrude" and r.mark == "fitted to"]
+    if not pushes:
+        return None, ()
+    run = min(pushes, key=lambda run: run.speed)
+    assert run.motion.force is not None
+    area = run.body.length**2
+    depth, force = run.motion.depth, run.motion.force
+    return float((force * depth).sum() / (depth**2).sum() / area), (run.name,)
+
+
+def _scale_to_line(runs: RunSet, law: Rft2dLaw | Rft3dLaw) -> float:
+    """The factor with which a law at rest gives the published line K z of drawn plates."""
+    run = runs.runs[0]
+    still = replace(run, motion=replace(run.motion, speed=np.full_like(run.motion.depth, 1e-6)))
+    force = simulate(still, runs.medium, law).force
+    assert force is not None
+    assert run.depth is not None
+    return float(580.0 * (run.depth - run.body.length / 2) / force[0])
+
+
+def hold(runs: RunSet) -> list[Comparison]:
+    """Every law against every run of a set."""
+    found = []
+    for run in runs.runs:
+        for candidate in candidates(runs):
+            motion = errors = None
+            if not _foreign(run, candidate):
+                try:
+                    motion = simulate(run, runs.medium, candidate.law)
+                    errors = compare(run.motion, motion)
+                except GranularError as error:
+                    print(f"{run.name}, {candidate.name}: {error}", file=sys.stderr)
+            found.append(Comparison(runs, run, candidate, motion, errors))
+    return found
+
+
+def _foreign(run: MeasuredRun, candidate: Candidate) -> bool:
+    """Whether the law is for other bodies: rods, or the one sphere that it was fitted to."""
+    if candidate.name in ("link", "link_distributed"):
+        return run.body.shape not in ("link", "capsule")
+    if candidate.name == "depth_velocity":
+        return run.body.shape != "sphere" or abs(run.body.diameter - 0.0254) > 1e-4
+    return False
+
+
+def main(words: list[str] | None = None) -> None:
+    """Compares, and writes page, figures and found errors."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--report", type=Path, default=ROOT / "docs" / "validity.md")
+    parser.add_argument(
+        "--only", nargs="+", default=None, choices=SETS, help="sets; all if not said"
+    )
+    options = parser.parse_args(words)
+    names = options.only or [name for name in SETS if (DATA / name).exists()]
+    found = [hold(read_runs(DATA / name)) for name in names]
+
+    from page import write_page
+    from pictures import draw
+
+    folder = options.report.parent / "figures"
+    figures = {c[0].runs.name: draw(c, folder) for c in found}
+    write_page(options.report, found, figures)
+    print(f"wrote {options.report}")
+    if options.only is None and options.report == ROOT / "docs" / "validity.md":
+        from findings import write_findings
+
+        write_findings(ROOT / "mjgranular" / "found.py", found)
+
+
+if __name__ == "__main__":
+    main()
