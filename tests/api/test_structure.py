@@ -38,6 +38,7 @@ ORDER = (
     "models",
     "envs",
     "experiment",
+    "fit",
     "picture",
     "studio",
     "learn",
