@@ -125,7 +125,7 @@ def sentences(result: FitResult) -> list[str]:
         )
         if valley.one_speed:
             found.append(
-                "All runs are drops of one speed: the intervals hold only if the law is right to "
+                "All runs are of one speed: the intervals hold only if the law is right to "
                 "the last, and say nothing on other speeds."
             )
     wide = [name for name, good in result.identifiable.items() if not good]

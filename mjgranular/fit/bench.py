@@ -103,13 +103,13 @@ class Bench:
             f"{self._material.law if self._material else ''}"
         )
 
-    def move(self, qpos: np.ndarray, qvel: np.ndarray, duration: float) -> np.ndarray:
+    def move(self, qpos: np.ndarray, qvel: np.ndarray, steps: int) -> np.ndarray:
         """Lets the model move.
 
         Args:
             qpos: to start from.
             qvel: half a time step before.
-            duration: [s].
+            steps: number of time steps.
 
         Returns:
             `qpos` after each step, the start first, shape (steps + 1, nq). The model that has come
@@ -124,7 +124,6 @@ class Bench:
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = qpos, qvel
         timestep = model.opt.timestep
-        steps = int(np.ceil(duration / timestep - 1e-9))
         path = np.empty((steps + 1, model.nq))
         path[0] = qpos
         lead = self._prepared.scheme.lead * timestep

@@ -202,7 +202,9 @@ def _result(
     scale = np.where(np.abs(x[:count]) > near[:count], np.abs(x[:count]), sizes[:count])
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
     whole = np.concatenate([scale, (problem.high - problem.low)[count:]])
-    spread = spread_of(jacobian[:, moving], residual, problem.blocks(), whole[moving], stats)
+    spread = spread_of(
+        jacobian[:, moving], residual, problem.blocks(), problem.runs(), whole[moving], stats
+    )
     information = Information.of(jacobian, scale)
     half = spread.half[:count]
     relative = half / scale

@@ -3,10 +3,17 @@
 Errors along one trajectory are not independent: a camera that is off stays off, a law that is wrong
 is wrong for a while. Of each series the integrated autocorrelation time of its residuals (the sum
 over lags up to the first pair that is not positive, C. J. Geyer, Statistical Science 7 (1992)) says
-how many rows count for one. The covariance is that of the sandwich, with the weight of each series
-as it was taken and not as it should have been, and with errors as large as they were found in each
-row; what is larger, that or one size of error for the whole series, is taken. Few rows that count
-make Student's t wide.
+how many rows count for one. Of few rows that comes out too small: where neighbours are alike beyond
+chance, that of a first-order process is taken if it is longer, its coefficient corrected for the
+bias of short series (M. G. Kendall, Biometrika 41 (1954)).
+
+The covariance is that of the sandwich, with the weight of each series as it was taken and not as it
+should have been, and with errors as large as they were found in each row; what is larger, that or
+one size of error for the whole series, is taken. Few rows that count make Student's t wide.
+
+What is off for a whole run, the height of the surface say, no statistic of that run can see. From
+four runs on each is left out in turn, to first order (the jackknife), and the interval is at least
+what runs differ by.
 """
 
 from __future__ import annotations
@@ -16,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+_RUNS = 4  # from which on runs are held against each other; chosen
 SMALLEST = 1e-7  # singular value, in parts of the greatest, below which nothing is told; chosen
 
 
@@ -48,11 +56,20 @@ def correlation_time(errors: np.ndarray) -> float:
     total = pairs[: ends[0] if len(ends) else None].sum()
     if rho[1] <= 0:
         return 1.0
-    return float(np.clip(1 + 2 * total, 1.0, n))
+    first_order = 1.0
+    if rho[1] > 2 / np.sqrt(n):
+        next_alike = min(rho[1] + (1 + 4 * rho[1]) / n, 1 - 1 / n)
+        first_order = (1 + next_alike) / (1 - next_alike)
+    return float(np.clip(max(1 + 2 * total, first_order), 1.0, n))
 
 
 def spread_of(
-    jacobian: np.ndarray, residual: np.ndarray, blocks: list[slice], scale: np.ndarray, stats: Any
+    jacobian: np.ndarray,
+    residual: np.ndarray,
+    blocks: list[slice],
+    runs: list[slice],
+    scale: np.ndarray,
+    stats: Any,
 ) -> Spread:
     """How uncertain unknowns are at the least squares.
 
@@ -60,6 +77,7 @@ def spread_of(
         jacobian: shape (rows, unknowns).
         residual: shape (rows,).
         blocks: where each series stands.
+        runs: where each run stands.
         scale: size of each unknown, shape (unknowns,).
         stats: the module `scipy.stats`.
     """
@@ -79,6 +97,25 @@ def spread_of(
     freedom = max(1.0, count - len(scale))
     alike *= count / freedom
     variance = np.maximum(np.diag(inverse @ alike @ inverse), np.diag(inverse @ each @ inverse))
-    half = float(stats.t.ppf(0.975, freedom)) * np.sqrt(variance) * scale
+    half = float(stats.t.ppf(0.975, freedom)) * np.sqrt(variance)
+    if len(runs) >= _RUNS:
+        between = np.sqrt(_jackknife(J, residual, runs))
+        half = np.maximum(half, float(stats.t.ppf(0.975, len(runs) - 1)) * between)
+    half = half * scale
     size = np.sqrt(np.diag(inverse))
     return Spread(half, np.clip(inverse / np.outer(size, size), -1.0, 1.0), freedom)
+
+
+def _jackknife(J: np.ndarray, residual: np.ndarray, runs: list[slice]) -> np.ndarray:
+    """Variances by what changes where a run is left out, to first order, shape (unknowns,)."""
+    changes = []
+    for run in runs:
+        others = np.ones(len(J), bool)
+        others[run] = False
+        # What is left over without the run is brought to nothing again; its own touch stays.
+        kept = np.flatnonzero(np.abs(J[others]).max(axis=0) > 0)
+        change = np.zeros(J.shape[1])
+        change[kept], *_ = np.linalg.lstsq(J[others][:, kept], -residual[others], rcond=SMALLEST)
+        changes.append(change)
+    spread = np.array(changes) - np.mean(changes, axis=0)
+    return (len(runs) - 1) / len(runs) * np.square(spread).sum(axis=0)

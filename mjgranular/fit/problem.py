@@ -108,6 +108,11 @@ class Problem:
                 first += len(series.values)
         return found
 
+    def runs(self) -> list[slice]:
+        """Where each run stands among the residuals."""
+        ends = np.cumsum([0, *(trial.rows for trial in self.trials)]).tolist()
+        return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the residuals, by central differences where the bounds leave room."""
         columns = []

@@ -40,6 +40,10 @@ class PushTrial(Trial):
         self.series = (_forces(force[inside], where),)
         self._make_bench()
 
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        return (self.run.push_speed,)
+
     def _make_bench(self) -> None:
         assert self.run.body is not None
         projectile = self.run.body.projectile
@@ -93,6 +97,10 @@ class DragTrial(PushTrial):
         self.places = speed
         self.series = (_forces(force, where),)
         self._make_bench()
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        return float(self.places.min()), float(self.places.max())
 
     def simulate(self, material: Material) -> np.ndarray:
         self.bench.use(material)

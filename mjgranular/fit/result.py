@@ -82,8 +82,8 @@ class Valley:
         change: relative changes of the constants that go together; the greatest is 1.
         effect: root of the mean square by which the curves differ at a change of 10 %, in parts of
             their greatest values.
-        one_speed: whether only drops of one speed are there: then a narrow interval rests on the
-            law's being right to the last, and says nothing on other speeds.
+        one_speed: whether all runs are of one speed: then a narrow interval rests on the law's
+            being right to the last, and says nothing on other speeds.
     """
 
     change: Mapping[str, float]

@@ -35,16 +35,16 @@ _SHOWN = 4
 
 
 def trades_off(trials: Sequence[Trial], material: Material, names: Sequence[str]) -> np.ndarray:
-    """Which constants trade off because all runs are drops of one speed, shape (constants,).
+    """Which constants trade off because all runs are of one speed, shape (constants,).
 
     Static resistance and resistance by velocity are then told apart by the course of one kind of
     curve alone: as sharply as the law is right, and no law is. Discrete elements say what comes of
     it (docs/calibration.md): a sphere at 1 m/s is met within 0.3 % by constants that are 29 % wrong
     at 3 m/s.
     """
-    speeds = [trial.run.speed or 0.0 for trial in trials if isinstance(trial, DropTrial)]
+    speeds = [speed for trial in trials for speed in trial.speeds]
     by_speed = np.array([material.by_speed(name) for name in names])
-    several = len(speeds) < len(trials) or max(speeds) > _OTHER_SPEED * min(speeds)
+    several = max(speeds) > _OTHER_SPEED * min(speeds)
     if several or by_speed.all() or not by_speed.any():
         return np.zeros(len(names), bool)
     return np.ones(len(names), bool)

@@ -56,6 +56,11 @@ class Trial(ABC):
         return self.run.name
 
     @property
+    def speeds(self) -> tuple[float, ...]:
+        """Speeds that it was made with [m/s]."""
+        return (self.run.speed or 0.0,)
+
+    @property
     def rows(self) -> int:
         """Number of numbers that were measured."""
         return sum(len(series.values) for series in self.series)
