@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -70,8 +71,15 @@ class FitCommand:
 
     def _run(self, fit: Fit) -> FitResult:
         guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
-        with progress_bar("fitting", guess) as show:
-            return run_fit(fit, progress=lambda done, what: show(min(done, 0.95 * guess), what))
+        with ExitStack() as stack:
+            bars: list[Callable[[float, str], None]] = []
+
+            def progress(done: int, what: str) -> None:
+                if not bars:  # the data are read and good
+                    bars.append(stack.enter_context(progress_bar(what, guess)))
+                bars[0](min(done, 0.95 * guess), what)
+
+            return run_fit(fit, progress=progress)
 
     def _write(self, fit: Fit, result: FitResult, folder: Path, names: Sequence[str]) -> str | None:
         """Writes the medium last: where it is, all is. Returns what could not be drawn."""

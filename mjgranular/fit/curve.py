@@ -13,6 +13,7 @@ GRAVITY = 9.81  # of the bodies that are dropped (models/link.xml) [m/s^2]
 
 _BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
 _NEAR_STOP = 0.75  # part of the depth beyond which a stop is looked for; chosen
+_USUAL = 0.6  # what it is of bodies that are slowed evenly
 _END = 0.1  # part of the rows that the final depth is the mean of; chosen
 _PLAUSIBLE = (0.02, 1.5)  # mean speed of the way down over that of a free fall; chosen, wide
 _TIMES = 200  # at which a stop is tried
@@ -115,12 +116,17 @@ def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, 
     low, high = _PLAUSIBLE
     rate = way / (speed * took + GRAVITY * took**2 / 2)
     if rate > high or greatest > 50 * size:
-        for unit, factor in (("mm", 1e-3), ("cm", 1e-2)):
-            if low < rate * factor < high and greatest * factor < 20 * size:
-                raise InputError(
-                    f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s "
-                    f"cannot be: it looks like {unit}; name the column 'depth [{unit}]'"
-                )
+        guesses = [
+            (abs(math.log(rate * factor / _USUAL)), unit)
+            for unit, factor in (("mm", 1e-3), ("cm", 1e-2))
+            if low < rate * factor < high and greatest * factor < 20 * size
+        ]
+        if guesses:
+            unit = min(guesses)[1]
+            raise InputError(
+                f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s "
+                f"cannot be: it looks like {unit}; name the column 'depth [{unit}]'"
+            )
         raise InputError(
             f"{where}: a depth of {greatest:.4g} m after {took:.3g} s is more than a free fall "
             f"makes of {speed:g} m/s: look at the units of time, depth and speed"

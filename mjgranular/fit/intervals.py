@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+_FLAT = 1e-4  # singular value, likewise: no measurement is as good as that; chosen
+_TAKES_PART = 0.05  # of a flat direction; chosen
 _RUNS = 4  # from which on runs are held against each other; chosen
 SMALLEST = 1e-7  # singular value, in parts of the greatest, below which nothing is told; chosen
 
@@ -101,7 +103,8 @@ def spread_of(
     if len(runs) >= _RUNS:
         between = np.sqrt(_jackknife(J, residual, runs))
         half = np.maximum(half, float(stats.t.ppf(0.975, len(runs) - 1)) * between)
-    half = half * scale
+    flat = Vt[s < _FLAT * s[0]]
+    half = np.where((np.abs(flat) > _TAKES_PART).any(axis=0), np.inf, half * scale)
     size = np.sqrt(np.diag(inverse))
     return Spread(half, np.clip(inverse / np.outer(size, size), -1.0, 1.0), freedom)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,7 @@ class Problem:
     def runs(self) -> list[slice]:
         """Where each run stands among the residuals."""
         ends = np.cumsum([0, *(trial.rows for trial in self.trials)]).tolist()
-        return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(a, b) for a, b in pairwise(ends)]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the residuals, by central differences where the bounds leave room."""

@@ -117,7 +117,9 @@ def further_tests(
     """
     names = problem.free
     before = np.sqrt(np.diag(now.inverse))
-    unit = float(np.median(half / before))  # from derivatives to intervals, as they came out
+    unit = float(
+        np.median(np.where(np.isfinite(half), half, 0.1) / before)
+    )  # from derivatives to intervals, as they came out
     found = []
     for what, trial in _candidates(problem.trials, material):
         try:
