@@ -108,7 +108,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
         MissingExtraError: SciPy is not installed.
     """
     optimize = need("scipy.optimize", extra="fit", purpose="Fitting")
-    stats = need("scipy.stats", extra="fit", purpose="Fitting")
+    special = need("scipy.special", extra="fit", purpose="Fitting")
     trials = {run.name: _TRIALS[run.kind](run) for run in fit.runs}
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)
@@ -136,7 +136,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
         gtol=1e-9,
         max_nfev=_MOST_ROUNDS,
     )
-    return _result(fit, start, problem, solution.x, trials, stats)
+    return _result(fit, start, problem, solution.x, trials, special)
 
 
 def _inside(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -189,7 +189,7 @@ def _result(
     problem: Problem,
     x: np.ndarray,
     trials: dict[str, Trial],
-    stats: Any,
+    special: Any,
 ) -> FitResult:
     count = problem.count
     material = problem.material_at(x)
@@ -203,7 +203,7 @@ def _result(
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
     whole = np.concatenate([scale, (problem.high - problem.low)[count:]])
     spread = spread_of(
-        jacobian[:, moving], residual, problem.blocks(), problem.runs(), whole[moving], stats
+        jacobian[:, moving], residual, problem.blocks(), problem.runs(), whole[moving], special
     )
     information = Information.of(jacobian, scale)
     half = spread.half[:count]

@@ -71,7 +71,7 @@ def spread_of(
     blocks: list[slice],
     runs: list[slice],
     scale: np.ndarray,
-    stats: Any,
+    special: Any,
 ) -> Spread:
     """How uncertain unknowns are at the least squares.
 
@@ -81,7 +81,7 @@ def spread_of(
         blocks: where each series stands.
         runs: where each run stands.
         scale: size of each unknown, shape (unknowns,).
-        stats: the module `scipy.stats`.
+        special: the module `scipy.special`.
     """
     J = jacobian * scale
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
@@ -99,10 +99,10 @@ def spread_of(
     freedom = max(1.0, count - len(scale))
     alike *= count / freedom
     variance = np.maximum(np.diag(inverse @ alike @ inverse), np.diag(inverse @ each @ inverse))
-    half = float(stats.t.ppf(0.975, freedom)) * np.sqrt(variance)
+    half = float(special.stdtrit(freedom, 0.975)) * np.sqrt(variance)
     if len(runs) >= _RUNS:
         between = np.sqrt(_jackknife(J, residual, runs))
-        half = np.maximum(half, float(stats.t.ppf(0.975, len(runs) - 1)) * between)
+        half = np.maximum(half, float(special.stdtrit(len(runs) - 1, 0.975)) * between)
     flat = Vt[s < _FLAT * s[0]]
     half = np.where((np.abs(flat) > _TAKES_PART).any(axis=0), np.inf, half * scale)
     size = np.sqrt(np.diag(inverse))
