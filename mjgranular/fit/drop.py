@@ -17,10 +17,15 @@ from mjgranular.fit.curve import GRAVITY, check_units, find_arrest, find_touch
 from mjgranular.fit.result import RunErrors
 from mjgranular.fit.run import Run
 from mjgranular.fit.trial import Series, Trial, rms
+from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.spec import SandSpec
+from mjgranular.surface import Plane
+from mjgranular.surface.floors import describe_floors, find_floors
 
 _STEPS = 100  # of a simulated record, and twice as many; chosen by trying, see `simulate`
 _STEP_RANGE = (1e-5, 5e-4)  # of the time step [s]; chosen
 _AFTER = 1.5  # rows are used up to so many times the way to rest: what lies still says no more
+_BEFORE = 0.1  # and from so many times that before the touch: in the air it says nothing on sand
 _STAYS = 0.03  # parts of its range within which a curve is said to have come to its end; chosen
 _LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
 _TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
@@ -61,11 +66,13 @@ class DropTrial(Trial):
         if speed > 0 or run.body is not None:
             check_units(time, depth, speed, size, where)
         self.touch = self._touch(time, depth)
-        curves = [measured[name] for name in ("depth", "pitch") if name in measured]
+        curves = [np.maximum(depth, 0.0)]
+        curves += [measured["pitch"]] if "pitch" in measured else []
         moving = max(settling(time - self.touch, curve) for curve in curves)
-        used = time <= self.touch + _AFTER * moving
+        since = time - self.touch
+        used = (since <= _AFTER * moving) & (since >= -min(_BEFORE * moving, self._first_rise()))
         self.places = time[used]
-        self.series = (Series("depth", depth[used], float(np.abs(depth).max())),)
+        self.series = (Series("depth", depth[used], float(depth.max())),)
         if "pitch" in measured:
             pitch = measured["pitch"]
             self._check_pitch(pitch, where)
@@ -80,6 +87,10 @@ class DropTrial(Trial):
 
     def _first_speed(self) -> float:
         return self.run.speed or 0.0
+
+    def _first_rise(self) -> float:
+        """Time before the touch at which the body was at rest, at the latest [s]."""
+        return self._first_speed() / GRAVITY
 
     def _size(self) -> float:
         assert self.run.body is not None
@@ -181,6 +192,9 @@ class ModelTrial(DropTrial):
     def _touch(self, time: np.ndarray, depth: np.ndarray) -> float:
         return float(time[0])
 
+    def _first_rise(self) -> float:
+        return 0.0
+
     def _make_bench(self, duration: float) -> None:
         run = self.run
         assert run.model is not None
@@ -189,6 +203,12 @@ class ModelTrial(DropTrial):
         if body < 0:
             names = [model.body(k).name for k in range(1, model.nbody)]
             raise UnknownNameError("body of the model", run.model_body, [n for n in names if n])
+        floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
+        if floors:
+            raise InputError(
+                f"run {shown(run.name)}: {describe_floors(model, floors)}: take it out of the "
+                "model, the sand is in its place"
+            )
         data = mujoco.MjData(model)
         start_from(model, data, run.keyframe)
         self._body = body

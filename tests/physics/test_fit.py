@@ -167,6 +167,21 @@ def test_rows_that_count_for_one():
     assert np.mean(times) == pytest.approx(9.0, rel=0.2)
 
 
+def test_a_record_that_begins_before_the_fall():
+    """Held half a second, released 0.2 m above the sand; the clock knows nothing of it."""
+    speed = math.sqrt(2 * 9.81 * 0.2)
+    t, depth, _ = fall(speed)
+    falling = np.arange(0.0, speed / 9.81, 0.004)
+    held = np.arange(-0.5, 0.0, 0.02)
+    time = np.concatenate([held, falling, t + speed / 9.81])
+    above = np.concatenate([np.full(len(held), -0.2), 9.81 / 2 * falling**2 - 0.2, depth])
+    data = {"time": time, "depth": above}
+    run = Run("from a height", "drop", data, body=BALL, speed=speed)
+    result = run_fit(Fit((run,), GUESS, ("stiffness", "quadratic")))
+    for name, value in TRUE.items():
+        assert result.values[name] == pytest.approx(value, rel=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "least"), [("independent", 90), ("correlated", 85)])
 def test_true_values_are_inside_their_intervals(noise, least):
