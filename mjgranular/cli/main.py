@@ -18,6 +18,7 @@ from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
 from mjgranular.cli.envs import EnvsCommand
 from mjgranular.cli.evaluate import EvaluateCommand
+from mjgranular.cli.fit import FitCommand
 from mjgranular.cli.gait import GaitCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
@@ -43,6 +44,7 @@ COMMANDS: dict[str, Any] = {
     "drop": DropCommand,
     "view": ViewCommand,
     "intrude": IntrudeCommand,
+    "fit": FitCommand,
     "elements": ElementsCommand,
     "train": TrainCommand,
     "evaluate": EvaluateCommand,

@@ -39,6 +39,7 @@ ORDER = (
     "envs",
     "experiment",
     "referee",
+    "fit",
     "picture",
     "studio",
     "learn",

@@ -1,0 +1,194 @@
+"""Sand under a body whose law changes from one evaluation to the next, without compiling anew.
+
+A law's constants are numbers in the record that its compiled program reads. Where other constants
+change neither elements nor kernels, which is looked at once for each set of them, a new law is a
+new record and costs nothing.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import fields
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import GranularWarning, InputError, UnstableError
+from mjgranular.fit.constants import Material
+from mjgranular.kernel.compiled import entry
+from mjgranular.sand.binding import Binding, bind
+from mjgranular.sand.guard import finish_step, guarded_step
+from mjgranular.sand.prepare import PreparedSand, prepare
+from mjgranular.sand.spec import SandSpec
+from mjgranular.scheme.status import FINE
+
+_STILL = 1e-6  # greatest velocity at which a body is said to rest [m/s], [rad/s]; chosen
+_LOOK = 8  # steps between two looks
+
+
+class Bench:
+    """A model on sand of any constants.
+
+    Args:
+        model: the model.
+        scheme: "implicit" to let it move, "explicit" to ask for forces.
+        bodies: names of the bodies that meet the sand; None for all that can move.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, scheme: str, bodies: tuple[str, ...] | None = None
+    ) -> None:
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self._scheme, self._bodies = scheme, bodies
+        self._prepared: PreparedSand | None = None
+        self._material: Material | None = None
+        self._binding: Binding | None = None
+        self._alike: set[frozenset[str]] = set()  # constants that elements do not depend on
+
+    def _prepare(self, material: Material) -> PreparedSand:
+        spec = SandSpec(
+            medium=material.medium, law=material.law, scheme=self._scheme, bodies=self._bodies
+        )
+        with warnings.catch_warnings():  # the model is made for this, the law is being looked for
+            warnings.simplefilter("ignore", GranularWarning)
+            return prepare(self.model, spec)
+
+    def use(self, material: Material) -> None:
+        """Has the sand be of that material from now on.
+
+        Raises:
+            InputError: the law has no elements for the body.
+        """
+        before, prepared = self._material, self._prepared
+        if before is None or prepared is None or type(before.law) is not type(material.law):
+            self._keep(self._prepare(material), material)
+            return
+        law = material.law
+        kernel = law.kernel(prepared.surface)
+        changed = _changed(before, material)
+        if kernel is prepared.kernel and changed in self._alike:
+            prepared.scene["law"][:] = law.parameters(material.medium)
+            return
+        anew = self._prepare(material)
+        if kernel is prepared.kernel and np.array_equal(anew.elements, prepared.elements):
+            self._alike.add(changed)
+            prepared.scene["law"][:] = anew.scene["law"]
+            return
+        self._keep(anew, material)
+
+    def _keep(self, prepared: PreparedSand, material: Material) -> None:
+        self.data = mujoco.MjData(self.model)  # what was bound to the other has its addresses
+        self._prepared, self._material = prepared, material
+        self._binding = bind(self.model, self.data, prepared)
+        self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
+        self._finish = entry(finish_step, "int64(int64)")
+        self._alike.clear()
+
+    @property
+    def elements(self) -> np.ndarray:
+        """Elements of the law."""
+        assert self._prepared is not None
+        return self._prepared.elements
+
+    def _act(self, lead: float) -> None:
+        assert self._prepared is not None
+        assert self._binding is not None
+        if self._guarded(self._prepared.program, self._binding.address, lead) != FINE:
+            raise self._unstable()
+
+    def _unstable(self) -> UnstableError:
+        return UnstableError(
+            f"the simulation left reason at t = {self.data.time:.4g} s, with the law "
+            f"{self._material.law if self._material else ''}"
+        )
+
+    def move(self, qpos: np.ndarray, qvel: np.ndarray, steps: int) -> np.ndarray:
+        """Lets the model move.
+
+        Args:
+            qpos: to start from.
+            qvel: half a time step before.
+            steps: number of time steps.
+
+        Returns:
+            `qpos` after each step, the start first, shape (steps + 1, nq). The model that has come
+            to rest stays there.
+
+        Raises:
+            UnstableError: the state left reason.
+        """
+        model, data = self.model, self.data
+        assert self._prepared is not None
+        assert self._binding is not None
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        timestep = model.opt.timestep
+        path = np.empty((steps + 1, model.nq))
+        path[0] = qpos
+        lead = self._prepared.scheme.lead * timestep
+        address = self._binding.address
+        step1, step2, place, speed = mujoco.mj_step1, mujoco.mj_step2, data.qpos, data.qvel
+        for step in range(1, steps + 1):
+            step1(model, data)
+            self._act(lead)
+            step2(model, data)
+            if self._finish(address) != FINE:
+                raise self._unstable()
+            path[step] = place
+            if step % _LOOK == 0 and np.abs(speed).max() < _STILL:
+                path[step:] = place
+                break
+        return path
+
+    def watch(self, qpos: np.ndarray, qvel: np.ndarray, duration: float, body: int) -> np.ndarray:
+        """Lets the model move; the depth of a body's deepest element before each step.
+
+        Args:
+            qpos: to start from.
+            qvel: likewise.
+            duration: [s].
+            body: its id.
+
+        Returns:
+            Depth [m], negative above the sand, shape (steps,).
+        """
+        model, data = self.model, self.data
+        assert self._prepared is not None
+        assert self._binding is not None
+        rows = np.flatnonzero(self.elements["body"] == body)
+        if not len(rows):
+            raise InputError(f"the body {model.body(body).name!r} does not meet the sand")
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        lead = self._prepared.scheme.lead * model.opt.timestep
+        depth = np.empty(int(np.ceil(duration / model.opt.timestep)) + 1)
+        for step in range(len(depth)):
+            mujoco.mj_step1(model, data)
+            self._act(lead)
+            depth[step] = self._binding.contacts["depth"][rows].max()
+            mujoco.mj_step2(model, data)
+            if self._finish(self._binding.address) != FINE:
+                raise self._unstable()
+        return depth
+
+    def force(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """The sand's force on the model in a state of motion [N], world frame, shape (3,)."""
+        model, data = self.model, self.data
+        assert self._binding is not None
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        data.xfrc_applied[:] = 0.0
+        self._binding.bodies["written"] = np.nan
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        self._act(0.0)
+        total = data.xfrc_applied[:, :3].sum(axis=0)
+        data.xfrc_applied[:] = 0.0
+        return total
+
+
+def _changed(before: Material, after: Material) -> frozenset[str]:
+    """Names of the constants by which two materials differ."""
+    every = fields(before.law)  # pyright: ignore[reportArgumentType]
+    names = {f.name for f in every if getattr(before.law, f.name) != getattr(after.law, f.name)}
+    return frozenset(names | ({"medium"} if before.medium != after.medium else set()))

@@ -1,0 +1,109 @@
+"""A measured body: shape, size and mass, as bodies that are dropped elsewhere in the package."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import is_finite
+from mjgranular.models import Projectile
+from mjgranular.models.projectile import Shape
+
+_STEEL = 7850.0  # density of a body that is moved, not dropped, where none is given [kg/m^3]
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body of one of the shapes of `models.Projectile`, SI units.
+
+    Attributes:
+        shape: sphere, capsule, cylinder, box, plate, ellipsoid or link.
+        diameter: across the axis [m]; of a plate its thickness.
+        length: along the axis [m]; of a plate its side; of a sphere not used.
+        mass: [kg]; of a body that is dropped mass or density is needed.
+        density: [kg/m^3].
+
+    Raises:
+        UnknownNameError: no such shape.
+        InputError: a size or mass that is not positive, or both mass and density.
+    """
+
+    shape: Shape
+    diameter: float
+    length: float | None = None
+    mass: float | None = None
+    density: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.shape not in get_args(Shape):
+            raise UnknownNameError("shape of a body", self.shape, get_args(Shape))
+        if self.length is None and self.shape != "sphere":
+            what = "its side" if self.shape == "plate" else "along its axis"
+            raise InputError(f"a {self.shape} needs a length, {what} [m]")
+        if self.mass is not None and self.density is not None:
+            raise InputError("a body has a mass or a density: leave one of them away")
+        for name in ("diameter", "length", "mass", "density"):
+            value = getattr(self, name)
+            if value is not None and not (is_finite(value) and value > 0):
+                raise InputError(f"the body's {name} must be positive and finite, not {value}")
+        _ = self.projectile
+
+    @property
+    def is_heavy(self) -> bool:
+        """Whether it is known what it weighs."""
+        return self.mass is not None or self.density is not None
+
+    @property
+    def projectile(self) -> Projectile:
+        """The body as it is dropped."""
+        length = self.diameter if self.length is None else self.length
+        plain = Projectile(length, self.diameter, 1.0, self.shape)
+        density = self.density or _STEEL
+        if self.mass is not None:
+            density = self.mass / plain.mass
+        return Projectile(length, self.diameter, density, self.shape)
+
+    @property
+    def size(self) -> float:
+        """Greatest extent [m]."""
+        return max(self.diameter, 0.0 if self.length is None else self.length)
+
+    @property
+    def area(self) -> float:
+        """A measure of what meets the sand [m^2]: greatest extent times diameter."""
+        return self.size * (self.size if self.shape == "plate" else self.diameter)
+
+    def reach(self, angle: np.ndarray) -> np.ndarray:
+        """Distance from the middle down to the lowest point, at angles from the vertical [m].
+
+        Args:
+            angle: [rad], any shape.
+        """
+        x, _, z = self.projectile.halves
+        s, c = np.abs(np.sin(angle)), np.abs(np.cos(angle))
+        if self.shape in ("box", "plate", "cylinder"):
+            return x * s + z * c
+        if self.shape in ("sphere", "ellipsoid"):
+            return np.sqrt((x * s) ** 2 + (z * c) ** 2)
+        return x + (z - x) * c  # half spheres at both ends
+
+    def describe(self) -> str:
+        """In a few words."""
+        size = f"{self.diameter * 1e3:g} mm"
+        if self.length is not None and self.shape != "sphere":
+            size = f"{self.length * 1e3:g} x {size}"
+        weight = f", {self.projectile.mass * 1e3:.3g} g" if self.is_heavy else ""
+        return f"{self.shape} of {size}{weight}"
+
+    def heavier(self, factor: float) -> Body:
+        """The same body with so many times its mass."""
+        return Body(self.shape, self.diameter, self.length, self.projectile.mass * factor)
+
+
+def degrees(angle: float) -> float:
+    """Degrees of an angle in radians, free of the last digit's noise."""
+    return round(math.degrees(angle), 9)

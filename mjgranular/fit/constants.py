@@ -1,0 +1,260 @@
+"""Constants of a law that can be free, found by what the law itself says and accepts.
+
+Nothing here knows a law. A law's free constants are its fields that are numbers, the bulk density
+where its record changes with that of the medium, and `strength`, the factor on static resistance
+that `engine.tune` knows by `Law.strength_keys`. Bounds are what its constructor accepts.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import cached_property
+from typing import Any, get_type_hints
+
+import numpy as np
+
+from mjgranular.errors import GranularError, InputError, UnknownNameError
+from mjgranular.law import Law, law_in
+from mjgranular.medium import Medium
+from mjgranular.sand.material import law_of
+
+STRENGTH = "strength"
+DENSITY = "density"
+
+_STRONGER = 1.5  # a factor to try with
+_LARGEST = 1e9  # times the start: what a law accepts there it accepts anywhere
+_BISECTIONS = 60
+
+
+@dataclass(frozen=True)
+class Material:
+    """A law, the medium that it is of, and a factor on its static resistance.
+
+    Attributes:
+        law: the law, with its constants.
+        medium: the medium.
+        given: names of the constants that somebody has chosen; the others are the law's defaults.
+    """
+
+    law: Law
+    medium: Medium
+    given: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, medium: Medium, law: str | Law | None) -> Material:
+        """The law with the medium's constants; `law` as `Sand` takes it.
+
+        Raises:
+            UnknownNameError: no such law, or none of its constants.
+            InputError: a constant out of range.
+        """
+        made = law_of(law, medium)
+        names = {field.name for field in fields(made)}  # pyright: ignore[reportArgumentType]
+        if isinstance(law, Law):
+            return cls(made, medium, frozenset(names))
+        own = medium.constants.get(made.name)
+        tables = [own] if own is not None else list(medium.constants.values())
+        given = {key for table in tables for key in table if key in names}
+        if isinstance(law, str):
+            given |= law_in(law)[1].keys()
+        return cls(made, medium, frozenset(given))
+
+    @cached_property
+    def _kinds(self) -> dict[str, Any]:
+        return get_type_hints(type(self.law))
+
+    @cached_property
+    def _stronger(self) -> tuple[str, ...]:
+        """Fields that a factor on the static resistance goes to; none if there are no such."""
+        keys = type(self.law).strength_keys
+        numbers = [name for name in self._numbers if getattr(self.law, name) != 0]
+        choices = [tuple(key for key in keys if key in numbers), ("scale",)]
+        choices += [(name,) for name in numbers]
+        return next((names for names in choices if names and self._scales(names, keys)), ())
+
+    def _scales(self, names: tuple[str, ...], keys: tuple[str, ...]) -> bool:
+        """Whether a factor on these fields is one on the static resistance and on nothing else."""
+        if not keys or not set(names) <= set(self._numbers):
+            return False
+        try:
+            stronger = self._times(names, _STRONGER).law.parameters(self.medium)
+        except GranularError:
+            return False
+        plain = self.law.parameters(self.medium)
+        for key in plain.dtype.names or ():
+            factor = _STRONGER if key in keys else 1.0
+            if not np.allclose(stronger[key], factor * plain[key], rtol=1e-12, atol=0.0):
+                return False
+        return any(np.any(plain[key] != 0) for key in keys)
+
+    def _times(self, names: tuple[str, ...], factor: float) -> Material:
+        changes: Any = {name: factor * getattr(self.law, name) for name in names}
+        return replace(self, law=replace(self.law, **changes))  # pyright: ignore
+
+    @cached_property
+    def _numbers(self) -> tuple[str, ...]:
+        every = fields(self.law)  # pyright: ignore[reportArgumentType]
+        return tuple(field.name for field in every if self._kinds[field.name] is float)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the constants that can be free."""
+        found = [STRENGTH] if self._stronger else []
+        found += self._numbers
+        if DENSITY not in found and self._accepts(DENSITY, 1.01 * self.medium.density.value):
+            denser = self.changed({DENSITY: 1.01 * self.medium.density.value})
+            plain = self.law.parameters(self.medium)
+            if denser.law.parameters(denser.medium).tobytes() != plain.tobytes():
+                found.append(DENSITY)
+        return tuple(found)
+
+    def value(self, name: str) -> float:
+        """The value of a constant; a strength is one."""
+        if name == STRENGTH:
+            return 1.0
+        if name == DENSITY and DENSITY not in self._numbers:
+            return self.medium.density.value
+        return float(getattr(self.law, name))
+
+    def changed(self, values: dict[str, float]) -> Material:
+        """The material with other values of some constants; strength is a factor on it.
+
+        Raises:
+            InputError: a value that the law, or the medium, does not accept.
+        """
+        own: Any = {name: value for name, value in values.items() if name in self._numbers}
+        law = replace(self.law, **own) if own else self.law  # pyright: ignore
+        medium = self.medium
+        if DENSITY in values:
+            density = replace(medium.density, value=values[DENSITY])
+            medium = replace(medium, density=density)
+        made = replace(self, law=law, medium=medium)
+        factor = values.get(STRENGTH, 1.0)
+        return made if factor == 1.0 else made._times(self._stronger, factor)
+
+    def by_speed(self, name: str) -> bool:
+        """Whether a constant acts on resistance by velocity alone, by the law's own word."""
+        value = self.value(name)
+        for other in (1.01 * value, 0.99 * value) if value else (1.0,):
+            if self._accepts(name, other):
+                made = self.changed({name: other})
+                plain, now = (m.law.parameters(m.medium) for m in (self, made))
+                touched = {k for k in plain.dtype.names or () if np.any(plain[k] != now[k])}
+                return bool(touched) and touched <= set(type(self.law).density_keys)
+        return False
+
+    def check_free(self, names: tuple[str, ...]) -> None:
+        """Refuses constants that cannot be free.
+
+        Raises:
+            UnknownNameError: one that the law does not have; lists those it has.
+            InputError: none at all, one twice, or strength beside what it is a factor on.
+        """
+        if not names:
+            raise InputError(
+                f"nothing is free: name constants of the law {self.law.name!r}, of "
+                f"{', '.join(self.names)}"
+            )
+        for name in names:
+            if name not in self.names:
+                raise UnknownNameError(
+                    f"free constant of the law {self.law.name}", name, self.names
+                )
+            if names.count(name) > 1:
+                raise InputError(f"{name} is named twice among the free constants")
+        if STRENGTH in names:
+            both = [name for name in self._stronger if name in names]
+            if both:
+                raise InputError(
+                    f"strength is a factor on {', '.join(self._stronger)}: free one of strength "
+                    f"and {both[0]}, not both"
+                )
+
+    def has_start(self, name: str) -> bool:
+        """Whether a fit can start from the value there is; a default on a bound is none.
+
+        Raises:
+            InputError: the value was given, and lies on a bound.
+        """
+        value, (low, high) = self.value(name), self.bounds(name)
+        if low < value < high and value != 0:
+            return True
+        if name in self.given:
+            raise InputError(
+                f"{name} starts at {value:g}, which is a bound of what the law {self.law.name!r} "
+                f"accepts, {_range(low, high)}: give a start inside, or leave it away"
+            )
+        return False
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """The least and the greatest value that the law accepts; infinite where there is none."""
+        value = self.value(name)
+        size = abs(value) or 1.0
+        return self._end(name, value, -size), self._end(name, value, size)
+
+    def _end(self, name: str, value: float, way: float) -> float:
+        if self._accepts(name, value + way * _LARGEST):
+            return math.copysign(math.inf, way)
+        if way < 0 < value and self._accepts(name, 0.0) and not self._accepts(name, -1e-9 * value):
+            return 0.0
+        inside, outside = 0.0, abs(way) * _LARGEST
+        step = abs(way)
+        while step < outside and self._accepts(name, value + math.copysign(step, way)):
+            inside, step = step, 2 * step
+        outside = min(step, outside)
+        for _ in range(_BISECTIONS):
+            middle = (inside + outside) / 2
+            if self._accepts(name, value + math.copysign(middle, way)):
+                inside = middle
+            else:
+                outside = middle
+        end = value + math.copysign(inside, way)
+        return float(f"{end:.9g}") if self._accepts(name, float(f"{end:.9g}")) else end
+
+    def _accepts(self, name: str, value: float) -> bool:
+        try:
+            made = self.changed({name: value})
+            made.law.parameters(made.medium)
+        except (GranularError, ArithmeticError):
+            return False
+        return True
+
+    def unit(self, name: str) -> str:
+        """The unit of a constant, as the law's docstring has it; "" where it says none."""
+        if name == DENSITY:
+            return "kg/m^3"
+        line = re.search(
+            rf"^\s*(?:\w+, )*{re.escape(name)}(?:, \w+)*: (.*?)(?=^\s*(?:\w+, )*\w+: |^\s*$|\Z)",
+            type(self.law).__doc__ or "",
+            re.MULTILINE | re.DOTALL,
+        )
+        unit = line and re.search(r"\[([^\]\s]+(?: [^\]\s]+)*)\]", line[1])
+        return unit[1] if unit else ""
+
+    def constants(self) -> dict[str, float]:
+        """The law's constants that a medium has to have: all but defaults."""
+        every = {field.name: field for field in fields(self.law)}  # pyright: ignore
+        kept = {}
+        for name in self._numbers:
+            default = every[name].default
+            value = getattr(self.law, name)
+            if default is MISSING or value != default or name in self.given:
+                kept[name] = float(value)
+        return kept
+
+    def others(self) -> dict[str, Any]:
+        """Fields that are no numbers and not the law's defaults: a medium cannot have them."""
+        every = fields(self.law)  # pyright: ignore[reportArgumentType]
+        return {
+            field.name: getattr(self.law, field.name)
+            for field in every
+            if field.name not in self._numbers and getattr(self.law, field.name) != field.default
+        }
+
+
+def _range(low: float, high: float) -> str:
+    if math.isinf(high):
+        return f"from {low:g} on"
+    return f"{low:g} to {high:g}"

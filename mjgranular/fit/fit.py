@@ -1,0 +1,279 @@
+"""A fit: constants of a law from measured runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
+from mjgranular.extras import need
+from mjgranular.fit.constants import STRENGTH, Material
+from mjgranular.fit.drop import DropTrial, ModelTrial
+from mjgranular.fit.intervals import spread_of
+from mjgranular.fit.problem import Problem
+from mjgranular.fit.push import DragTrial, PushTrial
+from mjgranular.fit.result import Curve, FitResult
+from mjgranular.fit.run import Run
+from mjgranular.fit.telling import TANGLED, WIDE, Information, further_tests, trades_off
+from mjgranular.fit.trial import Trial
+from mjgranular.law import Law
+from mjgranular.medium import Medium, get_medium
+
+_TRIALS: dict[str, type[Trial]] = {
+    "drop": DropTrial,
+    "intrude": PushTrial,
+    "drag": DragTrial,
+    "model": ModelTrial,
+}
+_SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried where there is none
+_MOST_ROUNDS = 40
+_NOTHING_KNOWN = 10.0  # half width in parts of the value from which no interval is told; chosen
+_ON_BOUND = 1e-3  # parts of its size within which a constant is on a bound; chosen
+
+Progress = Callable[[int, str], None]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What is to be fitted to what.
+
+    Attributes:
+        runs: the runs, each with a name of its own.
+        medium: what is known: a medium, its name, or a YAML file. Its constants are where a fit
+            starts.
+        law: a law, its name, perhaps with parameters; None for the medium's own.
+        free: names of the constants that are looked for.
+        hold_out: names of runs that are not fitted to, but predicted.
+
+    Raises:
+        UnknownNameError: a free constant that the law does not have, or a run to hold out that
+            there is not.
+        InputError: no run to fit to, two of one name, or a start that lies on a bound.
+    """
+
+    runs: tuple[Run, ...]
+    medium: Medium | str | Path
+    free: tuple[str, ...]
+    law: str | Law | None = None
+    hold_out: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [run.name for run in self.runs]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"two runs are called {shown(name)}: each needs its own name")
+        for name in self.hold_out:
+            if name not in names:
+                raise UnknownNameError("run to hold out", name, names)
+        if not set(names) - set(self.hold_out):
+            raise InputError("there is no run to fit to: at least one is not held out")
+        material = self.material
+        material.check_free(self.free)
+        for name in self.free:
+            material.has_start(name)
+
+    @property
+    def material(self) -> Material:
+        """Law and medium to start from."""
+        return Material.of(get_medium(self.medium), self.law)
+
+    def config(self) -> dict[str, Any]:
+        """The fit in plain values, resolved."""
+        material = self.material
+        return {
+            "law": material.law.name,
+            "constants": material.constants(),
+            "medium": material.medium.name,
+            "density": material.medium.density.value,
+            "free": list(self.free),
+            "hold_out": list(self.hold_out),
+            "runs": [run.config() for run in self.runs],
+        }
+
+
+def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
+    """Fits constants to runs, and predicts the others.
+
+    Args:
+        fit: what is to be fitted to what.
+        progress: called with the number of simulated runs, and what is being done.
+
+    Raises:
+        InputError: data that cannot be, or fewer of them than the free constants need.
+        UnstableError: the law, as it starts, makes a run leave reason.
+        MissingExtraError: SciPy is not installed.
+    """
+    optimize = need("scipy.optimize", extra="fit", purpose="Fitting")
+    special = need("scipy.special", extra="fit", purpose="Fitting")
+    trials = {run.name: _TRIALS[run.kind](run) for run in fit.runs}
+    fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
+    _check_enough(fitted, fit.free)
+
+    def show(what: str) -> Callable[[int], None] | None:
+        return None if progress is None else lambda count: progress(count, what)
+
+    start = _with_starts(fit, fitted)
+    problem = Problem(fitted, start, fit.free, show("fitting"))
+    x = problem.start()
+    if any(outcome is None for outcome in problem.outcomes(x)):
+        raise UnstableError(
+            f"with {start.law} a run leaves reason at once: start from other constants"
+        )
+    scale = np.abs(x[: problem.count])
+    sizes = np.concatenate([scale, (problem.high - problem.low)[problem.count :]])
+    solution = optimize.least_squares(
+        problem.residual,
+        np.clip(x, *_inside(problem)),
+        jac=problem.jacobian,
+        bounds=(problem.low, problem.high),
+        x_scale=sizes,
+        xtol=1e-6,
+        ftol=1e-9,
+        gtol=1e-9,
+        max_nfev=_MOST_ROUNDS,
+    )
+    return _result(fit, start, problem, solution.x, trials, special)
+
+
+def _inside(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds drawn in a little where both are finite: a solver starts inside."""
+    room = problem.high - problem.low
+    margin = np.where(np.isfinite(room), 1e-6 * np.where(np.isfinite(room), room, 0.0), 0.0)
+    return problem.low + margin, problem.high - margin
+
+
+def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
+    """Refuses more constants than the data carry.
+
+    Raises:
+        InputError: says how many they are.
+    """
+    rows = sum(trial.rows for trial in trials)
+    carried = sum(trial.carries + len(trial.series) - 1 for trial in trials)
+    if len(free) > carried or len(free) >= rows:
+        runs = "one run" if len(trials) == 1 else f"{len(trials)} runs"
+        raise InputError(
+            f"{len(free)} constants are free ({', '.join(free)}), more than {runs} with {rows} "
+            f"numbers can carry, {min(carried, rows - 1)} at most: free fewer, or measure more"
+        )
+
+
+def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
+    """The material to start from: where a default lies on a bound, the power of ten that fits best.
+
+    Raises:
+        InputError: a start that was given lies on a bound.
+    """
+    material = fit.material
+    for name in fit.free:
+        if material.has_start(name):
+            continue
+        best, least = None, np.inf
+        for value in _SCAN:
+            tried = material.changed({name: value})
+            probe = Problem(trials, tried, (name,))
+            error = float(np.square(probe.residual(probe.start())).sum())
+            if error < least:
+                best, least = tried, error
+        material = material if best is None else best
+    return material
+
+
+def _result(
+    fit: Fit,
+    start: Material,
+    problem: Problem,
+    x: np.ndarray,
+    trials: dict[str, Trial],
+    special: Any,
+) -> FitResult:
+    count = problem.count
+    material = problem.material_at(x)
+    residual, jacobian = problem.residual(x), problem.jacobian(x)
+    sizes = np.concatenate([np.abs(problem.start()[:count]), np.ones(len(x) - count)])
+    near = _ON_BOUND * sizes
+    near[count:] = _ON_BOUND * (problem.high - problem.low)[count:]
+    held = (x - problem.low < near) | (problem.high - x < near)
+    jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound does not give way
+    scale = np.where(np.abs(x[:count]) > near[:count], np.abs(x[:count]), sizes[:count])
+    moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
+    whole = np.concatenate([scale, (problem.high - problem.low)[count:]])
+    spread = spread_of(
+        jacobian[:, moving], residual, problem.blocks(), problem.runs(), whole[moving], special
+    )
+    information = Information.of(jacobian, scale)
+    half = spread.half[:count]
+    relative = half / scale
+    tangled = information.tangled()
+    one_speed = trades_off(problem.trials, material, fit.free)
+    valley = (tangled >= TANGLED) | one_speed
+    good = ~valley & (relative <= WIDE)
+    further = ()
+    if not good.all():
+        further = further_tests(problem, material, information, relative, _steps(fit.free, scale))
+    runs, held_out, curves = {}, {}, {}
+    for name, trial in trials.items():
+        outcome = trial.simulate(material)
+        fitted = trial in problem.trials
+        shift = problem.shift_of(x, problem.trials.index(trial)) if fitted else trial.shift
+        (runs if fitted else held_out)[name] = trial.errors(outcome, shift)
+        curves[name] = _curves(trial, outcome, shift, not fitted)
+    ends = {
+        name: _interval(x[k], half[k], relative[k], problem.low[k], problem.high[k])
+        for k, name in enumerate(fit.free)
+    }
+    names = fit.free
+    return FitResult(
+        start=start,
+        material=material,
+        free=names,
+        values={name: float(x[k]) for k, name in enumerate(names)},
+        intervals=ends,
+        correlations={
+            a: {b: float(spread.correlation[i, j]) for j, b in enumerate(names) if i != j}
+            for i, a in enumerate(names)
+        },
+        identifiable={name: bool(good[k]) for k, name in enumerate(names)},
+        at_bound=tuple(name for k, name in enumerate(names) if held[k]),
+        valleys=information.valleys(names, bool(one_speed.any())) if valley.any() else (),
+        further=further,
+        runs=runs,
+        held_out=held_out,
+        curves=curves,
+        residual=float(np.sqrt(np.square(residual).sum() / len(problem.blocks()))),
+        evaluations=problem.evaluations,
+    )
+
+
+def _steps(free: Sequence[str], scale: np.ndarray) -> np.ndarray:
+    """Sizes of relative changes from the fitted material: strength is a factor of one there."""
+    return np.array([1.0 if n == STRENGTH else s for n, s in zip(free, scale, strict=True)])
+
+
+def _interval(
+    value: float, half: float, relative: float, low: float, high: float
+) -> tuple[float | None, float | None]:
+    """Ends of an interval, within what the law accepts; None for no end."""
+    below, above = value - half, value + half
+    if not relative < _NOTHING_KNOWN:
+        below, above = -np.inf, np.inf
+    below, above = max(below, low), min(above, high)
+    return (
+        float(below) if np.isfinite(below) else None,
+        float(above) if np.isfinite(above) else None,
+    )
+
+
+def _curves(trial: Trial, outcome: Any, shift: float | None, held_out: bool) -> tuple[Curve, ...]:
+    begin = 0.0
+    if isinstance(trial, DropTrial):
+        begin = trial.touch if shift is None else shift
+    found = trial.predicted(outcome, shift)
+    return tuple(
+        Curve(trial.axis, s.name, trial.places - begin, s.values, values, held_out)
+        for s, values in zip(trial.series, found, strict=True)
+    )

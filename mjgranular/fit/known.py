@@ -1,0 +1,216 @@
+"""What is known of a medium before a fit, and the medium that comes out of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, replace
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from mjgranular.errors import GranularError, InputError, shown
+from mjgranular.fit.constants import DENSITY, STRENGTH
+from mjgranular.fit.result import FitResult
+from mjgranular.law import Law, law_in, laws
+from mjgranular.medium import Medium, Quantity, get_medium
+from mjgranular.reading import place
+
+_MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
+
+
+def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
+    """The medium of a file of runs: constants of the law by their names, perhaps upon another.
+
+    Args:
+        entry: a mapping with `base` (a medium's name or file), `name`, `title`, `density`, `grain`
+            and constants of the law; or the name of a medium.
+        law: the law, or its name; None for that of the base.
+        path: of the file.
+
+    Raises:
+        InputError: a key that the law does not know, one that it needs, or a value out of range.
+        UnknownNameError: no such medium or law.
+    """
+    where = f"{place(path)}: medium"
+    if isinstance(entry, str):
+        return get_medium(_base(entry, path))
+    if not isinstance(entry, dict):
+        raise InputError(
+            f"{where} must be a mapping, such as {{base: quikrete_medium}} or {{density: 1500, "
+            "internal_friction: 0.6, surface_friction: 0.4}"
+        )
+    base = None
+    if entry.get("base") is not None:
+        base = get_medium(_base(str(entry["base"]), path))
+    kind = _law_class(law, base, where)
+    hints = get_type_hints(kind)
+    names = [f.name for f in fields(kind) if hints[f.name] in (float, int)]  # pyright: ignore
+    for key in entry:
+        if key not in (*_MEDIUM_KEYS, *names):
+            known = ", ".join(dict.fromkeys((*_MEDIUM_KEYS, *names)))
+            raise InputError(
+                f"{where} has no key {shown(key)}; with the law {kind.name!r} there are: {known}"
+            )
+    source = f"given in {path.name}"
+    given = {
+        key: Quantity(number(entry[key], f"{where}.{key}"), "", source)
+        for key in entry
+        if key in names or key in ("density", "grain")
+    }
+    if base is None and "density" not in given:
+        raise InputError(f"{where} needs the bulk density [kg/m^3]: density, or a base")
+    constants = {} if base is None else {k: dict(v) for k, v in base.constants.items()}
+    density = given.get("density") or (base.density if base else None)
+    grain = given.get("grain") or (base.grain if base else None)
+    assert density is not None
+    key = _table(kind, constants)
+    own = {**constants.get(key, {}), **{k: q for k, q in given.items() if k in names}}
+    if DENSITY in names:
+        own[DENSITY] = given.get(DENSITY) or own.get(DENSITY, density)
+    stated = set() if not isinstance(law, str) else law_in(law)[1].keys()
+    for field in fields(kind):  # pyright: ignore[reportArgumentType]
+        if field.default is MISSING and field.name not in own and field.name not in stated:
+            raise InputError(
+                f"{where}: the law {kind.name!r} needs the constant {field.name!r}: give what you "
+                "know or guess, a fit starts there"
+            )
+    try:
+        return Medium(
+            name=str(entry.get("name") or path.stem),
+            title=str(entry.get("title") or f"the sand of {path.name}"),
+            density=replace(density, unit="kg/m^3"),
+            grain=None if grain is None else replace(grain, unit="m"),
+            default_law=key,
+            constants={**constants, key: own},
+        )
+    except InputError as error:
+        raise InputError(f"{place(path)}: {error}") from None
+
+
+def number(value: Any, key: str) -> float:
+    """A finite number that stands in a file.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        found = float(value) if isinstance(value, str) else math.nan
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise InputError(f"{key} must be a number, without its unit, not {shown(value)}")
+    return found
+
+
+def _base(name: str, path: Path) -> str | Path:
+    """A medium's name, or the path of its file beside that of the runs."""
+    return path.parent / name if name.endswith((".yaml", ".yml")) else name
+
+
+def _law_class(law: str | Law | None, base: Medium | None, where: str) -> type[Law]:
+    if isinstance(law, Law):
+        return type(law)
+    if law is not None:
+        return law_in(law)[0]
+    if base is None:
+        raise InputError(f"{where} has no base whose law could be taken: name the law (--law)")
+    return laws[base.default_law]
+
+
+def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> str:
+    """Name under which a medium has a law's constants: its own, or that of a law it shares with."""
+    if kind.name in constants:
+        return kind.name
+    dummy = {
+        field.name: Quantity(1.0, "", "")
+        for field in fields(kind)  # pyright: ignore[reportArgumentType]
+        if field.default is MISSING
+    }
+    density = Quantity(1500.0, "kg/m^3", "")
+    for key in (kind.name, *laws):
+        try:
+            kind.from_medium(Medium("any", "any", density, key, {key: dummy}))
+        except GranularError:
+            continue
+        return key
+    return kind.name
+
+
+def fitted_medium(
+    result: FitResult, name: str, *, source: str = "", title: str | None = None
+) -> Medium:
+    """The medium that a fit has found: what was free with its interval, what was known as it was.
+
+    Args:
+        result: the fit.
+        name: that it is to be known by.
+        source: what it was fitted to, in words.
+        title: what it is; None for that of the medium which the fit began with.
+    """
+    material, start = result.material, result.start
+    before, kind = start.medium, type(material.law)
+    key = _table(kind, before.constants)
+    known = before.constants.get(key, {})
+    constants = {}
+    for constant, value in material.constants().items():
+        quantity = known.get(constant)
+        unit = (quantity.unit if quantity else "") or material.unit(constant)
+        if quantity is not None and quantity.value == value:
+            constants[constant] = Quantity(value, unit, quantity.source)
+            continue
+        constants[constant] = Quantity(value, unit, _found(result, constant, source))
+    density = before.density
+    if material.medium.density.value != density.value:
+        density = Quantity(material.medium.density.value, "kg/m^3", _found(result, DENSITY, source))
+    return Medium(
+        name=name,
+        title=title or before.title,
+        density=density,
+        grain=before.grain,
+        default_law=key,
+        constants={key: constants},
+    )
+
+
+def _found(result: FitResult, constant: str, source: str) -> str:
+    """Where a constant comes from."""
+    to = f"fitted by mjgranular fit to {source}" if source else "fitted by mjgranular fit"
+    if constant in result.values:
+        return f"{to}; {_interval(result, constant)}"
+    if STRENGTH in result.values and result.start.value(constant) != result.material.value(
+        constant
+    ):
+        return f"{to}, as the strength {result.values[STRENGTH]:.4g}; {_interval(result, STRENGTH)}"
+    return "as the fit began with"
+
+
+def _interval(result: FitResult, name: str) -> str:
+    low, high = ("open" if end is None else f"{end:.4g}" for end in result.intervals[name])
+    told = "" if result.identifiable[name] else "; these data do not tell it apart from the others"
+    return f"95 % interval {low} to {high}{told}"
+
+
+def medium_text(medium: Medium) -> str:
+    """A medium as the text of a YAML file that `read_medium` reads."""
+    lines = [
+        f"name: {_quoted(medium.name)}",
+        f"title: {_quoted(medium.title)}",
+        f"density: {_entry(medium.density)}",
+    ]
+    if medium.grain is not None:
+        lines.append(f"grain: {_entry(medium.grain)}")
+    lines += [f"default_law: {medium.default_law}", "constants:"]
+    for law, constants in medium.constants.items():
+        lines.append(f"  {law}:")
+        lines += [f"    {name}: {_entry(quantity)}" for name, quantity in constants.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _entry(quantity: Quantity) -> str:
+    unit = f", unit: {_quoted(quantity.unit)}" if quantity.unit else ""
+    return f"{{value: {quantity.value!r}{unit}, source: {_quoted(quantity.source)}}}"
+
+
+def _quoted(text: str) -> str:
+    """A text in YAML's single quotes."""
+    return "'" + " ".join(text.split()).replace("'", "''") + "'"

@@ -1,0 +1,129 @@
+"""The least-squares problem: residuals of all runs, and how they change with the constants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mjgranular.errors import UnstableError
+from mjgranular.fit.constants import Material
+from mjgranular.fit.trial import Trial
+
+_FAR = 10.0  # residual of a run that left reason: ten times what was measured
+_FINE = (
+    1e-3  # step of a difference, in parts of the constant; chosen: central ones err by its square
+)
+_KEPT = 64  # outcomes that are kept
+
+
+class Problem:
+    """Constants and touches that are looked for, and residuals of the runs.
+
+    The unknowns are the free constants, then the time of the touch of each drop whose record does
+    not give it.
+
+    Args:
+        trials: the runs to fit to.
+        material: to start from.
+        free: names of the free constants.
+        progress: called with the number of simulated runs.
+    """
+
+    def __init__(
+        self,
+        trials: Sequence[Trial],
+        material: Material,
+        free: Sequence[str],
+        progress: Callable[[int], None] | None = None,
+    ) -> None:
+        self.trials, self.material, self.free = tuple(trials), material, tuple(free)
+        self.shifted = [k for k, trial in enumerate(trials) if trial.shift is not None]
+        bounds = [material.bounds(name) for name in free]
+        bounds += [trials[k].shift_range for k in self.shifted]
+        self.low, self.high = (np.array(ends, float) for ends in zip(*bounds, strict=True))
+        self.evaluations = 0
+        self._progress = progress
+        self._outcomes: dict[tuple[float, ...], list[Any]] = {}
+
+    @property
+    def count(self) -> int:
+        """Number of free constants."""
+        return len(self.free)
+
+    def start(self) -> np.ndarray:
+        """Unknowns to start from."""
+        constants = [self.material.value(name) for name in self.free]
+        shifts = [self.trials[k].shift for k in self.shifted]
+        return np.array([*constants, *shifts], float)
+
+    def material_at(self, x: np.ndarray) -> Material:
+        """The material with those constants."""
+        values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
+        return self.material.changed(values)
+
+    def shift_of(self, x: np.ndarray, trial: int) -> float | None:
+        """The touch of a run."""
+        if trial not in self.shifted:
+            return None
+        return float(x[self.count + self.shifted.index(trial)])
+
+    def outcomes(self, x: np.ndarray) -> list[Any]:
+        """What each run comes to; None for one that left reason."""
+        key = tuple(x[: self.count])
+        if key not in self._outcomes:
+            material = self.material_at(x)
+            found = []
+            for trial in self.trials:
+                try:
+                    found.append(trial.simulate(material))
+                except UnstableError:
+                    found.append(None)
+                self.evaluations += 1
+                if self._progress is not None:
+                    self._progress(self.evaluations)
+            if len(self._outcomes) >= _KEPT:
+                self._outcomes.pop(next(iter(self._outcomes)))
+            self._outcomes[key] = found
+        return self._outcomes[key]
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """Residuals of all runs, one after the other."""
+        parts = []
+        for k, outcome in enumerate(self.outcomes(x)):
+            trial = self.trials[k]
+            if outcome is None:
+                parts.append(np.full(trial.rows, _FAR / np.sqrt(trial.rows)))
+            else:
+                parts.append(trial.residual(outcome, self.shift_of(x, k)))
+        return np.concatenate(parts)
+
+    def blocks(self) -> list[slice]:
+        """Where each series of each run stands among the residuals."""
+        found, first = [], 0
+        for trial in self.trials:
+            for series in trial.series:
+                found.append(slice(first, first + len(series.values)))
+                first += len(series.values)
+        return found
+
+    def runs(self) -> list[slice]:
+        """Where each run stands among the residuals."""
+        ends = np.cumsum([0, *(trial.rows for trial in self.trials)]).tolist()
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of the residuals, by central differences where the bounds leave room."""
+        columns = []
+        for k in range(len(x)):
+            if k < self.count:
+                step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start()[k]))
+            else:
+                step = 1e-3 * (self.high[k] - self.low[k])
+            up, down = x.copy(), x.copy()
+            up[k] = min(x[k] + step, self.high[k])
+            down[k] = max(x[k] - step, self.low[k])
+            columns.append((self.residual(up) - self.residual(down)) / (up[k] - down[k]))
+        return np.column_stack(columns)

@@ -1,0 +1,135 @@
+"""Tables of measurements: CSV columns found by name, with units brought to SI."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from mjgranular.errors import InputError, listed, shown
+from mjgranular.reading import place, read_file
+
+LARGEST = 50_000_000
+"""Size up to which a table is read [bytes]; chosen."""
+
+_NAMES = {
+    "time": ("time", "t"),
+    "depth": ("depth",),
+    "force": ("force", "f", "resistance"),
+    "pitch": ("pitch", "angle"),
+    "speed": ("speed", "velocity", "v"),
+}
+_UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "depth": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
+    "force": {"n": 1.0, "mn": 1e-3, "kn": 1e3},
+    "pitch": {"deg": 1.0, "degrees": 1.0, "rad": 180.0 / np.pi},
+    "speed": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2},
+}
+
+
+def read_table(
+    path: Path,
+    needed: Iterable[str],
+    optional: Iterable[str] = (),
+    columns: Mapping[str, str] | None = None,
+) -> dict[str, np.ndarray]:
+    """Reads columns of a CSV file, in SI units and degrees.
+
+    A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
+    SI. Columns of other names are passed over.
+
+    Args:
+        path: of the file.
+        needed: names of columns, of `time`, `depth`, `force`, `pitch`, `speed`.
+        optional: those that are taken if they are there.
+        columns: headings of columns that are called otherwise in the file, by those names.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing, or a cell is no number.
+    """
+    text = read_file(path, "the measurement", largest=LARGEST).decode("utf-8-sig", "replace")
+    rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
+    name = place(path)
+    if not rows:
+        raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
+    headings = [cell.strip() for cell in rows[0]]
+    if all(_is_number(cell) for cell in headings):
+        raise InputError(
+            f"{name} begins with numbers: its first line has to name the columns, such as "
+            "time,depth"
+        )
+    found = {}
+    for column in (*needed, *optional):
+        index = _find(headings, column, (columns or {}).get(column), name)
+        if index is not None:
+            found[column] = index
+    missing = [column for column in needed if column not in found]
+    if missing:
+        raise InputError(
+            f"{name} has no column {missing[0]!r}: it has {listed(headings)}; name the one that is "
+            f"meant with columns: {{{missing[0]}: HEADING}}"
+        )
+    values = {}
+    for column, index in found.items():
+        factor = _factor(headings[index], column, name)
+        values[column] = factor * np.array(
+            [_number(row, index, line, name) for line, row in enumerate(rows[1:], 2)]
+        )
+    return values
+
+
+def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
+    """The index of a column; None if it is not there."""
+    if called is not None:
+        if called not in headings:
+            raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
+        return headings.index(called)
+    plain = [_split(heading, column)[0] for heading in headings]
+    for known in _NAMES[column]:
+        if known in plain:
+            return plain.index(known)
+    return None
+
+
+def _split(heading: str, column: str) -> tuple[str, str | None]:
+    """Name and unit of a heading, both in small letters; None for no unit."""
+    text = heading.lower()
+    bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]", text)
+    if bracket:
+        return bracket[1].strip(), bracket[2]
+    stem, _, tail = text.rpartition("_")
+    if stem and tail in _UNITS[column]:
+        return stem, tail
+    return text, None
+
+
+def _factor(heading: str, column: str, name: str) -> float:
+    unit = _split(heading, column)[1]
+    if unit is None:
+        return 1.0
+    if unit not in _UNITS[column]:
+        raise InputError(
+            f"{name}: the column {shown(heading)} has the unit {shown(unit)}; for {column} there "
+            f"are: {', '.join(_UNITS[column])}"
+        )
+    return _UNITS[column][unit]
+
+
+def _number(row: list[str], index: int, line: int, name: str) -> float:
+    cell = row[index].strip() if index < len(row) else ""
+    if not _is_number(cell) or not np.isfinite(float(cell)):
+        raise InputError(f"{name}, line {line}: {shown(cell)} is not a finite number")
+    return float(cell)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,215 @@
+"""Fits against curves that we did not compute: a sphere under F = k z + A v^2, by SciPy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from mjgranular import Medium, Quantity
+from mjgranular.fit import Body, Fit, Run, run_fit
+from mjgranular.fit.intervals import correlation_time
+
+MASS, STIFFNESS, QUADRATIC = 0.0692, 60.0, 0.8  # Katsuragi and Durian's sphere, about
+BALL = Body("sphere", 0.0254, mass=MASS)
+TRUE = {"stiffness": STIFFNESS, "quadratic": QUADRATIC}
+
+
+def medium(law, **constants):
+    quantities = {name: Quantity(value, "", "a guess") for name, value in constants.items()}
+    return Medium("sand", "Sand", Quantity(1500.0, "kg/m^3", "a guess"), law, {law: quantities})
+
+
+GUESS = medium("depth_velocity", stiffness=40.0, quadratic=0.5)
+RFT = medium("rft3d", density=1500.0, internal_friction=0.5, surface_friction=0.4)
+
+
+def fall(speed, rows=60, mass=MASS):
+    """Times and depths of the sphere, and when it stops."""
+
+    def stops(t, y):
+        return y[1]
+
+    stops.terminal, stops.direction = True, -1
+    solution = solve_ivp(
+        lambda t, y: [y[1], 9.81 - (STIFFNESS * y[0] + QUADRATIC * y[1] ** 2) / mass],
+        (0.0, 1.0),
+        [0.0, speed],
+        events=stops,
+        rtol=1e-9,
+        atol=1e-12,
+        dense_output=True,
+    )
+    stop = solution.t[-1]
+    t = np.linspace(0.0, 1.3 * stop, rows)
+    return t, np.where(t < stop, solution.sol(np.minimum(t, stop))[0], solution.y[0, -1]), stop
+
+
+def drop(speed, noise=None, name=None, late=0.0):
+    t, depth, _ = fall(speed)
+    if noise is not None:
+        depth = depth + 0.02 * depth.max() * noise
+    data = {"time": t + late, "depth": depth}
+    return Run(name or f"{speed} m/s", "drop", data, body=BALL, speed=speed)
+
+
+def correlated(random, count, coefficient=0.9):
+    """Noise of size one whose neighbours are alike."""
+    noise = random.normal(size=count)
+    for k in range(1, count):
+        noise[k] = coefficient * noise[k - 1] + math.sqrt(1 - coefficient**2) * noise[k]
+    return noise
+
+
+def covers(result, name, value):
+    low, high = result.intervals[name]
+    return (low is None or low <= value) and (high is None or value <= high)
+
+
+@pytest.fixture(scope="module")
+def two_speeds():
+    """From curves without noise, one of them with another clock, a third predicted."""
+    runs = (drop(1.0), drop(3.0, late=0.25), drop(2.0))
+    return run_fit(Fit(runs, GUESS, ("stiffness", "quadratic"), hold_out=("2.0 m/s",)))
+
+
+def test_constants_come_back(two_speeds):
+    for name, value in TRUE.items():
+        assert two_speeds.values[name] == pytest.approx(value, rel=1e-3)
+    assert all(two_speeds.identifiable.values())
+    assert two_speeds.valleys == two_speeds.further == two_speeds.at_bound == ()
+
+
+def test_a_run_that_was_held_out_is_predicted(two_speeds):
+    errors = two_speeds.held_out["2.0 m/s"]
+    _, depth, stop = fall(2.0)
+    assert errors.depth == pytest.approx(0.0, abs=0.002)
+    assert errors.stopping_time == pytest.approx(0.0, abs=0.02)
+    assert errors.trajectory < 0.002
+    assert errors.measured_depth == pytest.approx(depth.max(), rel=1e-6)
+    assert errors.measured_stopping_time == pytest.approx(stop, rel=0.03)
+
+
+def test_drops_of_one_speed_leave_a_valley():
+    random = np.random.default_rng(3)
+    runs = tuple(drop(1.0, random.normal(size=60), name) for name in "ab")
+    result = run_fit(Fit(runs, GUESS, ("stiffness", "quadratic")))
+    assert result.identifiable == {"stiffness": False, "quadratic": False}
+    assert result.correlations["stiffness"]["quadratic"] < -0.8
+    assert result.valleys[0].one_speed
+    change = result.valleys[0].change
+    assert change["stiffness"] * change["quadratic"] < 0
+    best = result.further[0]
+    assert best.identifiable
+    assert max(best.intervals.values()) < 0.3
+
+
+def test_density_and_friction_of_rft3d_are_known_by_their_product_alone():
+    depth = np.linspace(0.002, 0.03, 15)
+    force = 100.0 * depth
+    push = Run("push", "intrude", {"depth": depth, "force": force}, body=Body("plate", 0.005, 0.02))
+    result = run_fit(Fit((push,), RFT, ("density", "internal_friction")))
+    assert result.runs["push"].trajectory < 1e-3
+    assert result.identifiable == {"density": False, "internal_friction": False}
+    assert result.correlations["density"]["internal_friction"] == pytest.approx(-1.0, abs=1e-4)
+    assert result.intervals["density"] == (10.0, 25000.0)  # all that a medium may have
+    assert not any(test.identifiable for test in result.further)
+
+
+def test_strength_is_what_a_plate_says():
+    """A flat plate moving down: 0.87574 xi_n g A z (Agarwal et al. 2023), sides and all aside."""
+    depth = np.linspace(0.002, 0.03, 15)
+    mu = 0.5
+    xi = 1500.0 * (894 * mu**3 - 386 * mu**2 + 89 * mu) * 9.81
+    force = 1.3 * 0.87574 * xi * 0.02**2 * depth
+    plate = Body("plate", 0.0002, 0.02)  # thin: no sides
+    push = Run("push", "intrude", {"depth": depth, "force": force}, body=plate)
+    result = run_fit(Fit((push,), RFT, ("strength",)))
+    assert result.values["strength"] == pytest.approx(1.3, rel=0.01)
+    assert result.material.law.scale == result.values["strength"]
+
+
+def test_force_against_speed():
+    speed = np.linspace(0.1, 2.0, 12)
+    force = 0.3 + QUADRATIC * speed**2  # of depth_velocity, along the surface
+    data = {"speed": speed, "force": force}
+    drag = Run("drag", "drag", data, body=BALL, depth=0.01)
+    guess = medium("depth_velocity", constant=1.0, quadratic=0.1)
+    result = run_fit(Fit((drag,), guess, ("constant", "quadratic")))
+    assert result.values["constant"] == pytest.approx(0.3, rel=1e-5)
+    assert result.values["quadratic"] == pytest.approx(QUADRATIC, rel=1e-5)
+    assert all(result.identifiable.values())
+
+
+def test_a_model_of_ones_own(tmp_path):
+    """The sphere as MJCF, on a slide."""
+    model = tmp_path / "ball.xml"
+    model.write_text(
+        '<mujoco><option timestep="1e-4"/><worldbody><body name="ball" pos="0 0 0.0127">'
+        '<joint type="slide" axis="0 0 1"/><geom size="0.0127" mass="0.0692"/></body></worldbody>'
+        '<keyframe><key name="thrown" qvel="-2"/></keyframe></mujoco>'
+    )
+    t, depth, _ = fall(2.0)
+    data = {"time": t, "depth": depth}
+    run = Run("ball", "model", data, model=model, model_body="ball", keyframe="thrown")
+    result = run_fit(Fit((run,), GUESS, ("quadratic", "stiffness")))
+    for name, value in TRUE.items():
+        assert result.values[name] == pytest.approx(value, rel=0.03)  # first order, 0.1 ms
+
+
+def test_rows_that_count_for_one():
+    random = np.random.default_rng(5)
+    assert np.mean([correlation_time(random.normal(size=200)) for _ in range(50)]) < 1.5
+    # (1 + a)/(1 - a) of a first-order process
+    times = [correlation_time(correlated(random, 2000, 0.8)) for _ in range(20)]
+    assert np.mean(times) == pytest.approx(9.0, rel=0.2)
+
+
+def test_a_record_that_begins_before_the_fall():
+    """Held half a second, released 0.2 m above the sand; the clock knows nothing of it."""
+    speed = math.sqrt(2 * 9.81 * 0.2)
+    t, depth, _ = fall(speed)
+    falling = np.arange(0.0, speed / 9.81, 0.004)
+    held = np.arange(-0.5, 0.0, 0.02)
+    time = np.concatenate([held, falling, t + speed / 9.81])
+    above = np.concatenate([np.full(len(held), -0.2), 9.81 / 2 * falling**2 - 0.2, depth])
+    data = {"time": time, "depth": above}
+    run = Run("from a height", "drop", data, body=BALL, speed=speed)
+    result = run_fit(Fit((run,), GUESS, ("stiffness", "quadratic")))
+    for name, value in TRUE.items():
+        assert result.values[name] == pytest.approx(value, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("noise", "least"), [("independent", 90), ("correlated", 85)])
+def test_true_values_are_inside_their_intervals(noise, least):
+    """95 % intervals, in 100 repeats with 2 % noise."""
+    random = np.random.default_rng(1)
+    inside = dict.fromkeys(TRUE, 0)
+    for _ in range(100):
+        runs = []
+        for speed in (1.0, 3.0):
+            e = correlated(random, 60) if noise == "correlated" else random.normal(size=60)
+            runs.append(drop(speed, e))
+        result = run_fit(Fit(tuple(runs), GUESS, ("stiffness", "quadratic")))
+        for name, value in TRUE.items():
+            inside[name] += covers(result, name, value)
+    assert min(inside.values()) >= least, inside
+
+
+@pytest.mark.slow
+def test_runs_that_are_off_as_a_whole_are_held_against_each_other():
+    """2 % of the depth by which the surface of each run lies elsewhere, in 30 repeats."""
+    random = np.random.default_rng(2)
+    inside = dict.fromkeys(TRUE, 0)
+    for _ in range(30):
+        runs = tuple(
+            drop(speed, 0.3 * random.normal(size=60) + random.normal())
+            for speed in (0.8, 1.3, 2.0, 2.5, 3.0)
+        )
+        result = run_fit(Fit(runs, GUESS, ("stiffness", "quadratic")))
+        for name, value in TRUE.items():
+            inside[name] += covers(result, name, value)
+    assert min(inside.values()) >= 23, inside  # 25 and 29 were measured

@@ -1,0 +1,268 @@
+"""`mjgranular fit`: the contract of the command, what it writes, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mjgranular import DepthVelocityLaw, Sand
+from mjgranular.cli import main
+from mjgranular.law import get_law
+from mjgranular.medium import get_medium
+
+MEDIUM = "{density: 1500, stiffness: 50, quadratic: 0.5}"
+BALL = "{shape: sphere, diameter: 0.0254, mass: 0.0692}"
+FREE = ["--law", "depth_velocity", "--free", "stiffness", "quadratic"]
+
+
+def curve(speed, rows=40):
+    """Depth [m] of 69.2 g with nothing but friction of 2 N, which everybody can do in the head."""
+    slow = 2.0 / 0.0692 - 9.81
+    t = np.linspace(0.0, 1.3 * speed / slow, rows)
+    s = np.minimum(t, speed / slow)
+    return t, speed * s - slow * s**2 / 2
+
+
+def write(path, columns):
+    names = ",".join(columns)
+    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join([names, *rows]) + "\n")
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """Two drops and a file of runs, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    for name, speed in (("slow", 1.0), ("fast", 2.5)):
+        t, depth = curve(speed)
+        write(tmp_path / f"{name}.csv", {"time": t, "depth": depth})
+    runs(tmp_path)
+    return tmp_path
+
+
+def runs(place, medium=MEDIUM, slow="", name="slow"):
+    """Writes the file; `slow` are further keys of the first run."""
+    (place / "runs.yaml").write_text(
+        f"medium: {medium}\nruns:\n"
+        f"  - {{name: {name}, kind: drop, body: {BALL}, speed: 1.0, data: slow.csv{slow}}}\n"
+        f"  - {{name: fast, kind: drop, body: {BALL}, speed: 2.5, data: fast.csv}}\n"
+    )
+
+
+def refused(capsys, *arguments):
+    """The sentence with which the command refuses."""
+    status = main(["fit", "runs.yaml", *arguments])
+    out, err = capsys.readouterr()
+    assert status == 2, out
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+def test_one_object(place, capsys):
+    law = ["--law", "depth_velocity", "--free", "constant", "--hold-out", "fast", "--json"]
+    runs(place, "{density: 1500, constant: 1}")
+    assert main(["fit", "runs.yaml", *law]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["values"]["constant"] == pytest.approx(2.0, rel=2e-3)
+    low, high = found["intervals"]["constant"]
+    assert low <= found["values"]["constant"] <= high
+    assert found["correlations"] == {"constant": {}}
+    assert found["identifiable"] == {"constant": True}
+    assert list(found["runs"]) == ["slow"]
+    assert list(found["held_out"]) == ["fast"]
+    for errors in (found["runs"]["slow"], found["held_out"]["fast"]):
+        assert abs(errors["depth"]) < 0.005
+        assert abs(errors["stopping_time"]) < 0.03
+        assert errors["trajectory"] < 0.005
+    assert {path.name for path in place.iterdir()} == {"runs.yaml", "slow.csv", "fast.csv"}
+
+
+def test_a_medium_that_sand_takes(place, capsys):
+    runs(place, "{density: 1500, grain: 0.0003, constant: 1, title: 'A tray, of my own: mine'}")
+    command = ["fit", "runs.yaml", "--law", "depth_velocity", "--free", "strength", "--out"]
+    assert main([*command, "tray.yaml"]) == 0
+    shown = capsys.readouterr().out
+    assert "written to tray.yaml" in shown
+    medium = get_medium("tray.yaml")
+    assert medium.name == "tray"
+    assert medium.title == "A tray, of my own: mine"
+    law = get_law(None, medium)
+    assert isinstance(law, DepthVelocityLaw)
+    assert law.constant == pytest.approx(2.0, rel=2e-3)
+    source = medium.constants["depth_velocity"]["constant"].source
+    assert "runs.yaml (slow, fast)" in source
+    assert "95 % interval" in source
+    written = json.loads((place / "tray.fit.json").read_text())
+    assert written["config"]["free"] == ["strength"]
+    assert written["config"]["runs"][0]["data"] == "slow.csv"
+    assert written["result"]["values"]["strength"] == pytest.approx(2.0, rel=2e-3)
+    with Image.open(place / "tray.fit.png") as figure:
+        assert figure.size[0] > 500
+    # Nothing that is there is lost.
+    before = (place / "tray.yaml").read_bytes()
+    message = refused(capsys, *command[2:], "tray.yaml")
+    assert "--overwrite" in message
+    assert (place / "tray.yaml").read_bytes() == before
+    assert main([*command, "tray.yaml", "--overwrite"]) == 0
+
+
+def test_a_medium_of_rft3d_carries_the_strength(place, model_of_a_ball, capsys):
+    medium = "{base: quikrete_medium, surface_friction: 0.3}"
+    runs(place, medium)
+    command = ["fit", "runs.yaml", "--free", "strength", "--hold-out", "fast", "--out", "m.yaml"]
+    assert main(command) == 0
+    constants = get_medium("m.yaml").constants["rft3d"]
+    assert constants["surface_friction"].value == 0.3
+    assert constants["internal_friction"].source == (
+        get_medium("quikrete_medium").constants["rft3d"]["internal_friction"].source
+    )
+    sand = Sand(model_of_a_ball, medium="m.yaml")
+    strength = json.loads((place / "m.fit.json").read_text())["result"]["values"]["strength"]
+    assert sand.law.scale == strength != 1.0
+
+
+@pytest.fixture
+def model_of_a_ball():
+    from mjgranular.models import Projectile
+
+    return Projectile(0.0254, 0.0254, 8000.0, "sphere").model(1e-4)
+
+
+UNITS = {
+    "mm": ({"depth": 1e3}, "looks like mm"),
+    "cm": ({"depth": 1e2}, "looks like cm"),
+    "ms": ({"time": 1e3}, "look like ms"),
+}
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_units_that_cannot_be(unit, place, capsys):
+    factors, said = UNITS[unit]
+    t, depth = curve(1.0)
+    write(
+        place / "slow.csv",
+        {"time": t * factors.get("time", 1.0), "depth": depth * factors.get("depth", 1.0)},
+    )
+    assert said in refused(capsys, *FREE)
+    column = next(iter(factors))
+    text = (place / "slow.csv").read_text().replace(column, f"{column} [{unit}]", 1)
+    (place / "slow.csv").write_text(text)
+    assert main(["fit", "runs.yaml", *FREE]) == 0
+
+
+def changed(**columns):
+    def change(place):
+        t, depth = curve(1.0)
+        found = {"time": t, "depth": depth}
+        found |= {name: make(t, depth) for name, make in columns.items()}
+        write(place / "slow.csv", {k: v for k, v in found.items() if v is not None})
+
+    return change
+
+
+def back(t, depth):
+    t = t.copy()
+    t[20] = t[18]
+    return t
+
+
+DATA = {
+    "no column 'depth': it has time, level": changed(depth=lambda t, d: None, level=lambda t, d: d),
+    "goes back or stands still": changed(time=back),
+    "no contact": changed(depth=lambda t, d: -1e-3 - d),
+    "at least 4 are needed": lambda place: (place / "slow.csv").write_text(
+        "time,depth\n0,0\n0.01,0.01\n"
+    ),
+    "'x' is not a finite number": lambda place: (place / "slow.csv").write_text(
+        "time,depth\n0,0\n0.01,x\n"
+    ),
+    "has the unit 'in'": lambda place: (place / "slow.csv").write_text(
+        "time [s],depth [in]\n0,0\n0.01,1\n"
+    ),
+    "its first line has to name the columns": lambda place: (place / "slow.csv").write_text(
+        "0,0\n0.01,1\n"
+    ),
+    "cannot read the measurement": lambda place: (place / "slow.csv").unlink(),
+}
+
+
+@pytest.mark.parametrize("said", DATA)
+def test_data_that_cannot_be(said, place, capsys):
+    DATA[said](place)
+    assert said in refused(capsys, *FREE, "--out", "m.yaml")
+    assert not (place / "m.yaml").exists()
+
+
+OPTIONS = {
+    "no free constant of the law depth_velocity 'stifness'; there are: strength": (
+        "--law", "depth_velocity", "--free", "stifness",
+    ),
+    "nothing is free": ("--law", "depth_velocity"),
+    "named twice": ("--law", "depth_velocity", "--free", "stiffness", "stiffness"),
+    "free one of strength and stiffness": (
+        "--law", "depth_velocity", "--free", "strength", "stiffness",
+    ),
+    "no run to hold out 'quick'; there are: slow, fast": (*FREE, "--hold-out", "quick"),
+    "no run to fit to": (*FREE, "--hold-out", "slow", "fast"),
+    "starts at 0, which is a bound": (
+        "--law", "depth_velocity linear=0", "--free", "linear", "stiffness",
+    ),
+    "more than one run with 39 numbers can carry, 3 at most": (
+        "--law", "depth_velocity", "--hold-out", "fast", "--free", "stiffness", "quadratic",
+        "linear", "exponent",
+    ),
+    "no law 'rft4d'": ("--law", "rft4d", "--free", "strength"),
+    "name the law": ("--free", "strength"),
+    "ends in .yaml": (*FREE, "--out", "medium.json"),
+    "there is no folder": (*FREE, "--out", "no/medium.yaml"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("said", OPTIONS)
+def test_options_that_cannot_be(said, place, capsys):
+    assert said in refused(capsys, *OPTIONS[said])
+
+
+FILES = {
+    "no key 'densty'; with the law 'depth_velocity' there are": {
+        "medium": "{density: 1500, densty: 1}"
+    },
+    "needs the bulk density": {"medium": "{stiffness: 50}"},
+    "must be a number, without its unit, not '50 N/m'": {
+        "medium": "{density: 1500, stiffness: 50 N/m}"
+    },
+    "no medium 'beach'": {"medium": "{base: beach}"},
+    "from 10 to 25000": {"medium": "{density: 1.5, stiffness: 50}"},
+    "runs[0] has no key 'sped'": {"slow": ", sped: 1"},
+    "two runs are called 'fast'": {"name": "fast"},
+    "not both": {"slow": ", height: 0.1"},
+    "is not within the record": {"slow": ", touch: 5"},
+}
+
+
+@pytest.mark.parametrize("said", FILES)
+def test_files_that_cannot_be(said, place, capsys):
+    runs(place, **FILES[said])
+    assert said in refused(capsys, *FREE)
+
+
+def test_a_file_that_is_none(place, capsys):
+    (place / "runs.yaml").write_text("runs: [")
+    assert "is not YAML as runs need it" in refused(capsys, *FREE)
+    (place / "runs.yaml").write_text("medium: {base: glass_beads}\n")
+    assert "runs are a list under the key runs" in refused(capsys, *FREE)
+
+
+def test_a_law_without_a_start_finds_one(place, capsys):
+    """Inertia and its like are 0 where nobody has said: that is a bound, and no start."""
+    runs(place, "{density: 1500, constant: 1}")
+    command = ["--law", "depth_velocity", "--free", "constant", "linear", "--json"]
+    assert main(["fit", "runs.yaml", *command]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["values"]["constant"] == pytest.approx(2.0, rel=0.02)
+    assert found["values"]["linear"] == pytest.approx(0.0, abs=0.02)
