@@ -9,11 +9,12 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import entry
+from mjgranular.look import NOT_SHOWN
 from mjgranular.prints.shape import BLOCK, CANVAS_DTYPE, room_for, shape_of
 from mjgranular.prints.skin import lines_of, skin_of, vertex_count
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief
-from mjgranular.surface import Surface
+from mjgranular.surface import HeightField, Surface
 
 SIGNATURE = "int64(int64, float64)"
 """Of the program that puts a skin where the sand is."""
@@ -67,6 +68,14 @@ def make_canvas(
     return canvas
 
 
+def room_of(canvas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Arrays of the blocks and rectangles of a canvas, whose addresses are put there."""
+    side = int(canvas["lines"][0]) // BLOCK
+    blocks, rectangles = np.zeros(side * side, np.int64), np.zeros(4 * int(canvas["room"][0]))
+    canvas["blocks"], canvas["rectangles"] = blocks.ctypes.data, rectangles.ctypes.data
+    return blocks, rectangles
+
+
 class Cover:
     """Sand with prints, in a model that has a skin for it (`add_skin`).
 
@@ -94,17 +103,15 @@ class Cover:
         self._shape = entry(shape_of(relief, record["base"].dtype), SIGNATURE)
         self._skin, self._unit = skin_of(model, sand), unit
         self._canvas = canvas = make_canvas(record, memory, unit, region)
-        side = int(canvas["lines"][0]) // BLOCK
-        self._blocks = np.zeros(side * side, np.int64)
-        self._rectangles = np.zeros((int(canvas["room"][0]), 4))
+        self._blocks, rectangles = room_of(canvas)
+        self._rectangles = rectangles.reshape(-1, 4)
         first = int(model.skin_vertadr[self._skin])
         self._vertices = model.skin_vert[first : first + int(canvas["vertex_count"][0])]
         canvas["surface"], canvas["vertices"] = record.ctypes.data, self._vertices.ctypes.data
-        canvas["blocks"], canvas["rectangles"] = (
-            self._blocks.ctypes.data,
-            self._rectangles.ctypes.data,
-        )
         self._model = model
+        self._field = base.geoms(model)[0] if isinstance(base, HeightField) else -1
+        for geom in base.geoms(model):
+            model.geom_group[geom] = NOT_SHOWN
 
     def lay(self, state: np.ndarray, middle: np.ndarray) -> None:
         """Gives the skin the shape of the sand: before a scene is updated.
@@ -128,6 +135,12 @@ class Cover:
         if geom is not None:
             geom.objtype, geom.objid = mujoco.mjtObj.mjOBJ_SKIN, self._skin
             geom.texcoord, geom.texrepeat = 1, [1 / self._unit, 1 / self._unit]
+        if self._field >= 0:
+            place = record["origin"] + self._canvas["sunk"][0] * axes[:, 2]
+            geom = self._next(scene, mujoco.mjtGeom.mjGEOM_HFIELD, np.zeros(3), place, axes)
+            if geom is not None:
+                geom.dataid = self._model.geom_dataid[self._field]
+                geom.texuniform, geom.texrepeat = 1, [2 / self._unit, 2 / self._unit]
         for u, v, half_u, half_v in self._rectangles[: int(self._canvas["count"][0])]:
             place = record["origin"] + axes @ [u, v, 0.0]
             geom = self._next(

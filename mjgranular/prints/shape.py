@@ -41,9 +41,14 @@ CANVAS_DTYPE = np.dtype(
         ("bottom", np.float64),  # of its walls, over the plane [m]; 0 for none
         ("held", np.int64),  # whether the middle of the window stays where it is
         ("middle", np.float64, (2,)),  # of the window, along the axes of the plane [m]
-        ("deepest", np.float64),  # height of the deepest print over the surface [m]
+        ("sunk", np.float64),  # so far over its place what is drawn beyond the window lies [m]
     ]
 )
+
+FRAME_DTYPE = np.dtype(
+    [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
+)
+"""Of a relief: the plane that heights are over, as its record has it."""
 
 _HAIR = 0.02  # so far under rectangles lies what is not to be seen [cells]
 _BEYOND = (3.0, 10.0, 64.0)  # ends of rectangles beyond the window, in units: small ones are near
@@ -180,7 +185,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
         """Finds out which blocks are drawn with the skin; the lowest height over the plane [m]."""
         side, cell = canvas.lines // BLOCK, relief.cell
         width = BLOCK * cell
-        lowest = canvas.deepest = 0.0
+        lowest = deepest = 0.0
         for a in range(side):
             for b in range(side):
                 blocks[a * side + b] = 0
@@ -198,11 +203,12 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                         h = height(relief, state, i, j)
                         if h != 0.0:
                             chosen = 1
-                            canvas.deepest = min(canvas.deepest, h)
+                            deepest = min(deepest, h)
                         if not is_flat:
                             h += place(canvas, relief, i, j)[2]
                         lowest = min(lowest, h)
                 blocks[a * side + b] = chosen
+        canvas.sunk = 0.0 if is_flat else deepest - 10.0 * _HAIR * cell
         return lowest
 
     @compiled
