@@ -217,7 +217,7 @@ def add_prints(scene, header, table, bodies, model):
     look_like_sand(geom, header)
     geom.objtype, geom.objid, geom.texcoord = _OF_SKIN, header.skin, 1
     geom.texrepeat[0] = geom.texrepeat[1] = 1.0 / header.unit
-    if header.ground >= 0:
+    if header.ground >= 0 and canvas.held == 0:
         address = add_geom(scene, _FIELD)
         if address != 0:
             geom = _geoms(address, 1)[0]

@@ -31,9 +31,9 @@ from mjgranular.engine.preparing import prepare_in_worker
 from mjgranular.engine.sensor import Sensors, Sites
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
-from mjgranular.kernel.compiled import program_address
 from mjgranular.look import NOT_SHOWN, TILE, TILES, PlaneLook, radius_of
 from mjgranular.medium import media
 from mjgranular.names import name_of

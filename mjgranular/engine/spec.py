@@ -102,13 +102,14 @@ def show_prints(spec: mujoco.MjSpec, sand: SandSpec, name: str = "sand") -> None
     memory = as_memory(sand.memory)
     if memory is None:
         return
-    surface, material, rgb = surface_of(sand.surface), add_material(spec), (1.0, 1.0, 1.0)
+    surface, thickness = surface_of(sand.surface), 0.0
+    material, rgb = add_material(spec), (1.0, 1.0, 1.0)
     if isinstance(surface, Bed | HeightField):
         bed = spec.geom(surface.geom)
         if bed is None:
             return  # which is told when the model is compiled
-        material, rgb = bed.material, tuple(bed.rgba[:3])
-    add_skin(spec, memory, material, sand=name, rgb=rgb)
+        material, rgb, thickness = bed.material, tuple(bed.rgba[:3]), 2 * float(bed.size[2])
+    add_skin(spec, memory, material, sand=name, rgb=rgb, thickness=thickness)
 
 
 def _attach(spec: mujoco.MjSpec, name: str) -> None:

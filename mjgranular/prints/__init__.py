@@ -3,4 +3,5 @@
 from mjgranular.prints.cover import Cover as Cover
 from mjgranular.prints.record import Prints as Prints
 from mjgranular.prints.record import PrintsRecorder as PrintsRecorder
+from mjgranular.prints.record import Replay as Replay
 from mjgranular.prints.skin import add_skin as add_skin

@@ -135,7 +135,7 @@ class Cover:
         if geom is not None:
             geom.objtype, geom.objid = mujoco.mjtObj.mjOBJ_SKIN, self._skin
             geom.texcoord, geom.texrepeat = 1, [1 / self._unit, 1 / self._unit]
-        if self._field >= 0:
+        if self._field >= 0 and not self._canvas["held"][0]:
             place = record["origin"] + self._canvas["sunk"][0] * axes[:, 2]
             geom = self._next(scene, mujoco.mjtGeom.mjGEOM_HFIELD, np.zeros(3), place, axes)
             if geom is not None:

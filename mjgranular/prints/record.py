@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -31,6 +33,26 @@ class Prints:
     node: np.ndarray
     height: np.ndarray
 
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Names of the arrays in a file."""
+        return tuple(f"prints_{field.name}" for field in fields(Prints))
+
+    @staticmethod
+    def are_in(file: Path) -> bool:
+        """Tells whether a file of arrays has prints, which older ones have not."""
+        try:
+            with zipfile.ZipFile(file) as archive:
+                return f"{Prints.names()[0]}.npy" in archive.namelist()
+        except (OSError, zipfile.BadZipFile):
+            return False
+
+    def change(self, begin: float, end: float) -> bool:
+        """Tells whether heights change between two times [s]."""
+        first, last = np.searchsorted(self.t, (begin, end), side="right")
+        last = min(int(last), len(self.t) - 1)
+        return bool(first <= last and self.end[last] > (self.end[first - 1] if first else 0))
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays by their names in a file."""
         return {f"prints_{name}": value for name, value in vars(self).items()}
@@ -42,7 +64,7 @@ class Prints:
         Raises:
             ValueError: they do not fit together.
         """
-        found = cls(*(arrays[f"prints_{name}"] for name in NAMES))
+        found = cls(*(arrays[name] for name in cls.names()))
         t, end, node, height = found.t, found.end, found.node, found.height
         steady = end.dtype.kind in "iu" and (np.diff(end, prepend=0) >= 0).all()
         if t.ndim != 1 or end.shape != t.shape or not steady or (np.diff(t) <= 0).any():
@@ -53,9 +75,6 @@ class Prints:
         if not np.isfinite(height).all() or (np.abs(node) >= 1 << 20).any():
             raise ValueError("heights of the prints are none")
         return found
-
-
-NAMES = ("t", "end", "node", "height")
 
 
 class PrintsRecorder:
@@ -126,11 +145,13 @@ class Replay:
 
     Attributes:
         state: of the relief (`relief.grid`), at the time that was asked for last.
+        time: that one [s].
     """
 
     def __init__(self, prints: Prints, memory: Memory) -> None:
         self._prints, self._size = prints, memory.size
         self.state = np.zeros(memory.state_size)
+        self.time = 0.0
         count = self._size * self._size
         arrays = self.state[HEADER:]
         self._heights = arrays[HEIGHT * count : (HEIGHT + 1) * count]
@@ -140,7 +161,7 @@ class Replay:
 
     def to(self, t: float) -> np.ndarray:
         """Goes to a time [s]; between two instants heights change evenly. The state."""
-        prints = self._prints
+        prints, self.time = self._prints, t
         done = int(np.searchsorted(prints.t, t, side="right"))
         if done < self._done:
             self.state[:], self._done, self._coming = 0.0, 0, None

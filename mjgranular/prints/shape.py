@@ -51,6 +51,7 @@ FRAME_DTYPE = np.dtype(
 """Of a relief: the plane that heights are over, as its record has it."""
 
 _HAIR = 0.02  # so far under rectangles lies what is not to be seen [cells]
+_SLOPE = 2 * BLOCK  # nodes at the edge of a window, which come down to what is beyond it
 _BEYOND = (3.0, 10.0, 64.0)  # ends of rectangles beyond the window, in units: small ones are near
 _FAR = 1 << 19  # nodes: beyond all that has a number
 
@@ -208,7 +209,9 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                             h += place(canvas, relief, i, j)[2]
                         lowest = min(lowest, h)
                 blocks[a * side + b] = chosen
-        canvas.sunk = 0.0 if is_flat else deepest - 10.0 * _HAIR * cell
+        canvas.sunk = 0.0
+        if not is_flat and not canvas.held:
+            canvas.sunk = deepest - 10.0 * _HAIR * cell
         return lowest
 
     @compiled
@@ -256,6 +259,10 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                 if kept:
                     u, v, z = place(canvas, relief, i, j)
                     z += sand_at(canvas, relief, state, i, j) - (0.0 if seen else hair)
+                    # A field beyond the window lies lower, and is come down to.
+                    if canvas.sunk < 0.0:
+                        near = min(min(a, n - 1 - a), min(b, n - 1 - b)) - BLOCK
+                        z += canvas.sunk * (1.0 - within(near / (1.0 * _SLOPE), 0.0, 1.0))
                 else:
                     middle = BLOCK // 2 - 1
                     u, v, z = place(
@@ -263,6 +270,9 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                         first_j + column * BLOCK + middle,
                     )  # fmt: skip
                     z -= 2.0 * hair
+                    if canvas.bounded:  # behind the walls
+                        u = within(u, canvas.low[0] + cell, canvas.high[0] - cell)
+                        v = within(v, canvas.low[1] + cell, canvas.high[1] - cell)
                     # What joins the ends of the window lies under all that is seen.
                     if row == 0 or column == 0 or row == side - 1 or column == side - 1:
                         z = lowest - cell

@@ -41,6 +41,7 @@ def add_skin(
     *,
     sand: str = "sand",
     rgb: Sequence[float] = (1.0, 1.0, 1.0),
+    thickness: float = 0.0,
 ) -> None:
     """Adds the skin of a sand to a model that has it not.
 
@@ -53,6 +54,7 @@ def add_skin(
         material: name of the material of what is to be seen.
         sand: name of the sand.
         rgb: colour that the material is multiplied with.
+        thickness: of the sand, where its walls are seen [m].
     """
     name = f"{SKIN} {sand}"
     if any(skin.name == name for skin in spec.skins):
@@ -64,7 +66,7 @@ def add_skin(
         material=material,
         rgba=[*rgb, 0.0],
         vert=np.zeros(3 * count),
-        texcoord=_texture(lines, memory.cell).ravel(),
+        texcoord=_texture(lines, memory.cell, thickness).ravel(),
         face=_faces(lines).ravel(),
         bodyname=["world"],
         bindpos=[0, 0, 0],
@@ -100,7 +102,7 @@ def _faces(lines: int) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _texture(lines: int, cell: float) -> np.ndarray:
+def _texture(lines: int, cell: float, thickness: float) -> np.ndarray:
     """Places in the picture of grains [m], shape (n, 2).
 
     They go up and down again around the grid, which so has no seam; grains are the same mirrored.
@@ -109,6 +111,6 @@ def _texture(lines: int, cell: float) -> np.ndarray:
     there = cell * np.minimum(around, lines - around)
     top = np.stack(np.meshgrid(there, there, indexing="ij"), axis=-1).reshape(-1, 2)
     along = cell * np.repeat(np.arange(lines + 2), 2)
-    below = np.tile([0.0, BLOCK * cell], lines + 2)
+    below = np.tile([0.0, thickness], lines + 2)
     wall = np.stack([along, below], axis=1)
     return np.concatenate([top, np.tile(wall, (4, 1))])
