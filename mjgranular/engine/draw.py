@@ -1,4 +1,4 @@
-"""Arrows, dots and sand, with its prints, that the plugin adds to a scene of MuJoCo's visualiser."""
+"""Arrows, dots and sand with its prints, that the plugin adds to scenes of MuJoCo's visualiser."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class Region:
 
 
 def relief_of_base(base: Surface, memory: Memory) -> Relief:
-    """A surface with memory, as drawings need it: how far the sand counts for a level is no part."""
+    """A surface with memory, for drawings: how far sand counts for a level is no part of it."""
     return Relief(base, memory, memory.surroundings or memory.cell)
 
 

@@ -297,7 +297,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                     elif k == n + 1:
                         along = high
                     edge = canvas.low[1 - axis] if side % 2 == 0 else canvas.high[1 - axis]
-                    other = int(math.floor(edge / cell + 0.5))
+                    other = math.floor(edge / cell + 0.5)
                     u, v = (along, edge) if axis == 0 else (edge, along)
                     i, j = (node, other) if axis == 0 else (other, node)
                     bottom = canvas.bottom
