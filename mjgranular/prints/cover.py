@@ -64,7 +64,7 @@ def make_canvas(
         low, high = np.array(region.low), np.array(region.high)
         canvas["bounded"], canvas["low"], canvas["high"] = 1, low, high
         canvas["bottom"], canvas["middle"] = region.bottom, (low + high) / 2
-        canvas["held"] = (high - low).max() < (lines - 3 * BLOCK) * memory.cell
+        canvas["held"] = (high - low).max() < (lines - 4 * BLOCK) * memory.cell
     return canvas
 
 

@@ -51,7 +51,8 @@ FRAME_DTYPE = np.dtype(
 """Of a relief: the plane that heights are over, as its record has it."""
 
 _HAIR = 0.02  # so far under rectangles lies what is not to be seen [cells]
-_SLOPE = 2 * BLOCK  # nodes at the edge of a window, which come down to what is beyond it
+_ENDS = 5.0  # nodes at the edge of a window over which prints end
+_SLOPE = 20.0  # and over which it comes down to a field that lies lower
 _BEYOND = (3.0, 10.0, 64.0)  # ends of rectangles beyond the window, in units: small ones are near
 _FAR = 1 << 19  # nodes: beyond all that has a number
 
@@ -257,12 +258,12 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                             seen = True
                 number = (i % n) * n + j % n
                 if kept:
+                    # At its edge the window comes down, or up, to what is drawn beyond.
+                    near = min(min(a, n - a), min(b, n - b)) - BLOCK
                     u, v, z = place(canvas, relief, i, j)
-                    z += sand_at(canvas, relief, state, i, j) - (0.0 if seen else hair)
-                    # A field beyond the window lies lower, and is come down to.
-                    if canvas.sunk < 0.0:
-                        near = min(min(a, n - 1 - a), min(b, n - 1 - b)) - BLOCK
-                        z += canvas.sunk * (1.0 - within(near / (1.0 * _SLOPE), 0.0, 1.0))
+                    z += sand_at(canvas, relief, state, i, j) * within(near / _ENDS, 0.0, 1.0)
+                    z += canvas.sunk * (1.0 - within(near / _SLOPE, 0.0, 1.0))
+                    z -= 0.0 if seen else hair
                 else:
                     middle = BLOCK // 2 - 1
                     u, v, z = place(
