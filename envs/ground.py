@@ -12,6 +12,7 @@ import mujoco
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
 from mjgranular.look import NOT_SHOWN, TILE, add_material
+from mjgranular.relief.memory import as_memory
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
 from mjgranular.surface.choice import surface_of
@@ -42,7 +43,8 @@ def put_on_sand(
             surface it is the level plane where the floor was.
         sensors: whether the sand is to be measured by sensors of the model (`envs.figures`).
         tunable: whether instances are to be tuned while they run.
-        cut: depth at which a plane of sand is drawn, so that what is buried can be seen [m].
+        cut: depth at which a plane of sand without memory is drawn, so that what is buried can be
+            seen [m].
         tile: edge of the picture of sand on the ground [m].
 
     Returns:
@@ -68,7 +70,9 @@ def put_on_sand(
     for sand, surface in zip(sands, surfaces, strict=True):
         replaced = [*(floor.name for floor in floors), *names_in(sand.instead_of)]
         placed = combined(sand, {"surface": surface, "instead_of": replaced})
-        names.append(add_sand(spec, placed, tunable=tunable, draw=()).name)
+        # What prints are pressed into is drawn by the sand itself, at its true place.
+        draw = () if as_memory(placed.memory) is None else ("surface",)
+        names.append(add_sand(spec, placed, tunable=tunable, draw=draw).name)
     if sensors:
         _add_sensors(spec, names)
     with quiet():

@@ -17,6 +17,7 @@ from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.errors import GranularError, GranularWarning, InputError, MissingExtraError
 from mjgranular.experiment.drop import Drop, DropResult, load, run_drop, surface_drawn
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
+from mjgranular.relief.memory import as_memory
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"
@@ -124,7 +125,14 @@ def film(folder: ResultFolder, result: DropResult, camera: str) -> list[Granular
         folder,
         FILM,
         options,
-        lambda: frames_of_model(options, model, motion, surface_drawn(result.drop)),
+        lambda: frames_of_model(
+            options,
+            model,
+            motion,
+            surface_drawn(result.drop),
+            result.prints,
+            as_memory(result.drop.memory),
+        ),
     )
 
 

@@ -16,8 +16,15 @@ from mjgranular.cli.filming import write_film
 from mjgranular.cli.impact import VIDEO, film_impact
 from mjgranular.errors import GranularError, GranularWarning, InputError, OutputError
 from mjgranular.experiment.drop import load, surface_drawn
-from mjgranular.experiment.folder import ResultFolder, read_drop, read_impact, saved_command
+from mjgranular.experiment.folder import (
+    ResultFolder,
+    prints_of,
+    read_drop,
+    read_impact,
+    saved_command,
+)
 from mjgranular.models import Chain
+from mjgranular.relief.memory import as_memory
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
@@ -137,7 +144,9 @@ class RenderCommand:
                 f"{drop.title} has {model.nq}: it is not the model that ran"
             )
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
-        count, pictures = frames_of_model(film, model, motion, surface_drawn(drop))
+        count, pictures = frames_of_model(
+            film, model, motion, surface_drawn(drop), prints_of(arrays), as_memory(drop.memory)
+        )
         return lambda folder, name: write_film(folder, name, film, lambda: (count, pictures))
 
     def _policy(self, film: Film) -> Draw:

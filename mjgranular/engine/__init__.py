@@ -15,6 +15,7 @@ from mjgranular.engine.instances import relief_of as relief_of
 from mjgranular.engine.pickles import register as register_pickles
 from mjgranular.engine.plugin import register
 from mjgranular.engine.spec import add_sand as add_sand
+from mjgranular.engine.spec import show_prints as show_prints
 from mjgranular.engine.tuning import tune as tune
 from mjgranular.sand.sharing import ask_about_models
 

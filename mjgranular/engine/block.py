@@ -61,13 +61,22 @@ HEADER_DTYPE = np.dtype(
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
         ("ends", np.int64),  # address of room for the ends of an arrow
-        ("plane", np.int64),  # where in the scene the record of a plane begins [bytes]
+        ("plane", np.int64),  # where in the scene the record of the surface begins [bytes]
+        ("frame", np.int64),  # where in that, of a relief, its axes begin [bytes]
         ("tiles", np.int64),  # address: rectangles that it is drawn with (`look.TILES`)
         ("tile_count", np.int64),
         ("material", np.int64),  # `look.PlaneLook`
         ("picture", np.int64),
         ("unit", np.float64),
         ("lowered", np.float64),
+        ("shape_program", np.int64),  # address of machine code that shapes a skin; 0 for no prints
+        ("canvas", np.int64),  # address: what that fills in (`prints.shape`)
+        ("skin", np.int64),  # id of the skin
+        ("skin_pointer", np.int64),  # where in mjModel the pointer to vertices stands [bytes]
+        ("skin_offset", np.int64),  # of the skin's first vertex behind that [bytes]
+        ("ground", np.int64),  # id of a height field that is drawn under it; -1 for none
+        ("ground_data", np.int64),  # number of its data
+        ("rgb", np.float64, (3,)),  # colour that the picture is multiplied with
         ("tunings", np.int64),  # address: what the sand's state changes
         ("tuned", np.int64),  # whether `applied` is what the block was last made to
         ("applied", np.float64, (STATE_SIZE,)),
@@ -137,6 +146,7 @@ def make_image(
     sand: PreparedSand,
     tunings: np.ndarray,
     drawing: dict[str, Any],
+    canvas: Sequence[np.ndarray] = (),
 ) -> Image:
     """Makes the image of a block.
 
@@ -147,6 +157,7 @@ def make_image(
         sand: that was prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
         drawing: fields of the header that say what is drawn, and how.
+        canvas: for prints: their record (`prints.shape`), room for blocks and rectangles.
 
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.
@@ -164,12 +175,12 @@ def make_image(
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
-    linked = (head, table, binding.scene, workspace.record, shapes)
+    linked = (head, table, binding.scene, workspace.record, shapes, *canvas[:1])
     # Those that read the model are needed at each step, and so lie in the block.
     count = sum(of_model.holds(int(word)) for array in linked for word in _words(array))
     live = np.zeros(count, RELOCATION_DTYPE)
     own = [head, live, shapes, table, binding.bodies, binding.contacts, binding.scene]
-    own += [workspace.record, *workspace.arrays.values(), ends := np.zeros(6)]
+    own += [workspace.record, *workspace.arrays.values(), ends := np.zeros(6), *canvas]
     places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
     for name, value in {
         **drawing,
@@ -194,6 +205,7 @@ def make_image(
         "slots": slots.ctypes.data,
         "geoms": geoms.ctypes.data,
         "ends": ends.ctypes.data,
+        "canvas": canvas[0].ctypes.data if canvas else 0,
         "tunings": tunings.ctypes.data if len(tunings) else 0,
         "tuning_count": len(tunings),
     }.items():

@@ -279,8 +279,14 @@ def drawing_callbacks(layout: Layout) -> Callbacks:
     @compiled
     def visualize(model, data, options, scene, instance):
         block = find_block(data, instance)
-        if block != 0:
-            draw(block, scene)
+        if block == 0:
+            return
+        header = _header(block, 1)[0]
+        prints = False
+        if header.shape_program != 0:
+            link_model(block, model, header)
+            prints = is_of_that_shape(header)
+        draw(block, scene, model, prints)
 
     return {"visualize": (visualize, "void(int64, int64, int64, int64, int32)")}
 

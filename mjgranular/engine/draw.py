@@ -1,4 +1,4 @@
-"""Arrows, dots and a plane of sand that the plugin adds to a scene of MuJoCo's visualiser."""
+"""Arrows, dots and sand with its prints, that the plugin adds to scenes of MuJoCo's visualiser."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjgranular.engine.config import DRAWINGS
 from mjgranular.engine.layout import LayoutError, described_fields
 from mjgranular.engine.tuning import ACTIVE
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import c_function
+from mjgranular.kernel.machine import c_function, call_step
 from mjgranular.kernel.memory import (
     BODIES,
     BODY_COUNT,
@@ -30,7 +30,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.kernel.vector import cross, dot, read_vector, vector
-from mjgranular.look import COLOUR
+from mjgranular.prints.shape import FRAME_DTYPE, canvases
 from mjgranular.surface.plane import PLANE_DTYPE
 
 _KINDS = {"int": np.int32, "float": np.float32, "mjtByte": np.uint8, "char": np.uint8}
@@ -53,7 +53,8 @@ _SIZE = GEOM_DTYPE.itemsize
 _MOST, _COUNT, _GEOMS = 0, 1, 1
 
 _ARROW, _SPHERE = int(mujoco.mjtGeom.mjGEOM_ARROW), int(mujoco.mjtGeom.mjGEOM_SPHERE)
-_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+_PLANE, _SKIN = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_SKIN)
+_FIELD, _OF_SKIN = int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtObj.mjOBJ_SKIN)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _FORCES, _DEPTH, _SURFACE = (1 << bit for bit in range(len(DRAWINGS)))
 
@@ -61,7 +62,7 @@ _header = records(HEADER_DTYPE)
 _geoms = records(GEOM_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _planes = records(PLANE_DTYPE)
-_RED, _GREEN, _BLUE, _ = COLOUR
+_frames = records(FRAME_DTYPE)
 _init = c_function("mjv_initGeom", "void", "int64", "int32", "int64", "int64", "int64", "int64")
 _connect = c_function("mjv_connector", "void", "int64", "int32", "float64", "int64", "int64")
 
@@ -150,6 +151,25 @@ def add_dot(scene, contact, width, share):
 
 
 @compiled
+def look_like_sand(geom, header):
+    """Gives a geom the material of sand."""
+    geom.matid, geom.texid, geom.texuniform = header.material, header.picture, 1
+    geom.texrepeat[0] = geom.texrepeat[1] = 2.0 / header.unit
+    geom.specular, geom.shininess, geom.reflectance = 0.0, 0.0, 0.0
+    rgba = geom.rgba
+    rgba[0], rgba[1], rgba[2], rgba[3] = header.rgb[0], header.rgb[1], header.rgb[2], 1.0
+
+
+@compiled
+def turn(geom, along, across, normal):
+    """Turns a geom to axes of the world."""
+    axes = geom.mat
+    axes[0], axes[1], axes[2] = along.x, across.x, normal.x
+    axes[3], axes[4], axes[5] = along.y, across.y, normal.y
+    axes[6], axes[7], axes[8] = along.z, across.z, normal.z
+
+
+@compiled
 def add_surface(scene, header, table, bodies):
     """Adds the plane of sand, where it now is, about the first body; as `look.PlaneLook.add`."""
     plane = _planes(table[SCENE] + header.plane, 1)[0]
@@ -171,24 +191,64 @@ def add_surface(scene, header, table, bodies):
         x, y = x0 + tile[0] * header.unit, y0 + tile[1] * header.unit
         place = x * along + y * across + (plane.offset - header.lowered) * normal
         geom = _geoms(address, 1)[0]
-        geom.matid, geom.texid, geom.texuniform = header.material, header.picture, 1
-        geom.texrepeat[0] = geom.texrepeat[1] = 2.0 / header.unit
+        look_like_sand(geom, header)
         geom.size[0], geom.size[1] = tile[2] * header.unit, tile[3] * header.unit
         geom.pos[0], geom.pos[1], geom.pos[2] = place.x, place.y, place.z
-        axes = geom.mat
-        axes[0], axes[1], axes[2] = along.x, across.x, normal.x
-        axes[3], axes[4], axes[5] = along.y, across.y, normal.y
-        axes[6], axes[7], axes[8] = along.z, across.z, normal.z
-        geom.specular, geom.shininess, geom.reflectance = 0.0, 0.0, 0.0
-        rgba = geom.rgba
-        rgba[0], rgba[1], rgba[2], rgba[3] = 1.0, 1.0, 1.0, 1.0
-        if header.material < 0:
-            rgba[0], rgba[1], rgba[2] = _RED, _GREEN, _BLUE
+        turn(geom, along, across, normal)
 
 
 @compiled
-def draw(block, scene):
-    """Adds what a block asks for: sand, an arrow for each body, a dot for each element in it."""
+def add_prints(scene, header, table, bodies, model):
+    """Adds sand with prints, as `prints.Cover` does: skin, rectangles, or a field beyond it."""
+    canvas = canvases(header.canvas, 1)[0]
+    canvas.surface = table[SCENE] + header.plane
+    frame = _frames(canvas.surface + header.frame, 1)[0]
+    origin, along = read_vector(frame.origin, 0), read_vector(frame.along, 0)
+    across, normal = read_vector(frame.across, 0), read_vector(frame.normal, 0)
+    if canvas.held == 0:
+        body = read_vector(row_of(table[XIPOS], bodies[0].body, 3), 0) - origin
+        canvas.middle[0], canvas.middle[1] = dot(along, body), dot(across, body)
+    canvas.vertices = longs(model + header.skin_pointer, 1)[0] + header.skin_offset
+    call_step(header.shape_program, header.canvas, 0.0)
+    address = add_geom(scene, _SKIN)
+    if address == 0:
+        return
+    geom = _geoms(address, 1)[0]
+    look_like_sand(geom, header)
+    geom.objtype, geom.objid, geom.texcoord = _OF_SKIN, header.skin, 1
+    geom.texrepeat[0] = geom.texrepeat[1] = 1.0 / header.unit
+    if header.ground >= 0 and canvas.held == 0:
+        address = add_geom(scene, _FIELD)
+        if address != 0:
+            geom = _geoms(address, 1)[0]
+            look_like_sand(geom, header)
+            geom.dataid = header.ground_data
+            place = origin + canvas.sunk * normal
+            geom.pos[0], geom.pos[1], geom.pos[2] = place.x, place.y, place.z
+            turn(geom, along, across, normal)
+    rectangles = floats(canvas.rectangles, 4 * canvas.room)
+    for i in range(canvas.count):
+        address = add_geom(scene, _PLANE)
+        if address == 0:
+            return
+        place = origin + rectangles[4 * i] * along + rectangles[4 * i + 1] * across
+        geom = _geoms(address, 1)[0]
+        look_like_sand(geom, header)
+        geom.size[0], geom.size[1] = rectangles[4 * i + 2], rectangles[4 * i + 3]
+        geom.pos[0], geom.pos[1], geom.pos[2] = place.x, place.y, place.z
+        turn(geom, along, across, normal)
+
+
+@compiled
+def draw(block, scene, model, prints):
+    """Adds what a block asks for: sand, an arrow for each body, a dot for each element in it.
+
+    Args:
+        block: address.
+        scene: mjvScene*.
+        model: mjModel*.
+        prints: whether the sand is drawn with prints.
+    """
     header = _header(block, 1)[0]
     if header.draw == 0:
         return
@@ -197,7 +257,10 @@ def draw(block, scene):
     contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
     slots = longs(header.slots, len(contacts))
     if header.draw & _SURFACE and (header.tuned == 0 or header.applied[ACTIVE] != 0.0):
-        add_surface(scene, header, table, bodies)
+        if prints:
+            add_prints(scene, header, table, bodies, model)
+        elif header.tile_count != 0:
+            add_surface(scene, header, table, bodies)
     if header.draw & _FORCES:
         for slot in range(len(bodies)):
             add_arrow(scene, header, bodies, contacts, slots, slot)

@@ -31,16 +31,20 @@ from mjgranular.engine.preparing import prepare_in_worker
 from mjgranular.engine.sensor import Sensors, Sites
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
-from mjgranular.look import TILES, PlaneLook, radius_of
+from mjgranular.look import NOT_SHOWN, TILE, TILES, PlaneLook, radius_of
 from mjgranular.medium import media
 from mjgranular.names import name_of
+from mjgranular.prints.cover import SIGNATURE, make_canvas, room_of
+from mjgranular.prints.shape import shape_of
+from mjgranular.prints.skin import skin_of
 from mjgranular.relief.relief import Relief
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.scheme import Auto
 from mjgranular.shape.select import names_in
-from mjgranular.surface import Plane, Surface
+from mjgranular.surface import HeightField, Plane, Surface
 
 _KEPT = 32  # images of models of the past: they cost memory, and save preparing them again
 # What elements, selection and surfaces are made of. Heights of a height field are read live.
@@ -75,6 +79,7 @@ class Prepared:
         bodies: names of the bodies that meet it by their ids, in its order.
         geoms: names of the geoms that have elements, by their ids.
         disabled: geoms whose contacts are off (`sand.prepare`).
+        hidden: geoms that are sand, and are drawn with its prints in their place.
         place: where it always is, in words; None for sand that can be switched off (`tunable`).
         draws: whether something is to be drawn.
         origin: the medium; kept because the key of this is made with its identity.
@@ -84,6 +89,7 @@ class Prepared:
     bodies: dict[int, str]
     geoms: dict[int, str]
     disabled: tuple[int, ...]
+    hidden: tuple[int, ...]
     place: str | None
     draws: bool
     origin: object
@@ -226,7 +232,8 @@ class Loader:
             prepared = prepare_in_worker(lambda: self._make(key, model, instance, texts))
         else:
             self._prepared.move_to_end(key)
-        if self._disable_contacts(model, prepared.disabled):
+        hidden = self._hide(model, prepared.hidden)
+        if self._disable_contacts(model, prepared.disabled) or hidden:
             self._keep(self._key(model, instance, texts), prepared)
         return prepared
 
@@ -255,6 +262,16 @@ class Loader:
             if not name.startswith(_NO_MATTER):
                 digest.update(ctypes.string_at(_pointer(model + offset), size))
         return digest.digest()
+
+    def _hide(self, model: int, geoms: tuple[int, ...]) -> bool:
+        """Hides geoms that are drawn otherwise; says whether any were to be seen."""
+        changed = False
+        for geom in geoms:
+            group = _pointer(model + self._fields_of(model)["geom_group"][0]) + 4 * geom
+            if ctypes.c_int32.from_address(group).value != NOT_SHOWN:
+                ctypes.c_int32.from_address(group).value = NOT_SHOWN
+                changed = True
+        return changed
 
     def _disable_contacts(self, model: int, geoms: tuple[int, ...]) -> bool:
         """Switches contacts of geoms off; says whether any were on."""
@@ -338,17 +355,23 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
             f"the model has room for {model.plugin_statenum[instance]} numbers of the sand's "
             f"state, which has {size}: compile it anew"
         )
-    drawing = _drawing(model, config.draw, sand)
+    name = _name_of_instance(model, instance)
+    drawing, canvas = _drawing(model, config.draw, sand, name)
     bodies, geoms = (dict.fromkeys(sand.elements[key].tolist()) for key in ("body", "geom"))
     return Prepared(
-        make_image(model, mujoco.MjData(model), instance, sand, tunings, drawing),
+        make_image(model, mujoco.MjData(model), instance, sand, tunings, drawing, canvas),
         bodies={body: name_of(model, "body", body) or str(body) for body in bodies},
         geoms={geom: name_of(model, "geom", geom) or str(geom) for geom in geoms},
         disabled=sand.disabled,
+        hidden=sand.surface.geoms(model) if canvas else (),
         place=None if config.tunable else _place_of(sand.surface),
         draws=bool(drawing["draw"]),
         origin=sand.medium,
     )
+
+
+def _name_of_instance(model: mujoco.MjModel, instance: int) -> str:
+    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, instance) or ""
 
 
 def _place_of(surface: Surface) -> str:
@@ -359,31 +382,59 @@ def _place_of(surface: Surface) -> str:
 
 
 def _drawing(
-    model: mujoco.MjModel, drawings: Sequence[str], sand: PreparedSand
-) -> dict[str, float]:
-    """What is drawn, and how: fields of the header of a block. A bed is drawn as the geom it is."""
-    look, chosen = None, set(drawings)
-    if "surface" in chosen and isinstance(sand.surface, Plane):
-        plane = sand.surface
-        look = PlaneLook.of(model, plane.normal, plane.offset, radius_of(model))
-    if look is None:
+    model: mujoco.MjModel, drawings: Sequence[str], sand: PreparedSand, name: str
+) -> tuple[dict[str, Any], tuple[np.ndarray, ...]]:
+    """What is drawn, and how: fields of the header of a block, and what prints are drawn in.
+
+    Without memory a bed is drawn as the geom it is.
+    """
+    look, chosen, skin = None, set(drawings), -1
+    surface = sand.surface.base if isinstance(sand.surface, Relief) else sand.surface
+    if "surface" in chosen:
+        if isinstance(sand.surface, Relief):
+            skin = skin_of(model, name)
+        if isinstance(surface, Plane):
+            look = PlaneLook.of(model, surface.normal, surface.offset, radius_of(model))
+    if look is None and skin < 0:
         chosen -= {"surface"}
     if not chosen:
-        return {"draw": 0}
+        return {"draw": 0}, ()
     from mjgranular.engine.draw import check_scene
 
     check_scene(model)
-    found: dict[str, float] = {
+    found: dict[str, Any] = {
         "draw": sum(1 << DRAWINGS.index(drawing) for drawing in chosen),
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
         "arrow_width": model.vis.scale.forcewidth * model.stat.meansize,
     }
+    fields: Any = sand.scene.dtype.fields
+    found["plane"] = fields["surface"][1]
     if look is not None:
-        fields: Any = sand.scene.dtype.fields
         found |= vars(look)
-        found |= {
-            "plane": fields["surface"][1],
-            "tiles": TILES.ctypes.data,
-            "tile_count": len(TILES),
-        }
-    return found
+        found |= {"rgb": look.rgba[:3], "tiles": TILES.ctypes.data, "tile_count": len(TILES)}
+    if skin < 0 or not isinstance(sand.surface, Relief):
+        return found, ()
+    record = sand.scene["surface"]
+    unit = 2 * radius_of(model) if isinstance(surface, Plane) else TILE
+    canvas = make_canvas(record, sand.surface.memory, unit)
+    material = int(model.skin_matid[skin])
+    role, pointer = int(mujoco.mjtTextureRole.mjTEXROLE_RGB), Struct.of_model(model)
+    fields = record.dtype.fields
+    found |= {
+        "frame": fields["origin"][1],
+        "shape_program": program_address(
+            shape_of(sand.surface, record["base"].dtype), SIGNATURE, "prints, as they are drawn"
+        ),
+        "skin": skin,
+        "skin_pointer": pointer.field(model.skin_vert, "skin_vert"),
+        "skin_offset": 12 * int(model.skin_vertadr[skin]),
+        "material": material,
+        "picture": int(model.mat_texid[material, role]) if material >= 0 else -1,
+        "rgb": model.skin_rgba[skin, :3],
+        "unit": unit,
+        "ground": -1,
+    }
+    if isinstance(surface, HeightField):
+        geom = surface.geoms(model)[0]
+        found |= {"ground": geom, "ground_data": model.geom_dataid[geom]}
+    return found, (canvas, *room_of(canvas))

@@ -14,9 +14,12 @@ from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
 from mjgranular.given import check_spec, kind_of
 from mjgranular.look import NOT_SHOWN, add_material, paint
+from mjgranular.prints import add_skin
+from mjgranular.relief.memory import as_memory
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.shape.select import names_in
 from mjgranular.surface import Bed, HeightField
+from mjgranular.surface.choice import surface_of
 
 
 def add_sand(
@@ -70,6 +73,7 @@ def add_sand(
     _attach(spec, name)
     if "surface" in config.get("draw", "").split():
         show_surface(spec, sand)
+        show_prints(spec, sand, name)
     return instance
 
 
@@ -85,6 +89,27 @@ def show_surface(spec: mujoco.MjSpec, sand: SandSpec) -> None:
             replaced = of_world[int(name)]
         if replaced is not None:
             replaced.group = NOT_SHOWN
+
+
+def show_prints(spec: mujoco.MjSpec, sand: SandSpec, name: str = "sand") -> None:
+    """Adds what prints are drawn with, for sand that remembers; nothing for sand that does not.
+
+    Args:
+        spec: the model to be.
+        sand: the sand.
+        name: of its instance.
+    """
+    memory = as_memory(sand.memory)
+    if memory is None:
+        return
+    surface, thickness = surface_of(sand.surface), 0.0
+    material, rgb = add_material(spec), (1.0, 1.0, 1.0)
+    if isinstance(surface, Bed | HeightField):
+        bed = spec.geom(surface.geom)
+        if bed is None:
+            return  # which is told when the model is compiled
+        material, rgb, thickness = bed.material, tuple(bed.rgba[:3]), 2 * float(bed.size[2])
+    add_skin(spec, memory, material, sand=name, rgb=rgb, thickness=thickness)
 
 
 def _attach(spec: mujoco.MjSpec, name: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular.engine import show_prints
 from mjgranular.errors import (
     FloorWarning,
     GranularError,
@@ -28,8 +29,10 @@ from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import Chain
+from mjgranular.prints import Prints, PrintsRecorder
 from mjgranular.reading import check_regular, place
 from mjgranular.sand import Sand
+from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
 from mjgranular.saved import checked_fields, is_text
 from mjgranular.surface import Surface
@@ -164,6 +167,7 @@ class DropResult:
         point: where it acts on each body's deepest element [m], shape (n, bodies, 3).
         force: of the sand on each body [N], shape (n, bodies, 3).
         power: of the sand on each body [W], shape (n, bodies).
+        prints: what the sand remembered; None for sand that does not.
     """
 
     drop: Drop
@@ -183,6 +187,7 @@ class DropResult:
     point: np.ndarray
     force: np.ndarray
     power: np.ndarray
+    prints: Prints | None = None
 
     def summary(self) -> dict[str, Any]:
         """The result in plain numbers, SI units."""
@@ -222,6 +227,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     _place(drop, model, data, sand)
 
     recorder = Recorder(1 + model.nq + model.nv, keep=2048)
+    prints = None if sand.memory is None else PrintsRecorder(sand, data, drop.duration)
     watch, rest = RestWatch(), None
     check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
     moving = sorted({int(body) for body in sand.elements["body"]})
@@ -233,6 +239,9 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     recorder.due()
     recorder.take(0.0, data.qpos, data.qvel)
     meter = WorkMeter(sand, data)
+    felt: dict[float, tuple[BodyReport, ...]] = {}
+    if prints is not None:
+        prints.look(0.0)
     for step in range(1, total + 1):
         sand.step(data)
         meter.add()
@@ -240,13 +249,18 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
             tip.follow(data)
         if recorder.due() or step == total:
             recorder.take(data.time - begin, data.qpos, data.qvel)
+            if prints is not None:
+                felt[data.time - begin] = sand.report(data).bodies
+        if prints is not None:
+            prints.look(data.time - begin, last=step == total)
         if step % check_every == 0:
             still = watch.still(data.time - begin, data.xpos[moving])
             rest = watch.since if still else None
         if progress is not None and step % _PROGRESS_STEPS == 0:
             progress(data.time - begin)
     stop = None if tip is None else tip.stop
-    return _result(drop, xml, sand, recorder.rows(), -meter.work, stop, rest)
+    seen = None if prints is None else prints.prints()
+    return _result(drop, xml, sand, recorder.rows(), -meter.work, stop, rest, seen, felt)
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
@@ -259,10 +273,13 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
     with loading(drop.title):
         spec = read(drop)
         make_ready(spec, drop)
+        xml = spec.to_xml()
+        if surface_drawn(drop) is not None:
+            show_prints(spec, drop.sand)
         model = spec.compile()
         hide_replaced(model, drop.sand)
         place_sun(model)
-        return model, spec.to_xml()
+        return model, xml
 
 
 @contextmanager
@@ -388,8 +405,13 @@ def _result(
     energy: np.ndarray,
     stop: tuple[float, float] | None,
     rest: float | None,
+    prints: Prints | None,
+    felt: Mapping[float, tuple[BodyReport, ...]],
 ) -> DropResult:
-    """Works out from samples of the state what the sand did."""
+    """Works out from samples of the state what the sand did.
+
+    What sand that remembers does follows from more than a sample: that is in `felt`, by times.
+    """
     model = sand.model
     data = mujoco.MjData(model)
     t, qpos, qvel = rows[:, 0], rows[:, 1 : 1 + model.nq], rows[:, 1 + model.nq :]
@@ -397,7 +419,8 @@ def _result(
     for row in rows:
         data.qpos[:] = row[1 : 1 + model.nq]
         data.qvel[:] = row[1 + model.nq :]
-        reports.append(sand.report(data).bodies)
+        seen = felt.get(float(row[0]))
+        reports.append(sand.report(data).bodies if seen is None else seen)
     depth = np.array([[body.depth for body in bodies] for bodies in reports])
     point = np.array([[body.point for body in bodies] for bodies in reports])
     force = np.array([[body.force for body in bodies] for bodies in reports])
@@ -439,4 +462,5 @@ def _result(
         point=point,
         force=force,
         power=power,
+        prints=prints,
     )

@@ -19,6 +19,7 @@ from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.provenance import versions
 from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.prints import Prints
 from mjgranular.saved import (
     checked_fields,
     is_plain_name,
@@ -188,6 +189,8 @@ _DROP_ARRAYS = ("t", "qpos", "qvel", "depth", "point", "force", "power")
 def write_drop(folder: ResultFolder, result: DropResult) -> None:
     """Writes a run of a model: configuration, samples and summary, at once."""
     arrays = {name: getattr(result, name) for name in _DROP_ARRAYS}
+    if result.prints is not None:
+        arrays |= result.prints.arrays()
     with folder.published():
         folder.write_config("drop", result.drop.config())
         folder.write(_CSV, lambda path: _write_drop_csv(path, result))
@@ -236,17 +239,33 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
 
     def read() -> tuple[Drop, dict[str, np.ndarray]]:
         config = read_json(files.current(path, CONFIG)).get("config")
-        arrays = read_arrays(files.current(path, _NPZ), _DROP_ARRAYS)
-        return Drop.from_config(config), arrays
+        drop, file = Drop.from_config(config), files.current(path, _NPZ)
+        names = _DROP_ARRAYS
+        if drop.sand.memory is not None and Prints.are_in(file):
+            names += Prints.names()
+        return drop, read_arrays(file, names)
 
     try:
         drop, arrays = files.consistently(path, CONFIG, read)
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved drop ({error})") from None
+    try:
+        prints_of(arrays)
+    except ValueError as error:
+        raise OutputError(f"{path} holds no saved drop ({_NPZ} is damaged: {error})") from None
     wrong = _fault_of_samples(arrays, drop.duration)
     if wrong is not None:
         raise OutputError(f"{path} holds no saved drop ({_NPZ} is damaged: {wrong})")
     return drop, arrays
+
+
+def prints_of(arrays: dict[str, np.ndarray]) -> Prints | None:
+    """The prints among the samples of a run; None if there are none.
+
+    Raises:
+        ValueError: they do not fit together.
+    """
+    return Prints.from_arrays(arrays) if Prints.names()[0] in arrays else None
 
 
 def _fault_of_samples(arrays: dict[str, np.ndarray], duration: float) -> str | None:

@@ -28,7 +28,9 @@ _SETTINGS = (
 )  # fmt: skip
 
 # Where kernels are written, and what they read while they are compiled.
-_OF_KERNELS = ("engine", "kernel", "law", "relief", "sand", "scheme", "shape", "surface")
+_OF_KERNELS = (
+    "engine", "kernel", "law", "prints", "relief", "sand", "scheme", "shape", "surface",
+)  # fmt: skip
 
 
 def digest(value: object) -> str:

@@ -12,6 +12,7 @@ from mjgranular.experiment.impact import ImpactResult
 from mjgranular.extras import need
 from mjgranular.given import kind_of
 from mjgranular.picture.video import Film, Motion, frames_of_model, frames_of_run
+from mjgranular.relief.memory import as_memory
 
 _PURPOSE = "Showing a film"
 
@@ -30,7 +31,8 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
         model, _ = load(film.drop)
         motion = Motion(film.t, film.qpos, film.point, film.force)
-        return list(frames_of_model(options, model, motion, surface_drawn(film.drop))[1])
+        surface, memory = surface_drawn(film.drop), as_memory(film.drop.memory)
+        return list(frames_of_model(options, model, motion, surface, film.prints, memory)[1])
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)
         stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time

@@ -15,8 +15,10 @@ from mjgranular.errors import InputError, RenderError, UnknownNameError
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
 from mjgranular.files import whole
-from mjgranular.look import PlaneLook, boxes_of, moving_geoms
+from mjgranular.look import TILE, PlaneLook, boxes_of, moving_geoms
 from mjgranular.models import Link
+from mjgranular.prints import Cover, Prints, Replay
+from mjgranular.relief import Memory
 from mjgranular.surface import Plane, Surface
 
 _ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
@@ -182,7 +184,12 @@ def check_camera(model: mujoco.MjModel, camera: str) -> None:
 
 
 def frames_of_model(
-    film: Film, model: mujoco.MjModel, motion: Motion, surface: Surface | None = None
+    film: Film,
+    model: mujoco.MjModel,
+    motion: Motion,
+    surface: Surface | None = None,
+    prints: Prints | None = None,
+    memory: Memory | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
     """The pictures of a run of any model, at the speed of life or slower to fill the film.
 
@@ -191,6 +198,8 @@ def frames_of_model(
         model: the model.
         motion: the run.
         surface: of the sand; a plane is drawn, others are geoms. None for none to be drawn.
+        prints: what the sand remembered; None for sand that does not.
+        memory: how it did.
 
     Returns:
         Their number, and the pictures, shape (height, width, 3), uint8.
@@ -207,7 +216,8 @@ def frames_of_model(
     seconds = max(film.seconds, span)
     count = max(2, round(seconds * film.fps))
     slower = seconds / span if span else 1.0
-    return count, _draw_model(film, model, motion, surface, count, slower)
+    covered = None if prints is None or memory is None else (prints, memory)
+    return count, _draw_model(film, model, motion, surface, covered, count, slower)
 
 
 def _draw_model(
@@ -215,17 +225,19 @@ def _draw_model(
     model: mujoco.MjModel,
     motion: Motion,
     surface: Surface | None,
+    covered: tuple[Prints, Memory] | None,
     count: int,
     slower: float,
 ) -> Iterator[np.ndarray]:
     data = mujoco.MjData(model)
     view = View.of(model, data, motion.qpos)
     camera = view.camera(model, film) if film.camera == "free" else film.camera
-    ground = _Ground(model, surface, view)
+    ground = _Ground(model, surface, view, covered)
     greatest = float(np.linalg.norm(motion.force, axis=2).max())
     scale = _ARROWS * view.radius / max(greatest, 1e-300)
     caption = _Captions(film)
     renderer = _renderer(model, film)
+    moving = moving_geoms(model)
     shown, picture = np.zeros(0), np.zeros(0)
     try:
         for time in np.linspace(motion.t[0], motion.t[-1], count):
@@ -239,7 +251,9 @@ def _draw_model(
             tips = motion.point[k] + arrows * seen[:, None]
             now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), tips])
             # What stands still is drawn once.
-            if not shown.size or np.abs(now - shown).max() > _STILL * view.radius:
+            moved = not shown.size or np.abs(now - shown).max() > _STILL * view.radius
+            if moved or ground.moves(float(time)):
+                ground.lay(float(time), data.geom_xpos[moving].mean(axis=0))
                 renderer.update_scene(data, camera=camera)
                 ground.show(renderer.scene)
                 for point, tip in zip(motion.point[k][seen], tips[seen], strict=True):
@@ -308,16 +322,39 @@ class View:
 class _Ground:
     """The sand in a scene."""
 
-    def __init__(self, model: mujoco.MjModel, surface: Surface | None, view: View) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        surface: Surface | None,
+        view: View,
+        covered: tuple[Prints, Memory] | None = None,
+    ) -> None:
         self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
+        self._cover = None
+        if surface is not None and covered is not None:
+            unit = 2 * view.radius if isinstance(surface, Plane) else TILE
+            self._cover = Cover(model, surface, covered[1], unit=unit)
+            self._replay, self._prints = Replay(*covered), covered[0]
+            return
         if isinstance(surface, Plane):
             self._plane = surface
             self._look = PlaneLook.of(model, surface.normal, surface.offset, view.radius)
         elif surface is not None:
             self._geoms = surface.geoms(model)
 
+    def moves(self, time: float) -> bool:
+        """Tells whether sand has flowed between the last picture and a time [s]."""
+        return self._cover is not None and self._prints.change(self._replay.time, time)
+
+    def lay(self, time: float, middle: np.ndarray) -> None:
+        """Brings prints to a time [s], around a place [m]: before a scene is made."""
+        if self._cover is not None:
+            self._cover.lay(self._replay.to(time), middle)
+
     def show(self, scene: mujoco.MjvScene) -> None:
         """Adds a plane; keeps a geom that is sand from casting shadows, which would speckle it."""
+        if self._cover is not None:
+            self._cover.show(scene)
         if self._look is not None and self._plane is not None:
             self._look.add(scene, self._plane.normal, self._plane.offset, self._middle)
         if self._geoms:

@@ -33,6 +33,7 @@ ORDER = (
     "law",
     "scheme",
     "sand",
+    "prints",
     "engine",
     "mjgranular",
     "models",

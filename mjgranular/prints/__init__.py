@@ -1,0 +1,7 @@
+"""Prints as they are seen: a skin of the model that takes the shape of sand that remembers."""
+
+from mjgranular.prints.cover import Cover as Cover
+from mjgranular.prints.record import Prints as Prints
+from mjgranular.prints.record import PrintsRecorder as PrintsRecorder
+from mjgranular.prints.record import Replay as Replay
+from mjgranular.prints.skin import add_skin as add_skin

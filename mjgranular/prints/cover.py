@@ -1,0 +1,168 @@
+"""`Cover`: sand with prints in a scene that Python draws; the plugin does the same by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.kernel.compiled import entry
+from mjgranular.look import NOT_SHOWN
+from mjgranular.prints.shape import BLOCK, CANVAS_DTYPE, room_for, shape_of
+from mjgranular.prints.skin import lines_of, skin_of, vertex_count
+from mjgranular.relief.memory import Memory
+from mjgranular.relief.relief import Relief
+from mjgranular.surface import HeightField, Surface
+
+SIGNATURE = "int64(int64, float64)"
+"""Of the program that puts a skin where the sand is."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle of sand, along the axes of the plane that heights are over.
+
+    Attributes:
+        low: its first corner [m].
+        high: its last [m].
+        bottom: of its walls, over the plane [m]; 0 for none.
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    bottom: float = 0.0
+
+
+def relief_of_base(base: Surface, memory: Memory) -> Relief:
+    """A surface with memory, for drawings: how far sand counts for a level is no part of it."""
+    return Relief(base, memory, memory.surroundings or memory.cell)
+
+
+def make_canvas(
+    record: np.ndarray, memory: Memory, unit: float, region: Region | None = None
+) -> np.ndarray:
+    """What a drawing is described by, a record of `CANVAS_DTYPE` without addresses, shape (1,).
+
+    Args:
+        record: of the relief.
+        memory: of the sand.
+        unit: of the rectangles of an endless plane [m].
+        region: that is drawn; None for all there is.
+    """
+    if region is None and np.isfinite(record["half_along"][0]):
+        half = float(record["half_along"][0]), float(record["half_across"][0])
+        names = record["base"].dtype.names or ()
+        thick = float(record["base"]["thickness"][0]) if "thickness" in names else 0.0
+        region = Region((-half[0], -half[1]), half, -thick)
+    lines = lines_of(memory)
+    canvas = np.zeros(1, CANVAS_DTYPE)
+    canvas["lines"], canvas["vertex_count"] = lines, vertex_count(lines)
+    canvas["room"], canvas["unit"] = room_for(lines), unit
+    if region is not None:
+        low, high = np.array(region.low), np.array(region.high)
+        canvas["bounded"], canvas["low"], canvas["high"] = 1, low, high
+        canvas["bottom"], canvas["middle"] = region.bottom, (low + high) / 2
+        canvas["held"] = (high - low).max() < (lines - 4 * BLOCK) * memory.cell
+    return canvas
+
+
+def room_of(canvas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Arrays of the blocks and rectangles of a canvas, whose addresses are put there."""
+    side = int(canvas["lines"][0]) // BLOCK
+    blocks, rectangles = np.zeros(side * side, np.int64), np.zeros(4 * int(canvas["room"][0]))
+    canvas["blocks"], canvas["rectangles"] = blocks.ctypes.data, rectangles.ctypes.data
+    return blocks, rectangles
+
+
+class Cover:
+    """Sand with prints, in a model that has a skin for it (`add_skin`).
+
+    Args:
+        model: that is drawn; vertices of its skin are written.
+        base: the surface as it is without prints.
+        memory: how it remembers.
+        unit: edge of the picture of grains, and of rectangles far away [m].
+        region: that is drawn; None for all there is.
+        sand: name of the skin's sand.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        base: Surface,
+        memory: Memory,
+        *,
+        unit: float,
+        region: Region | None = None,
+        sand: str = "sand",
+    ) -> None:
+        relief = relief_of_base(base, memory)
+        self._record = record = relief.record(model)
+        self._shape = entry(shape_of(relief, record["base"].dtype), SIGNATURE)
+        self._skin, self._unit = skin_of(model, sand), unit
+        self._canvas = canvas = make_canvas(record, memory, unit, region)
+        self._blocks, rectangles = room_of(canvas)
+        self._rectangles = rectangles.reshape(-1, 4)
+        first = int(model.skin_vertadr[self._skin])
+        self._vertices = model.skin_vert[first : first + int(canvas["vertex_count"][0])]
+        canvas["surface"], canvas["vertices"] = record.ctypes.data, self._vertices.ctypes.data
+        self._model = model
+        self._field = base.geoms(model)[0] if isinstance(base, HeightField) else -1
+        for geom in base.geoms(model):
+            model.geom_group[geom] = NOT_SHOWN
+
+    def lay(self, state: np.ndarray, middle: np.ndarray) -> None:
+        """Gives the skin the shape of the sand: before a scene is updated.
+
+        Args:
+            state: what the sand remembers (`relief.grid`).
+            middle: of what is to be seen [m], world.
+        """
+        canvas, record = self._canvas[0], self._record[0]
+        if not canvas["held"]:
+            away = middle - record["origin"]
+            canvas["middle"] = away @ record["along"], away @ record["across"]
+        record["state"] = state.ctypes.data
+        self._shape(self._canvas.ctypes.data, 0.0)
+
+    def show(self, scene: mujoco.MjvScene) -> None:
+        """Adds skin and rectangles to a scene: after it was updated."""
+        record = self._record[0]
+        axes = np.column_stack([record[name] for name in ("along", "across", "normal")])
+        geom = self._next(scene, mujoco.mjtGeom.mjGEOM_SKIN, np.zeros(3), np.zeros(3), np.eye(3))
+        if geom is not None:
+            geom.objtype, geom.objid = mujoco.mjtObj.mjOBJ_SKIN, self._skin
+            geom.texcoord, geom.texrepeat = 1, [1 / self._unit, 1 / self._unit]
+        if self._field >= 0 and not self._canvas["held"][0]:
+            place = record["origin"] + self._canvas["sunk"][0] * axes[:, 2]
+            geom = self._next(scene, mujoco.mjtGeom.mjGEOM_HFIELD, np.zeros(3), place, axes)
+            if geom is not None:
+                geom.dataid = self._model.geom_dataid[self._field]
+                geom.texuniform, geom.texrepeat = 1, [2 / self._unit, 2 / self._unit]
+        for u, v, half_u, half_v in self._rectangles[: int(self._canvas["count"][0])]:
+            place = record["origin"] + axes @ [u, v, 0.0]
+            geom = self._next(
+                scene, mujoco.mjtGeom.mjGEOM_PLANE, np.array([half_u, half_v, 0.1]), place, axes
+            )
+            if geom is not None:
+                geom.texuniform, geom.texrepeat = 1, [2 / self._unit, 2 / self._unit]
+
+    def _next(
+        self, scene: mujoco.MjvScene, kind: Any, size: np.ndarray, place: np.ndarray, axes: Any
+    ) -> Any:
+        """The next geom of a scene, which looks like sand; None if there is no room."""
+        if scene.ngeom >= scene.maxgeom:
+            return None
+        geom, model = scene.geoms[scene.ngeom], self._model
+        rgba = np.append(model.skin_rgba[self._skin, :3], np.float32(1.0))
+        material = int(model.skin_matid[self._skin])
+        mujoco.mjv_initGeom(geom, kind, size, place, axes.ravel(), rgba)
+        geom.matid = material
+        role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
+        geom.texid = model.mat_texid[material, role] if material >= 0 else -1
+        geom.specular = geom.shininess = geom.reflectance = 0.0
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+        scene.ngeom += 1
+        return geom

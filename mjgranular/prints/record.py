@@ -1,0 +1,190 @@
+"""What the sand remembers over a run, as a film of it needs it."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from mjgranular.relief.grid import HEADER, HEIGHT, KEY, node_keys
+from mjgranular.relief.memory import Memory
+from mjgranular.sand import Sand
+
+_INSTANTS = 400  # of a run at which is looked; chosen: between two of them heights change evenly
+_STEPS = 1e-3  # of a cell: a change that is not worth a number
+
+
+@dataclass(frozen=True)
+class Prints:
+    """Heights of the sand at some instants of a run: what has changed from one to the next.
+
+    Attributes:
+        t: the instants [s], shape (n,).
+        end: number of changes up to each, it included, shape (n,).
+        node: that has changed (i, j), shape (m, 2), int32.
+        height: of the sand over the surface there, from then on [m], shape (m,), float32.
+    """
+
+    t: np.ndarray
+    end: np.ndarray
+    node: np.ndarray
+    height: np.ndarray
+
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Names of the arrays in a file."""
+        return tuple(f"prints_{field.name}" for field in fields(Prints))
+
+    @staticmethod
+    def are_in(file: Path) -> bool:
+        """Tells whether a file of arrays has prints, which older ones have not."""
+        try:
+            with zipfile.ZipFile(file) as archive:
+                return f"{Prints.names()[0]}.npy" in archive.namelist()
+        except (OSError, zipfile.BadZipFile):
+            return False
+
+    def change(self, begin: float, end: float) -> bool:
+        """Tells whether heights change between two times [s]."""
+        first, last = np.searchsorted(self.t, (begin, end), side="right")
+        last = min(int(last), len(self.t) - 1)
+        return bool(first <= last and self.end[last] > (self.end[first - 1] if first else 0))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays by their names in a file."""
+        return {f"prints_{name}": value for name, value in vars(self).items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Prints:
+        """The prints that `arrays` gave.
+
+        Raises:
+            ValueError: they do not fit together.
+        """
+        found = cls(*(arrays[name] for name in cls.names()))
+        t, end, node, height = found.t, found.end, found.node, found.height
+        steady = end.dtype.kind in "iu" and (np.diff(end, prepend=0) >= 0).all()
+        if t.ndim != 1 or end.shape != t.shape or not steady or (np.diff(t) <= 0).any():
+            raise ValueError("instants of the prints are damaged")
+        count = int(end[-1]) if len(end) else 0
+        if node.shape != (count, 2) or height.shape != (count,) or node.dtype.kind != "i":
+            raise ValueError("heights of the prints are damaged")
+        if not np.isfinite(height).all() or (np.abs(node) >= 1 << 20).any():
+            raise ValueError("heights of the prints are none")
+        return found
+
+
+class PrintsRecorder:
+    """Records the prints of a run as it goes.
+
+    Args:
+        sand: with memory.
+        data: the simulation.
+        duration: of the run [s].
+    """
+
+    def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
+        assert sand.memory is not None
+        self._sand, self._data, self._memory = sand, data, sand.memory
+        self._apart = duration / _INSTANTS
+        self._next = 0.0
+        size = self._memory.size
+        self._heights = np.zeros((size, size), np.float32)
+        self._nodes = np.zeros((size, size, 2), np.int32)
+        self._t: list[float] = []
+        self._changes: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def look(self, t: float, *, last: bool = False) -> None:
+        """Looks at the sand, if it is time to.
+
+        Args:
+            t: now [s].
+            last: whether to look in any case.
+        """
+        if t < self._next and not last:
+            return
+        self._next = t + self._apart
+        if self._t and t <= self._t[-1]:
+            return
+        cell, size = self._memory.cell, self._memory.size
+        heights = self._sand.relief(self._data)
+        i, j = (np.rint(x / cell).astype(np.int32) for x in (heights.x, heights.y))
+        rows, columns = np.ix_(i % size, j % size)
+        nodes = np.stack(np.meshgrid(i, j, indexing="ij"), axis=-1)
+        before = self._heights[rows, columns]
+        other = (self._nodes[rows, columns] != nodes).any(axis=-1)
+        now = heights.height.astype(np.float32)
+        changed = np.abs(now - np.where(other, 0, before)) > _STEPS * cell
+        changed |= other & ((now != 0) | (before != 0))
+        changed |= (now == 0) != (before == 0)
+        at = np.nonzero(changed)
+        self._heights[(i % size)[at[0]], (j % size)[at[1]]] = now[at]
+        self._nodes[(i % size)[at[0]], (j % size)[at[1]]] = nodes[at]
+        self._t.append(t)
+        self._changes.append((nodes[at], now[at]))
+
+    def prints(self) -> Prints:
+        """All that was seen."""
+        return Prints(
+            np.array(self._t),
+            np.cumsum([len(heights) for _, heights in self._changes], dtype=np.int64),
+            np.concatenate([np.zeros((0, 2), np.int32), *(nodes for nodes, _ in self._changes)]),
+            np.concatenate([np.zeros(0, np.float32), *(heights for _, heights in self._changes)]),
+        )
+
+
+class Replay:
+    """Heights at any time of a run, as the state of a memory.
+
+    Args:
+        prints: of the run.
+        memory: of its sand.
+
+    Attributes:
+        state: of the relief (`relief.grid`), at the time that was asked for last.
+        time: that one [s].
+    """
+
+    def __init__(self, prints: Prints, memory: Memory) -> None:
+        self._prints, self._size = prints, memory.size
+        self.state = np.zeros(memory.state_size)
+        self.time = 0.0
+        count = self._size * self._size
+        arrays = self.state[HEADER:]
+        self._heights = arrays[HEIGHT * count : (HEIGHT + 1) * count]
+        self._keys = arrays[KEY * count : (KEY + 1) * count]
+        self._done = 0  # instants that are in the state as a whole
+        self._coming: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    def to(self, t: float) -> np.ndarray:
+        """Goes to a time [s]; between two instants heights change evenly. The state."""
+        prints, self.time = self._prints, t
+        done = int(np.searchsorted(prints.t, t, side="right"))
+        if done < self._done:
+            self.state[:], self._done, self._coming = 0.0, 0, None
+        if self._coming is not None:
+            places, before, _ = self._coming
+            self._heights[places], self._coming = before, None
+        while self._done < done:
+            places, keys, heights = self._change(self._done)
+            self._keys[places], self._heights[places] = keys, heights
+            self._done += 1
+        if 0 < done < len(prints.t):
+            places, keys, heights = self._change(done)
+            before = np.where(self._keys[places] == keys, self._heights[places], 0.0)
+            self._coming = places, before, keys
+            self._keys[places] = keys
+            share = (t - prints.t[done - 1]) / (prints.t[done] - prints.t[done - 1])
+            self._heights[places] = before + share * (heights - before)
+        return self.state
+
+    def _change(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Places, keys and heights of what an instant has changed."""
+        prints, size = self._prints, self._size
+        begin = int(prints.end[number - 1]) if number else 0
+        i, j = prints.node[begin : int(prints.end[number])].T.astype(np.int64)
+        keys = 4.0 * node_keys(i, j)
+        return (i % size) * size + j % size, keys, prints.height[begin : int(prints.end[number])]

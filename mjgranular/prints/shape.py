@@ -1,0 +1,332 @@
+"""The kernel that puts the vertices of a skin where the sand is, and rectangles where it is plane.
+
+Of the skin's grid a window about the robot is drawn, block by block: blocks that something has
+moved the sand in have their vertices in their places, the others have theirs in one point under the
+surface, where they cost nothing, and are drawn as rectangles. Beside a block that is drawn the next
+vertices lie a hair under the rectangles, so that MuJoCo, which finds normals from triangles, finds
+the same at its edge as within.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import floats, longs, records
+from mjgranular.kernel.vector import read_vector
+from mjgranular.prints.skin import BLOCK
+from mjgranular.relief.grid import HEIGHT, key_at, key_of, place_of, start_of
+from mjgranular.relief.probe import level_kernel, state_length
+from mjgranular.relief.relief import Relief, relief_dtype
+from mjgranular.surface import Surface
+
+CANVAS_DTYPE = np.dtype(
+    [
+        ("surface", np.int64),  # address: record of the relief
+        ("vertices", np.int64),  # address: of the skin, float32
+        ("vertex_count", np.int64),
+        ("lines", np.int64),  # vertices along a side
+        ("blocks", np.int64),  # address: room for a number for each block
+        ("rectangles", np.int64),  # address: room for their middles and half their edges [m]
+        ("room", np.int64),  # for so many
+        ("count", np.int64),  # of the rectangles there are
+        ("unit", np.float64),  # of the plane beyond the window [m]
+        ("bounded", np.int64),  # whether the sand ends at
+        ("low", np.float64, (2,)),  # these places along the axes of the plane [m]
+        ("high", np.float64, (2,)),
+        ("bottom", np.float64),  # of its walls, over the plane [m]; 0 for none
+        ("held", np.int64),  # whether the middle of the window stays where it is
+        ("middle", np.float64, (2,)),  # of the window, along the axes of the plane [m]
+        ("sunk", np.float64),  # so far over its place what is drawn beyond the window lies [m]
+    ]
+)
+
+FRAME_DTYPE = np.dtype(
+    [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
+)
+"""Of a relief: the plane that heights are over, as its record has it."""
+
+_HAIR = 0.02  # so far under rectangles lies what is not to be seen [cells]
+_ENDS = 5.0  # nodes at the edge of a window over which prints end
+_SLOPE = 20.0  # and over which it comes down to a field that lies lower
+_BEYOND = (3.0, 10.0, 64.0)  # ends of rectangles beyond the window, in units: small ones are near
+_FAR = 1 << 19  # nodes: beyond all that has a number
+
+canvases = records(CANVAS_DTYPE)
+_vertices = records(np.dtype(np.float32))
+
+
+def room_for(lines: int) -> int:
+    """The most rectangles there can be."""
+    side = lines // BLOCK
+    return side * (side // 2 + 1) + 49
+
+
+@partial(compiled, inline=True)
+def within(x, low, high):
+    """A number that is no less than the one and no more than the other."""
+    return min(max(x, low), high)
+
+
+@compiled
+def put(vertices, number, relief, u, v, z):
+    """Puts a vertex to a place along the axes of the plane [m]."""
+    origin, along = read_vector(relief.origin, 0), read_vector(relief.along, 0)
+    across, normal = read_vector(relief.across, 0), read_vector(relief.normal, 0)
+    point = origin + u * along + v * across + z * normal
+    vertices[3 * number] = point.x
+    vertices[3 * number + 1] = point.y
+    vertices[3 * number + 2] = point.z
+
+
+@compiled
+def add_rectangle(canvas, u0, u1, v0, v1):
+    """Adds a rectangle, or as much of it as is in the sand."""
+    if canvas.bounded:
+        u0, u1 = max(u0, canvas.low[0]), min(u1, canvas.high[0])
+        v0, v1 = max(v0, canvas.low[1]), min(v1, canvas.high[1])
+    if u0 < u1 and v0 < v1 and canvas.count < canvas.room:
+        row = floats(canvas.rectangles, 4 * canvas.room)
+        k = 4 * canvas.count
+        row[k], row[k + 1] = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
+        row[k + 2], row[k + 3] = 0.5 * (u1 - u0), 0.5 * (v1 - v0)
+        canvas.count += 1
+
+
+@compiled
+def line_around(canvas, axis, number, begin, end):
+    """Ends of the rectangles around a window from `begin` to `end`, from 0 to 7 [m]."""
+    if number < 3:
+        return begin - _BEYOND[2 - number] * canvas.unit
+    if number == 3:
+        return begin
+    if number == 4:
+        return end
+    return end + _BEYOND[number - 5] * canvas.unit
+
+
+@compiled
+def add_rectangles(canvas, blocks, side, u, v, width):
+    """Adds rectangles for what the skin does not show of a plane.
+
+    Args:
+        canvas: record of `CANVAS_DTYPE`.
+        blocks: which are drawn with the skin.
+        side: blocks along a side.
+        u: of the window's first corner [m].
+        v: of it.
+        width: of a block [m].
+    """
+    canvas.count = 0
+    for a in range(side):
+        first = 0
+        for b in range(side + 1):
+            if b == side or blocks[a * side + b] != 0:
+                if b > first:
+                    add_rectangle(
+                        canvas, u + a * width, u + (a + 1) * width, v + first * width, v + b * width
+                    )
+                first = b + 1
+    for a in range(7):
+        for b in range(7):
+            if a != 3 or b != 3:
+                add_rectangle(
+                    canvas,
+                    line_around(canvas, 0, a, u, u + side * width),
+                    line_around(canvas, 0, a + 1, u, u + side * width),
+                    line_around(canvas, 1, b, v, v + side * width),
+                    line_around(canvas, 1, b + 1, v, v + side * width),
+                )
+
+
+@compiled
+def first_of(canvas, axis, cell):
+    """The first node of the window along an axis, that of a block."""
+    side, width = canvas.lines // BLOCK, BLOCK * cell
+    middle = canvas.middle[axis] / width
+    if not abs(middle) < _FAR // BLOCK:  # nor a number
+        middle = 0.0
+    return BLOCK * (math.floor(middle + 0.5) - side // 2)
+
+
+@cache
+def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
+    """Makes the program `shape(canvas, 0.0)`, which fills in a record of `CANVAS_DTYPE`.
+
+    Args:
+        probe: of the surface without memory.
+        is_flat: whether that is plane where it is.
+        dtype: record of the relief.
+    """
+    level, reliefs = level_kernel(probe, is_flat), records(dtype)
+
+    @compiled
+    def height(relief, state, i, j):
+        """Height of the sand at a node over the surface [m]; not a number is untouched."""
+        k = place_of(relief.size, i, j)
+        if key_at(state, relief.size, k) != key_of(i, j):
+            return 0.0
+        found = state[start_of(relief.size, HEIGHT) + k]
+        return found if math.isfinite(found) else 0.0
+
+    @compiled
+    def place(canvas, relief, i, j):
+        """Where a node is drawn, (u, v) [m], and the level of the surface there [m]."""
+        u, v = i * relief.cell, j * relief.cell
+        if canvas.bounded:
+            u = within(u, canvas.low[0], canvas.high[0])
+            v = within(v, canvas.low[1], canvas.high[1])
+        return u, v, level(relief, u, v)
+
+    @compiled
+    def choose(canvas, relief, state, blocks, first_i, first_j):
+        """Finds out which blocks are drawn with the skin; the lowest height over the plane [m]."""
+        side, cell = canvas.lines // BLOCK, relief.cell
+        width = BLOCK * cell
+        lowest = deepest = 0.0
+        for a in range(side):
+            for b in range(side):
+                blocks[a * side + b] = 0
+                u, v = first_i * cell + a * width, first_j * cell + b * width
+                if a == 0 or b == 0 or a == side - 1 or b == side - 1:
+                    continue
+                if canvas.bounded and not (
+                    u < canvas.high[0] and v < canvas.high[1]
+                    and u + width > canvas.low[0] and v + width > canvas.low[1]
+                ):  # fmt: skip
+                    continue
+                chosen = 0 if is_flat else 1
+                for i in range(first_i + a * BLOCK - 1, first_i + (a + 1) * BLOCK + 2):
+                    for j in range(first_j + b * BLOCK - 1, first_j + (b + 1) * BLOCK + 2):
+                        h = height(relief, state, i, j)
+                        if h != 0.0:
+                            chosen = 1
+                            deepest = min(deepest, h)
+                        if not is_flat:
+                            h += place(canvas, relief, i, j)[2]
+                        lowest = min(lowest, h)
+                blocks[a * side + b] = chosen
+        canvas.sunk = 0.0
+        if not is_flat and not canvas.held:
+            canvas.sunk = deepest - 10.0 * _HAIR * cell
+        return lowest
+
+    @compiled
+    def inside(canvas, cell, axis, i):
+        """The node nearest to another that is in the sand, along an axis."""
+        if not canvas.bounded:
+            return i
+        low, high = math.ceil(canvas.low[axis] / cell), math.floor(canvas.high[axis] / cell)
+        return max(min(i, high), low)
+
+    @compiled
+    def sand_at(canvas, relief, state, i, j):
+        """Height at the node that is drawn for (i, j) over the surface [m]."""
+        cell = relief.cell
+        return height(
+            relief, state, inside(canvas, cell, 0, i), inside(canvas, cell, 1, j)
+        )  # fmt: skip
+
+    @compiled
+    def fill(canvas, relief, state, blocks, first_i, first_j, lowest):
+        """Puts all vertices of the surface in their places."""
+        n, cell = canvas.lines, relief.cell
+        side, hair = n // BLOCK, _HAIR * cell
+        vertices = _vertices(canvas.vertices, 3 * canvas.vertex_count)
+        for a in range(n):
+            i, row, p = first_i + a, a // BLOCK, a % BLOCK
+            for b in range(n):
+                j, column, q = first_j + b, b // BLOCK, b % BLOCK
+                kept = seen = False
+                for da in range(-1, 2):
+                    if (da == -1 and p > 1) or (da == 1 and p < BLOCK - 1):
+                        continue
+                    for db in range(-1, 2):
+                        if (db == -1 and q > 1) or (db == 1 and q < BLOCK - 1):
+                            continue
+                        x, y = row + da, column + db
+                        if x < 0 or y < 0 or x >= side or y >= side or blocks[x * side + y] == 0:
+                            continue
+                        kept = True
+                        if (da == 0 or (da == -1 and p == 0)) and (
+                            db == 0 or (db == -1 and q == 0)
+                        ):
+                            seen = True
+                number = (i % n) * n + j % n
+                if kept:
+                    # At its edge the window comes down, or up, to what is drawn beyond.
+                    near = min(min(a, n - a), min(b, n - b)) - BLOCK
+                    u, v, z = place(canvas, relief, i, j)
+                    z += sand_at(canvas, relief, state, i, j) * within(near / _ENDS, 0.0, 1.0)
+                    z += canvas.sunk * (1.0 - within(near / _SLOPE, 0.0, 1.0))
+                    z -= 0.0 if seen else hair
+                else:
+                    middle = BLOCK // 2 - 1
+                    u, v, z = place(
+                        canvas, relief, first_i + row * BLOCK + middle,
+                        first_j + column * BLOCK + middle,
+                    )  # fmt: skip
+                    z -= 2.0 * hair
+                    if canvas.bounded:  # behind the walls
+                        u = within(u, canvas.low[0] + cell, canvas.high[0] - cell)
+                        v = within(v, canvas.low[1] + cell, canvas.high[1] - cell)
+                    # What joins the ends of the window lies under all that is seen.
+                    if row == 0 or column == 0 or row == side - 1 or column == side - 1:
+                        z = lowest - cell
+                put(vertices, number, relief, u, v, z)
+
+    @compiled
+    def wall(canvas, relief, state, first_i, first_j, lowest):
+        """Puts the vertices of the walls in their places; an endless surface has none."""
+        n, cell = canvas.lines, relief.cell
+        vertices = _vertices(canvas.vertices, 3 * canvas.vertex_count)
+        number = n * n
+        for side in range(4):
+            for k in range(n + 2):
+                u, v, z, bottom = first_i * cell, first_j * cell, lowest - cell, lowest - cell
+                if canvas.bounded and canvas.bottom < 0.0:
+                    axis = 0 if side < 2 else 1
+                    node = (first_i if axis == 0 else first_j) + k - 1
+                    low, high = canvas.low[axis], canvas.high[axis]
+                    along = within(node * cell, low, high)
+                    if k == 0:
+                        along = low
+                    elif k == n + 1:
+                        along = high
+                    edge = canvas.low[1 - axis] if side % 2 == 0 else canvas.high[1 - axis]
+                    other = math.floor(edge / cell + 0.5)
+                    u, v = (along, edge) if axis == 0 else (edge, along)
+                    i, j = (node, other) if axis == 0 else (other, node)
+                    bottom = canvas.bottom
+                    z = level(relief, u, v) + sand_at(canvas, relief, state, i, j)
+                put(vertices, number, relief, u, v, z)
+                put(vertices, number + 1, relief, u, v, min(bottom, z))
+                number += 2
+
+    @compiled
+    def shape(address, lead):
+        canvas = canvases(address, 1)[0]
+        relief = reliefs(canvas.surface, 1)[0]
+        state = floats(relief.state, state_length(relief.size))
+        side, cell = canvas.lines // BLOCK, relief.cell
+        blocks = longs(canvas.blocks, side * side)
+        first_i, first_j = first_of(canvas, 0, cell), first_of(canvas, 1, cell)
+        lowest = choose(canvas, relief, state, blocks, first_i, first_j)
+        fill(canvas, relief, state, blocks, first_i, first_j, lowest)
+        wall(canvas, relief, state, first_i, first_j, lowest)
+        canvas.count = 0
+        if is_flat:
+            add_rectangles(canvas, blocks, side, first_i * cell, first_j * cell, BLOCK * cell)
+        return 1
+
+    return shape
+
+
+def shape_of(relief: Relief, base: np.dtype) -> Any:
+    """The program of a relief over a surface with that record."""
+    surface: type[Surface] = type(relief.base)
+    return shape_kernel(surface.probe, relief.is_flat, relief_dtype(base))
