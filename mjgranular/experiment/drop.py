@@ -22,11 +22,18 @@ from mjgranular.errors import (
     UnknownNameError,
     warn_user,
 )
-from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors
+from mjgranular.experiment.ground import (
+    PlainSand,
+    hide_replaced,
+    refuse_contradiction,
+    refuse_floors,
+)
 from mjgranular.experiment.scenery import add_scenery, place_sun
+from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.given import kind_of
 from mjgranular.models import Chain
 from mjgranular.reading import check_regular, place
 from mjgranular.sand import Sand
@@ -212,9 +219,14 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         UnknownNameError: a name that the model does not have.
         UnstableError: the state left reason.
     """
+    if not isinstance(drop, Drop):
+        raise InputError(f"run_drop takes a Drop(path, ...), not {kind_of(drop)}")
+    warn_of_slips(lengths={"the height of the start": drop.height}, speed=drop.velocity)
     model, xml = load(drop)
     if not drop.keep_floor:
         refuse_floors(model, drop.sand)
+    elif drop.instead_of:
+        refuse_contradiction(model, drop.sand)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FloorWarning)
         sand = Sand(model, drop.sand)

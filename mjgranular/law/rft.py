@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.given import is_finite
+from mjgranular.given import check_switch, is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, vector
 from mjgranular.law.facet import facet_kernel
@@ -67,6 +67,7 @@ class RftLaw(Law):
 
     def check_options(self) -> None:
         """Refuses options without meaning."""
+        check_switch(f"{type(self).__name__}: rise", self.rise)
         if not (is_finite(self.inertia) and self.inertia >= 0):
             raise InputError(
                 f"{type(self).__name__}: inertia must be finite and not negative, "

@@ -179,7 +179,12 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
     present = [name for name in ALGORITHMS if name in content]
     name = (algorithm or str(content.get("algorithm", ""))).lower()
     if name not in ALGORITHMS:
-        raise UnknownNameError("algorithm", name, present or ALGORITHMS)
+        others = [one for one in ALGORITHMS if one not in present]
+        hint = (
+            f"{where} has settings for {', '.join(present)}; for {' and '.join(others)} they are "
+        )
+        hint += "given in a file with a table of that name, --settings FILE.toml"
+        raise UnknownNameError("algorithm", name, ALGORITHMS, hint if present and others else "")
     if name not in content:
         raise InputError(
             f"{where} has no table [{name}]; it has settings for {', '.join(present) or 'none'}"

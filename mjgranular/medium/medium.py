@@ -32,7 +32,9 @@ class Quantity:
     source: str
 
     def __post_init__(self) -> None:
-        if not isinstance(self.value, (int, float, np.number)):
+        value = self.value
+        is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+        if not is_number or math.isnan(value):
             raise InputError(f"a quantity's value is a number, not {shown(self.value)}")
 
 

@@ -117,7 +117,9 @@ def as_memory(memory: Any) -> Memory | None:
         return Memory(cell=float(memory))
     if isinstance(memory, str):
         words = split_words(memory)
-        if len(words) == 1 and "=" not in words[0]:
-            return Memory(cell=read_value(words[0], float, "memory, the side of a cell,"))
+        if words and "=" not in words[0]:
+            return Memory(cell=read_value(memory.strip(), float, "memory, the side of a cell [m],"))
+        if not words:
+            raise InputError("memory is the side of a cell [m], or 'cell=0.01 extent=4', not ''")
         return Memory(**read_options(words, Memory, "memory"))
     raise InputError(f"memory is a Memory, the side of a cell [m] or True, not {shown(memory)}")
