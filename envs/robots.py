@@ -31,6 +31,7 @@ from mjgranular.envs.ranges import (
 )
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
+from mjgranular.given import check_count
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
@@ -84,6 +85,9 @@ def on_sand(
     """
     spec = _find(environment)
     _check_options(spec, options)
+    for name in ("frame_skip", "width", "height"):
+        if name in options:
+            check_count(name, options[name])
     fields: Any = {name: options.pop(name) for name in SAND_FIELDS if name in options}
     if sand is ROBOT_SAND and isinstance(fields.get("law"), (str, type)):
         fields.setdefault("medium", None)  # it follows from the law

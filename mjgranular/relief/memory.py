@@ -59,7 +59,7 @@ class Memory:
             if not is_number or not 0.0 < value < high:
                 raise InputError(
                     f"the memory's {name} must be a number above 0"
-                    f"{'' if math.isinf(high) else f' and below {high:.4g}'}, not {shown(value)}"
+                    f"{'' if math.isinf(high) else f' and below {high:.4g} rad'}, not {shown(value)}"
                 )
         if not self.extent / self.cell <= MOST_CELLS:
             count = self.extent / self.cell

@@ -33,6 +33,10 @@ _LIGHTEST = 5.0
 """Mean of all that meets the sand [kg/m^3]. Chosen: foam has 15 and more. In g/cm^3 water has 1,
 and steel 7.8."""
 
+_STEEPEST = math.radians(75)
+"""Of gravity against the way into a plane of sand. Chosen: sand slides from 35 degrees on, and
+where gravity is along y, it is 90."""
+
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws of which that is known: one of a user's own may be of mud, or of a lake."""
 
@@ -67,12 +71,29 @@ def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surfac
             RangeWarning,
         )
     _warn_of_bodies(model, geoms)
+    _warn_of_gravity(model, surface)
     depth = _depth_of_all(model, geoms, surface)
     if isinstance(law, _OF_SAND) and depth > _DEEPEST_START:
         warn_user(
             f"all that meets the sand starts {depth:.3g} m and more under its surface, with the "
             "model as it stands (qpos0): lengths are in metres, and z is up; raise the model or "
             "lower the surface",
+            RangeWarning,
+        )
+
+
+def _warn_of_gravity(model: mujoco.MjModel, surface: Surface) -> None:
+    """Warns of gravity that does not pull into the sand."""
+    gravity = model.opt.gravity
+    strength = float(np.linalg.norm(gravity))
+    if not isinstance(surface, Plane) or strength == 0.0:
+        return
+    off = math.acos(max(-1.0, min(1.0, -float(gravity @ surface.normal) / strength)))
+    if off > _STEEPEST:
+        components = ", ".join(f"{component:g}" for component in gravity)
+        warn_user(
+            f"gravity, ({components}) m/s^2, is {math.degrees(off):.0f} degrees off the way into "
+            "the sand: z is up, and gravity 0 0 -9.81 on level ground",
             RangeWarning,
         )
 

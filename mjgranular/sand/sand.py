@@ -225,7 +225,11 @@ class Sand:
 
         What `apply` has left in `data.xfrc_applied` is taken back. A later `step` or `apply` begins
         anew; without an earlier one there is nothing to let go.
+
+        Raises:
+            InputError: something else than a simulation.
         """
+        check_data(data, "Sand")
         binding = self._bindings.pop(data, None)
         if binding is not None:
             self._recent = _NOBODY
