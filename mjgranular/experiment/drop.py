@@ -20,6 +20,7 @@ from mjgranular.errors import (
     InputError,
     OutputError,
     UnknownNameError,
+    shown,
     warn_user,
 )
 from mjgranular.experiment.ground import (
@@ -33,7 +34,7 @@ from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
-from mjgranular.given import kind_of
+from mjgranular.given import is_finite, kind_of
 from mjgranular.models import Chain
 from mjgranular.reading import check_regular, place
 from mjgranular.sand import Sand
@@ -77,13 +78,17 @@ class Drop(PlainSand):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.height is not None and not (math.isfinite(self.height) and self.height >= 0):
-            raise InputError(f"the height must be finite and not negative, not {self.height} m")
-        if not math.isfinite(self.velocity):
-            raise InputError(f"the velocity must be finite, not {self.velocity} m/s")
+        if isinstance(self.model, str):
+            object.__setattr__(self, "model", Path(self.model))
+        if self.height is not None and not (is_finite(self.height) and self.height >= 0):
+            raise InputError(
+                f"the height must be finite and not negative, not {shown(self.height)} m"
+            )
+        if not is_finite(self.velocity):
+            raise InputError(f"the velocity must be finite, not {shown(self.velocity)} m/s")
         for name, value in (("duration", self.duration), ("time step", self.timestep)):
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, not {value} s")
+            if value is not None and not (is_finite(value) and value > 0):
+                raise InputError(f"the {name} must be positive and finite, not {shown(value)} s")
 
     def config(self) -> dict[str, Any]:
         """The drop in plain values; `from_config` makes a drop of them again."""

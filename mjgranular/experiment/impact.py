@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular.errors import InputError, shown
 from mjgranular.experiment.trajectory import Trajectory, degrees
-from mjgranular.given import is_finite
+from mjgranular.given import is_finite, kind_of
 from mjgranular.law import get_law
 from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
@@ -92,6 +92,9 @@ class Impact:
             raise InputError(
                 f"until must be one of {', '.join(get_args(Until))}, not {self.until!r}"
             )
+        if not isinstance(self.law, str | None) or not isinstance(self.medium, str):
+            what = self.medium if isinstance(self.law, str | None) else self.law
+            raise InputError(f"medium and law of an impact are names, not {kind_of(what)}")
         _ = self.link
         medium = get_medium(self.medium)
         get_law(self.law, medium)

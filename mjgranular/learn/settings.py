@@ -229,21 +229,21 @@ def _read_toml(file: Path) -> dict[str, Any]:
         raise InputError(f"{name} has a number that is too long") from None
 
 
-def change(settings: Settings, changes: Sequence[str]) -> Settings:
+def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
     """Settings with some values changed.
 
     Args:
         settings: to start from.
-        changes: `name=value`, where name is a field of the settings (`num_envs=8`), an argument of
-            the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values as in TOML,
-            where texts may go without quotes.
+        changes: one or several `name=value`, where name is a field of the settings (`num_envs=8`),
+            an argument of the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values
+            as in TOML, where texts may go without quotes.
 
     Raises:
         InputError: not of this form, an unknown name or a wrong type.
     """
     own = {entry.name for entry in fields(Settings)} - {"algorithm", *_TABLES}
     changed: dict[str, Any] = {name: dict(getattr(settings, name)) for name in _TABLES}
-    for text in changes:
+    for text in [changes] if isinstance(changes, str) else changes:
         name, given, value = text.partition("=")
         name = name.strip()
         if not given or not name:

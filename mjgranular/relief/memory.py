@@ -57,9 +57,9 @@ class Memory:
                 continue
             is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not is_number or not 0.0 < value < high:
+                end = "" if math.isinf(high) else f" and below {high:.4g} rad"
                 raise InputError(
-                    f"the memory's {name} must be a number above 0"
-                    f"{'' if math.isinf(high) else f' and below {high:.4g} rad'}, not {shown(value)}"
+                    f"the memory's {name} must be a number above 0{end}, not {shown(value)}"
                 )
         if not self.extent / self.cell <= MOST_CELLS:
             count = self.extent / self.cell

@@ -15,9 +15,10 @@ from mjgranular.engine import relief_of, rne_post_constraint, tune
 from mjgranular.engine.readings import SandReadings
 from mjgranular.errors import GranularError, MissedStepWarning, RangeWarning
 from mjgranular.experiment import Impact, run_impact
-from mjgranular.experiment.drop import run_drop
+from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.medium.file import read_medium
 from mjgranular.models import Link, model_path
+from mjgranular.relief.heights import heights_of
 
 BLOCK = """
 <mujoco model="block">
@@ -51,6 +52,18 @@ def added(*arguments: Any, **fields: Any) -> mujoco.MjModel:
 
 def quantity(value: Any) -> mg.Quantity:
     return mg.Quantity(value, "kg/m^3", "weighed")
+
+
+def medium(**fields: Any) -> mg.Medium:
+    plain: Any = {"name": "a", "title": "a", "density": quantity(1500), "default_law": "link"}
+    return mg.Medium(**{**plain, **fields})
+
+
+def evaluated(make_agent: Any, **options: Any) -> Any:
+    pytest.importorskip("stable_baselines3")
+    from mjgranular.learn.evaluate import evaluate
+
+    return evaluate("mine", make_agent, "Pendulum-v1", {}, **options)
 
 
 def on_sand(*arguments: Any, **options: Any) -> Any:
@@ -214,7 +227,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         "uphill is an angle in radians, from -2 pi to 2 pi, not 90: 90 degrees are 1.571",
     ),
     "middle in space": (
-        lambda: (lambda one: one.relief(mujoco.MjData(one.model), (0, 0, 0)))(sand(memory=True)),
+        lambda: heights_of(np.zeros(9), mg.Memory(), (0, 0, 0)),
         "the middle is two numbers [m], not [0, 0, 0]",
     ),
     "model to release": (
@@ -589,6 +602,22 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "text for a speed": (lambda: Impact(speed="10"), "speed must be finite, not '10'"),
     "number for a drop": (lambda: run_impact(10), "run_impact takes an Impact, not 10"),
     "path for a drop": (lambda: run_drop("robot.xml"), "run_drop takes a Drop(path, ...), not"),
+    "medium without a name": (lambda: medium(name=""), "a medium has a name, a text such as"),
+    "number for a medium's name": (lambda: medium(name=3), "a medium has a name, a text such as"),
+    "list of constants": (lambda: medium(constants=[1]), "constants are a table of laws, {'rft3d'"),
+    "law of an impact": (
+        lambda: Impact(law=mg.LinkLaw),
+        "medium and law of an impact are names, not the class LinkLaw",
+    ),
+    "text for a height": (lambda: Drop("robot.xml", height="1"), "the height must be finite and"),
+    "policy for its maker": (
+        lambda: evaluated(object()),
+        "make_agent is a function that is given the environments",
+    ),
+    "text for seeds": (
+        lambda: evaluated(lambda env: None, seeds="3"),
+        "seeds must be a whole number, not '3'",
+    ),
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
