@@ -142,6 +142,7 @@ drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
 elements block.xml --figure block.bmp | a figure is written as .png, .svg or .pdf, not
+elements block.xml --color depth | --color is for a figure: add --figure FILE or --out DIR
 elements block.xml --figure old | a figure is written as .png, .svg or .pdf, not
 elements block.xml --figure a.png --out b | give --figure FILE for the figure alone or --out DIR
 elements block.xml --color red | invalid choice 'red' for argument '--color'. Expected one of
@@ -164,6 +165,7 @@ intrude --points 1 | a path needs at least 2 points
 intrude --size 0 | the size must be positive and finite
 intrude --geom foot | --geom names a geom of a model: give the model too
 intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
+intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world: an intruder is a
 intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: leave --model
 sweep --over mass | invalid choice 'mass' for argument '--over'. Expected one of
 sweep --first 2 --last 2 | a sweep's range is empty: from 2.0 to 2.0
