@@ -11,6 +11,7 @@ import numpy as np
 from mjgranular.envs.dunes import DUNES
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, RenderError, UnknownNameError
+from mjgranular.given import check_count
 
 RENDER_MODES = ["human", "rgb_array"]
 
@@ -39,12 +40,13 @@ class Cameras:
             raise InputError(
                 f"render_mode must be None or one of {', '.join(RENDER_MODES)}, not {mode!r}"
             )
-        if width < 1 or height < 1:
-            raise InputError(f"a picture needs at least one pixel, not {width} x {height}")
+        check_count("width", width)
+        check_count("height", height)
         model = task.model
         known = [model.camera(number).name for number in range(model.ncam)]
         if camera_name is not None and camera_name not in known:
-            raise UnknownNameError("camera", camera_name, known)
+            hint = "without a name the one that follows the robot is taken"
+            raise UnknownNameError("camera", camera_name, known, hint)
         self.mode, self.width, self.height, self.camera_name = mode, width, height, camera_name
         self._task, self._renderer, self._viewer = task, None, None
         self._surfaces = [choice.surface for choice in task.choices]

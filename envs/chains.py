@@ -33,10 +33,6 @@ class _Chain(Task):
         super().__post_init__()
         if not isinstance(self.links, int) or self.links < 2:
             raise InputError(f"links must be a whole number from 2 up, not {self.links!r}")
-        if not self.reset_noise_scale >= 0:
-            raise InputError(
-                f"reset_noise_scale must not be negative, not {self.reset_noise_scale}"
-            )
 
     @cached_property
     def worm(self) -> Worm:

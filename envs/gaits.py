@@ -12,6 +12,7 @@ import numpy as np
 from mjgranular.envs.options import check_number
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import kind_of
 
 
 @dataclass(frozen=True)
@@ -175,6 +176,11 @@ def gait(task: Task, **parameters: Any) -> Script:
         UnknownNameError: the task has no gait; lists those that have.
         InputError: no such parameter; lists those there are.
     """
+    if not isinstance(task, Task):
+        raise InputError(
+            f"a gait is of a task, which an environment has as env.unwrapped.task, not of "
+            f"{kind_of(task)}"
+        )
     name = type(task).__name__
     if name not in gaits:
         raise UnknownNameError("gait for", name, gaits)

@@ -11,6 +11,7 @@ import mujoco
 
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
+from mjgranular.errors import GranularError
 from mjgranular.look import NOT_SHOWN, TILE, add_material
 from mjgranular.relief.memory import as_memory
 from mjgranular.sand.spec import combined
@@ -75,8 +76,23 @@ def put_on_sand(
         names.append(add_sand(spec, placed, tunable=tunable, draw=draw).name)
     if sensors:
         _add_sensors(spec, names)
-    with quiet():
+    with quiet(), told_by_mujoco():
         return spec.compile()
+
+
+@contextmanager
+def told_by_mujoco() -> Iterator[None]:
+    """What the sand has told MuJoCo, or MuJoCo the user, as an error of ours.
+
+    Raises:
+        InputError: with MuJoCo's words.
+    """
+    try:
+        yield
+    except GranularError:
+        raise
+    except (ValueError, mujoco.FatalError) as error:
+        raise InputError(" ".join(str(error).removeprefix("Error: ").split())) from None
 
 
 @contextmanager

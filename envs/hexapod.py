@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular import InputError, Medium, models
+from mjgranular import Medium, models
 from mjgranular.envs.dunes import Dunes
 from mjgranular.envs.task import Start, State, Task
 
@@ -73,13 +73,6 @@ class Hexapod(Task):
     reset_noise_scale: float = 0.05
     resolution: int | None = 2
     frame_skip: int = 8
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.reset_noise_scale >= 0:
-            raise InputError(
-                f"reset_noise_scale must not be negative, not {self.reset_noise_scale}"
-            )
 
     @cached_property
     def body(self) -> models.Hexapod:

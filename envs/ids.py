@@ -11,6 +11,8 @@ from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task
 from mjgranular.envs.tasks import tasks
+from mjgranular.errors import InputError
+from mjgranular.given import kind_of
 
 NAMESPACE = "mjgranular"
 VERSION = 0
@@ -42,14 +44,31 @@ def name_of(identity: str) -> str:
 def register_task(task: type[Task]) -> str:
     """Makes a task known by the name of its class: to `gymnasium.make` and to the command line.
 
+    A class that is defined again, as in a cell of a notebook, takes the place of what it was.
+
     Args:
         task: a final task.
 
     Returns:
         Its id.
+
+    Raises:
+        InputError: it is no final task, or another has that name.
     """
+    if not (isinstance(task, type) and issubclass(task, Task)):
+        raise InputError(
+            f"a task is a class that derives from mjgranular.envs.Task, not {kind_of(task)}"
+        )
+    missing = sorted(getattr(task, "__abstractmethods__", ()))
+    if missing:
+        raise InputError(f"the task {task.__name__} lacks {', '.join(missing)}")
     name = task.__name__
-    tasks.add(name, task)
+    before = tasks.get(name)
+    again = before is not None and (before.__module__, before.__qualname__) == (
+        task.__module__,
+        task.__qualname__,
+    )
+    tasks.add(name, task, replace=again)
     identity = id_of(name)
     if identity not in gym.registry:
         gym.register(

@@ -33,16 +33,36 @@ def find_spec(env_id: Any) -> EnvSpec:
     elif not name:
         raise InputError(f"{env_id!r} lacks the id behind the colon: {module}:My-v0, for example")
     else:
+        before = set(gym.registry)
         import_own(module, f"the environment {env_id}")
+        _of_modules.setdefault(module, set()).update(set(gym.registry) - before)
     try:
         return gym.spec(name)
     except gym.error.Error:
+        own = _registered_by(module) if colon else []
+        if own:
+            hint = f"importing {module} has registered no {name}"
+            raise UnknownNameError("environment", env_id, own, hint) from None
         known = sorted(gym.registry)
         ours = [one for one in known if one.startswith("mjgranular/")]
         others = [one for one in known if one not in ours]
         near = difflib.get_close_matches(name, others, n=5, cutoff=0.5)
         hint = f"importing {module} has registered no {name}" if colon else _how(name)
         raise UnknownNameError("environment", env_id, [*near, *ours], hint) from None
+
+
+_of_modules: dict[str, set[str]] = {}  # ids that came when a module was imported here
+
+
+def _registered_by(module: str) -> list[str]:
+    """Ids that a module has registered, as far as can be told."""
+    made = {
+        name
+        for name, spec in gym.registry.items()
+        if str(spec.entry_point).partition(":")[0] == module
+        or getattr(spec.entry_point, "__module__", None) == module
+    }
+    return sorted(f"{module}:{name}" for name in made | _of_modules.get(module, set()))
 
 
 def _how(name: str) -> str:

@@ -7,6 +7,7 @@ from numbers import Real
 from typing import Any
 
 from mjgranular.errors import InputError, shown
+from mjgranular.given import check_switch
 
 
 def check_number(name: str, value: Any) -> None:
@@ -26,10 +27,11 @@ def check_option(name: str, value: Any, default: Any) -> None:
         InputError: says what would be right.
     """
     if isinstance(default, bool):
-        if not isinstance(value, bool):
-            raise InputError(f"{name} must be True or False, not {shown(value)}")
+        check_switch(name, value)
     elif isinstance(default, (int, float)):
         check_number(name, value)
+        if name.endswith("_scale") and value < 0:
+            raise InputError(f"{name} must not be negative, not {shown(value)}")
     elif _is_range(default):
         if not _is_range(value):
             raise InputError(f"{name} must be a range, (low, high), not {shown(value)}")

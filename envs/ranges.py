@@ -12,6 +12,7 @@ import numpy as np
 
 from mjgranular.engine import tune
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import kind_of
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import medium_for
@@ -121,7 +122,14 @@ def check_drawing(ranges: Any, curriculum: Any) -> None:
         InputError: something else than ranges, or a curriculum without any.
     """
     if ranges is not None and not isinstance(ranges, SandRanges):
-        raise InputError(f"randomise must be a SandRanges, not {ranges!r}")
+        raise InputError(
+            f"randomise must be a SandRanges(strength=(0.5, 2), ...), not {kind_of(ranges)}"
+        )
+    if curriculum is not None and not callable(curriculum):
+        raise InputError(
+            "a curriculum is a function of the number of the episode that gives a SandRanges, not "
+            f"{kind_of(curriculum)}"
+        )
     if curriculum is not None and ranges is None:
         raise InputError(
             "a curriculum needs randomise=SandRanges(...), which names all media, laws and "

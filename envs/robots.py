@@ -17,7 +17,7 @@ from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import put_on_sand, quiet
+from mjgranular.envs.ground import put_on_sand, quiet, told_by_mujoco
 from mjgranular.envs.known import find_spec
 from mjgranular.envs.ranges import (
     Sample,
@@ -31,6 +31,7 @@ from mjgranular.envs.ranges import (
 )
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
+from mjgranular.given import check_count
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
@@ -84,6 +85,9 @@ def on_sand(
     """
     spec = _find(environment)
     _check_options(spec, options)
+    for name in ("frame_skip", "width", "height"):
+        if name in options:
+            check_count(name, options[name])
     fields: Any = {name: options.pop(name) for name in SAND_FIELDS if name in options}
     if sand is ROBOT_SAND and isinstance(fields.get("law"), (str, type)):
         fields.setdefault("medium", None)  # it follows from the law
@@ -169,7 +173,8 @@ class OnSand(MujocoEnv):
         self._readings = SandReadings(model, sands_in(model))
         self._figures = Figures(model, self.sands, self._readings)
         self._strength = float(np.linalg.norm(model.opt.gravity))
-        return model, mujoco.MjData(model)
+        with told_by_mujoco():
+            return model, mujoco.MjData(model)
 
     def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:
         super()._step_mujoco_simulation(ctrl, n_frames)
@@ -220,6 +225,11 @@ def _find(environment: Any) -> EnvSpec:
         UnknownNameError: no such environment, or no such module.
         InputError: its class does not derive from `MujocoEnv`.
     """
+    if isinstance(environment, gym.Env):
+        raise InputError(
+            "on_sand makes the environment itself, from its class or its id, not of one that is "
+            f"made already: on_sand({environment.spec.id if environment.spec else 'its id'!r})"
+        )
     if isinstance(environment, type):
         spec = EnvSpec(environment.__name__, environment)
     else:

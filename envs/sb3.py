@@ -13,6 +13,7 @@ from mjgranular.envs.known import find_spec
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
 from mjgranular.extras import need
+from mjgranular.given import check_count, check_switch
 
 need("stable_baselines3", extra="train", purpose="mjgranular.envs.sb3")
 
@@ -138,6 +139,10 @@ def make_vec_env(
         UnknownNameError: no such environment.
         InputError: an id that has no batch of ours.
     """
+    check_count("num_envs", num_envs)
+    check_switch("full_info", full_info)
+    if seed is not None:
+        check_count("seed", seed, least=0)
     spec = find_spec(environment)
     if spec.vector_entry_point != "mjgranular.envs.vector:SandVectorEnv":
         raise InputError(

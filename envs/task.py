@@ -39,6 +39,7 @@ from mjgranular.envs.ranges import (
     sands_of,
     told,
 )
+from mjgranular.given import check_count
 from mjgranular.sand.spec import SAND_FIELDS
 from mjgranular.surface.choice import surface_of
 
@@ -110,8 +111,7 @@ class Task(SandSpec, ABC):
     frame_skip: int = 5
 
     def __post_init__(self) -> None:
-        if not isinstance(self.frame_skip, int) or self.frame_skip < 1:
-            raise InputError(f"frame_skip must be a whole number from 1 up, not {self.frame_skip}")
+        check_count("frame_skip", self.frame_skip)
         for option in fields(self):
             if option.name not in SAND_FIELDS:
                 check_option(option.name, getattr(self, option.name), option.default)

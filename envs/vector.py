@@ -13,7 +13,8 @@ from gymnasium.vector.utils import batch_space
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.task import Task, check_actions
 from mjgranular.envs.tasks import get_task
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import check_count, kind_of
 from mjgranular.relief.memory import as_memory
 
 
@@ -56,10 +57,13 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         **options: Any,
     ) -> None:
         super().__init__()
-        if num_envs < 1:
-            raise InputError(f"num_envs must be at least 1, not {num_envs}")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise InputError(f"max_episode_steps must be at least 1, not {max_episode_steps}")
+        check_count("num_envs", num_envs)
+        check_count("threads", threads, least=0)
+        if max_episode_steps is not None:
+            check_count("max_episode_steps", max_episode_steps)
+        modes = [mode.value for mode in AutoresetMode]
+        if not isinstance(autoreset_mode, AutoresetMode) and autoreset_mode not in modes:
+            raise UnknownNameError("autoreset_mode", autoreset_mode, modes)
         if render_mode == "human":
             raise InputError("a batch has no window: render_mode must be None or 'rgb_array'")
         self.task = get_task(task, options)
@@ -130,8 +134,10 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             seeds: list[int | None] = [None] * self.num_envs
         elif isinstance(seed, (int, np.integer)):
             seeds = [int(seed) + number for number in range(self.num_envs)]
-        else:
+        elif isinstance(seed, (list, tuple, np.ndarray)):
             seeds = list(seed)
+        else:
+            raise InputError(f"a seed is a whole number, or a list of them, not {kind_of(seed)}")
         if len(seeds) != self.num_envs:
             raise InputError(f"{self.num_envs} simulations need as many seeds, not {len(seeds)}")
         chosen = np.ones(self.num_envs, bool)

@@ -65,9 +65,9 @@ def _near(name: str, known: Sequence[str]) -> list[str]:
     # `Hexapod-v0` is meant by somebody who leaves the namespace away, as is a robot's `foot`.
     lower = {one.rpartition("/")[2].lower(): one for one in known}
     lower |= {one.lower(): one for one in known}
-    close = difflib.get_close_matches(name, lower, cutoff=0.6)
+    close = difflib.get_close_matches(name, lower, n=6, cutoff=0.6)  # of one name there may be two
     within = [one for one in lower if len(name) >= _PART and name in one]
-    return [lower[one] for one in (close or within)[:3]]
+    return list(dict.fromkeys(lower[one] for one in (close or within)))[:3]
 
 
 def _cut(text: str, longest: int) -> str:

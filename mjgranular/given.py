@@ -59,6 +59,37 @@ def check_data(data: Any, who: str) -> None:
         )
 
 
+def check_switch(name: str, value: Any) -> None:
+    """Refuses what is neither True nor False: a word, "no" as well, would count as True.
+
+    Args:
+        name: of the argument.
+        value: of it.
+
+    Raises:
+        InputError: says so.
+    """
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name} must be True or False, not {kind_of(value)}")
+
+
+def check_count(name: str, value: Any, least: int = 1) -> None:
+    """Refuses what is no whole number from some number up.
+
+    Args:
+        name: of the argument.
+        value: of it.
+        least: the smallest that will do.
+
+    Raises:
+        InputError: says so.
+    """
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
+        raise InputError(f"{name} must be a whole number, not {kind_of(value)}")
+    if value < least:
+        raise InputError(f"{name} must be at least {least}, not {shown(value)}")
+
+
 def is_finite(value: Any) -> bool:
     """Tells whether a value is a number, and a finite one."""
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)

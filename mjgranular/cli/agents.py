@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mjgranular.errors import InputError, OutputError, UnknownNameError
+from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.policies import Policy, load_policy
@@ -67,6 +67,10 @@ def find_actor(
         run = replace(_run_of(what), trusted=trust)
         run.check_environment()
         env_id, arguments = run.environment, dict(run.settings.environment)
+        warn_user(
+            f"{agent} acts in the environment of {what}, whose policy is left alone: without "
+            "--agent it is the policy that acts"
+        )
     return Actor(agent, env_id, arguments, lambda env: make_baseline(agent, env_id, env, gait=gait))
 
 

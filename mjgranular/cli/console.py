@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, TextIO
 
@@ -60,11 +60,13 @@ def show_warning(
     lineno: int,
     file: TextIO | None = None,
     line: str | None = None,
+    *,
+    words: Callable[[str], str] = str,
 ) -> None:
-    """Takes the place of `warnings.showwarning`."""
+    """Takes the place of `warnings.showwarning`, with the words of the command line."""
     if issubclass(category, GranularWarning):
         err.print("warning: ", end="", style="bold yellow", highlight=False)
-        err.print(str(message), highlight=False, soft_wrap=True)
+        err.print(words(str(message)), highlight=False, soft_wrap=True)
 
 
 class _Announcement(logging.Handler):

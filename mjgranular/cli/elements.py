@@ -59,6 +59,8 @@ class ElementsCommand(ChoiceOptions):
             raise InputError("give --figure FILE for the figure alone or --out DIR, not both")
         if self.figure is not None:
             check_file(self.figure)
+        if self.out is None and self.figure is None and self.color != "body":
+            raise InputError("--color is for a figure: add --figure FILE or --out DIR")
         if self.out is not None:
             target, figure = self.out, _FIGURE
             names = (CONFIG, SUMMARY, _CSV, _FIGURE)

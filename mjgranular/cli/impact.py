@@ -18,6 +18,7 @@ from mjgranular.errors import GranularError, InputError, MissingExtraError
 from mjgranular.experiment import DropResult, Impact, ImpactResult, run_drop, run_impact
 from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop, write_impact
+from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
 
@@ -57,6 +58,7 @@ class ImpactCommand(LinkOptions):
 
     def run(self) -> int:
         """Runs the command."""
+        self._check_options()
         count = chain_length(self.body)
         if count is not None:
             return self._run_chain(count)
@@ -85,14 +87,31 @@ class ImpactCommand(LinkOptions):
             show_error(f"{problem} (the numbers are in {self.out})")
         return 2 if problems else 0
 
+    def _check_options(self) -> None:
+        """Refuses options that would be left aside without a word."""
+        if self.body == "sphere" and self.length != LinkOptions.length:
+            raise InputError("a sphere has no --length: its size is its --diameter")
+        if chain_length(self.body) is not None and self.until != "stop":
+            raise InputError("--until is for one body: a chain is followed for its --duration")
+        if self.camera != "side" and not self.video:
+            raise InputError("--camera is for a film: add --video")
+
     def _run_chain(self, count: int) -> int:
         """Drops a chain of so many links."""
         from mjgranular.cli import drop as models
+        from mjgranular.experiment.drop import load
 
         impact = self.impact(speed=self.speed, angle_deg=self.angle)
         if self.video and self.out is None:
             raise InputError("--video needs a folder to write to: add --out DIR")
         drop = chain_drop(impact, count)
+        if self.video:
+            from mjgranular.picture.video import check_camera
+
+            check_camera(load(drop)[0], self.camera)
+        warn_of_slips(
+            lengths={"the height of release": self.height}, speed=self.speed, density=self.density
+        )
         names = (*RUN_FILES, models.FIGURE, models.FILM)
         folder = None if self.out is None else ResultFolder(self.out, names)
         problems: list[GranularError] = []

@@ -6,6 +6,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Union
 
@@ -24,6 +25,7 @@ from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
 from mjgranular.cli.numbers import number_rules
+from mjgranular.cli.options import in_options
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.studio import StudioCommand
@@ -96,10 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with warnings.catch_warnings(), stopped_by_signals():
             warnings.simplefilter("always", GranularWarning)
-            warnings.showwarning = show_warning
+            warnings.showwarning = partial(show_warning, words=partial(in_options, command))
             return command.run()
     except GranularError as error:
-        show_error(str(error))
+        show_error(in_options(command, str(error)))
         return 2
     except KeyboardInterrupt as stop:
         show_error("interrupted")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, TypeVar
 
@@ -31,6 +33,38 @@ def record_of(kind: type[T], command: object, **others: Any) -> T:
         given["law"] = law_named(given["law"])
     angles = {name: math.radians(given[name]) for name in _DEGREES & given.keys()}
     return kind(**{**given, **angles, **others})
+
+
+_ADVICE = re.compile(
+    r"(?<![\w.-])(bodies|geoms|groups|instead_of|resolution|scheme|memory)="
+    r"(\[[^\]]*\]|'[^']*'|[\w.]+)"
+)
+
+
+_NAMES = re.compile(r"'([^']*)'|([^\[\],\s']+)")
+
+
+def in_options(command: object, text: str) -> str:
+    """A message with its advice as somebody types it who calls the command.
+
+    The library says `geoms=['left', 'right']`, which is `--geoms left right` here.
+
+    Args:
+        command: what was called; advice on options that it has not stays as it is.
+        text: of the message.
+    """
+
+    def option(found: re.Match[str]) -> str:
+        name, value = found.groups()
+        if not hasattr(command, name):
+            return found[0]
+        names = [quoted or plain for quoted, plain in _NAMES.findall(value)]
+        words = "NAME" if value == "[...]" else shlex.join(names)
+        return f"--{name.replace('_', '-')} {words}"
+
+    return (
+        text if "(--" in text else _ADVICE.sub(option, text)
+    )  # where it says both there is no need
 
 
 def law_named(text: str | None) -> str | None:

@@ -16,7 +16,11 @@ from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
-from mjgranular.experiment.ground import hide_replaced, refuse_floors
+from mjgranular.experiment.ground import (
+    hide_replaced,
+    refuse_contradiction,
+    refuse_floors,
+)
 from mjgranular.experiment.scenery import place_sun
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 
@@ -78,6 +82,8 @@ class ViewCommand(SandOptions):
             add_sand(spec, drop.sand, draw=("surface", *self.draw))
             if not self.keep_floor:
                 refuse_floors(bare, drop.sand)
+            elif drop.instead_of:
+                refuse_contradiction(bare, drop.sand)
             warnings.simplefilter("ignore", FloorWarning)
             model = spec.compile()
             hide_replaced(model, drop.sand)

@@ -125,6 +125,7 @@ def _step_within(spec: mujoco.MjSpec, sand: SandSpec, *, own: bool) -> None:
 def _step_environment(identity: str) -> None:
     from mjgranular.envs import SandEnv, on_sand
     from mjgranular.envs.ids import name_of
+    from mjgranular.envs.known import find_spec
     from mjgranular.envs.tasks import tasks
     from mjgranular.learn import environments
 
@@ -132,6 +133,8 @@ def _step_environment(identity: str) -> None:
     if ":" in identity:
         env = environments.one(identity, {})
     else:
+        if name not in tasks:
+            find_spec(identity)  # which knows of ours too
         env = SandEnv(name) if name in tasks else on_sand(identity)
     try:
         env.reset(seed=0)

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.engine.adjust import adjuster
+from mjgranular.engine.adjust import adjuster, clear_results
 from mjgranular.engine.block import (
     HEADER_DTYPE,
     POINTER_IN_MODEL,
@@ -158,7 +158,8 @@ def add_wrenches(table, qfrc, awake):
 def life(layout: Layout) -> Callbacks:
     """Callbacks for simulations that are made, copied and freed, the same for all plugins."""
     find_row, find_block = row_finder(layout), block_finder(layout)
-    statenum = layout.plugin_statenum
+    statenum, stateadr = layout.plugin_statenum, layout.plugin_stateadr
+    plugin_state = layout.plugin_state
 
     @compiled
     def destroy(data, instance):
@@ -195,6 +196,18 @@ def life(layout: Layout) -> Callbacks:
             numbers = floats(state, sizes[instance])
             for k in range(len(numbers)):
                 numbers[k] = 0.0
+        # What the last step has left is not there any more. A handle may be another's (`handles`),
+        # so the row is to be of the `mjData` whose state this is.
+        if handle <= 0 or handle >= ROW_COUNT:
+            return
+        row = row_records(rows_address(), ROW_COUNT)[handle]
+        if row.data == 0 or row.block == 0 or row.instance != instance:
+            return
+        adr = ints(longs(model + stateadr, 1)[0], instance + 1)[instance]
+        if longs(row.data + plugin_state, 1)[0] + 8 * adr == state:
+            header = _header(row.block, 1)[0]
+            if header.table != 0 and header.program != 0:
+                clear_results(header)
 
     return {
         "destroy": (destroy, "void(int64, int32)"),

@@ -21,6 +21,7 @@ from mjgranular.engine.block import HEADER_DTYPE
 from mjgranular.engine.handles import block_finder
 from mjgranular.engine.instances import NAME, instance_of, sands_in
 from mjgranular.engine.layout import Layout, find_layout
+from mjgranular.given import check_data, check_model
 from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.engine import forces_on_bodies, sensors_of_acceleration
 from mjgranular.kernel.memory import (
@@ -148,7 +149,12 @@ def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     Args:
         model: with or without sand in it.
         data: the simulation.
+
+    Raises:
+        InputError: something else than a model and its data.
     """
+    check_model(model, "rne_post_constraint")
+    check_data(data, "rne_post_constraint")
     mujoco.mj_rnePostConstraint(model, data)
     names = sands_in(model)
     if names:

@@ -10,6 +10,7 @@ import numpy as np
 from mjgranular.engine.config import KEYS, read_config
 from mjgranular.engine.library import config_texts, instance_name, plugin_slot
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.given import check_data, check_model
 from mjgranular.relief.heights import Heights, heights_of
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.relief import place_in_plane
@@ -76,6 +77,8 @@ def relief_of(
         UnknownNameError: the model has no such sand; lists those it has.
         InputError: it has no memory.
     """
+    check_model(model, "relief_of")
+    check_data(data, "relief_of")
     instance = instance_of(model, name)
     sand = read_config(config_texts(model._address, instance, KEYS)).sand
     memory = as_memory(sand.memory)

@@ -45,7 +45,7 @@ class SandReadings:
         self._read = _reader()
 
     def read(self, data: mujoco.MjData) -> np.ndarray:
-        """Reads a simulation; zeros before its first step."""
+        """Reads a simulation; zeros before its first step, and after a reset."""
         begin = self.values.ctypes.data
         address = data._address
         for instance, together in zip(self._instances, self.together, strict=True):

@@ -12,7 +12,7 @@ from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
-from mjgranular.given import check_spec, kind_of
+from mjgranular.given import check_spec, check_switch, kind_of
 from mjgranular.look import NOT_SHOWN, add_material, paint
 from mjgranular.prints import add_skin
 from mjgranular.relief.memory import as_memory
@@ -56,6 +56,7 @@ def add_sand(
         LayoutError: this version of MuJoCo cannot be used with the plugin.
     """
     check_spec(spec, "add_sand")
+    check_switch("tunable", tunable)
     if name is not None and not (isinstance(name, str) and name):
         raise InputError(f"an instance's name is a text, not {kind_of(name)}")
     check_registered()

@@ -14,7 +14,8 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.instances import instance_of
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, RangeWarning, shown, warn_user
+from mjgranular.given import check_model, kind_of
 from mjgranular.sand.prepare import PreparedSand
 
 STATE = ("active", "strength", "density", "height")
@@ -25,6 +26,9 @@ STATE_SIZE = len(STATE)
 
 INITIAL = (1.0, 1.0, 1.0, 0.0)
 """Values after a reset."""
+
+_HIGHEST = 10.0
+"""Height by which a surface is raised or lowered [m]. Chosen: more are millimetres."""
 
 TUNING_DTYPE = np.dtype(
     [
@@ -98,9 +102,11 @@ def tune(
 
     Raises:
         UnknownNameError: the model has no such sand; lists those it has.
-        InputError: it is not tunable, `state` is not the model's, or a value that is negative or
-            not finite. Then nothing is written.
+        InputError: it is not tunable, `state` is not the model's, or a value that is no number,
+            negative or not finite. Then nothing is written.
     """
+    check_model(model, "tune")
+    _check_state(state)
     instance = instance_of(model, name)
     if model.plugin_statenum[instance] != STATE_SIZE:
         raise InputError(
@@ -113,11 +119,57 @@ def tune(
             f"not the shape {state.shape}"
         )
     values = dict(zip(STATE, (active, strength, density, height), strict=True))
-    given = {key: np.asarray(value, float) for key, value in values.items() if value is not None}
-    for key, value in given.items():
-        if not np.isfinite(value).all() or (key != "height" and (value < 0).any()):
-            kind = "finite" if key == "height" else "finite and not negative"
-            raise InputError(f"{key} must be {kind}, not {value}")
+    given = {
+        key: _number(key, value, state.shape[:-1])
+        for key, value in values.items()
+        if value is not None
+    }
+    highest = np.abs(given.get("height", 0.0)).max(initial=0.0)
+    if highest > _HIGHEST:
+        warn_user(
+            f"the surface is moved by {highest:g} m: lengths are in metres, and {highest:g} mm is "
+            f"{highest / 1000:g} m",
+            RangeWarning,
+        )
     first = int(model.plugin_stateadr[instance])
     for key, value in given.items():
         state[..., first + STATE.index(key)] = value
+
+
+def _check_state(state: Any) -> None:
+    """Refuses what is no array of numbers.
+
+    Raises:
+        InputError: says what would be right.
+    """
+    if not isinstance(state, np.ndarray):
+        meant = "; use data.plugin_state" if isinstance(state, mujoco.MjData) else ""
+        raise InputError(
+            "tune writes to an array, data.plugin_state or batch.bind('plugin_state'), not to "
+            f"{kind_of(state)}{meant}"
+        )
+
+
+def _number(key: str, value: Any, rows: tuple[int, ...]) -> np.ndarray:
+    """A value of the state as an array that fits its rows.
+
+    Raises:
+        InputError: it is no number that the state may have, or there are not as many as rows.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "biuf":  # a text of digits would be read as a number
+        raise InputError(f"{key} must be a number, or one for each simulation, not {shown(value)}")
+    array = array.astype(float)
+    if not np.isfinite(array).all() or (key != "height" and (array < 0).any()):
+        kind = "finite" if key == "height" else "finite and not negative"
+        raise InputError(f"{key} must be {kind}, not {array}")
+    if key == "active" and not ((array == 0) | (array == 1)).all():
+        raise InputError(f"active must be 0 or 1, False or True, not {array}")
+    if array.ndim and (array.ndim > len(rows) or array.shape != rows[len(rows) - array.ndim :]):
+        if array.size != 1:
+            raise InputError(
+                f"{key} must be one number, or one for each simulation, shape {rows}, not of "
+                f"shape {array.shape}"
+            )
+        array = array.reshape(())
+    return array

@@ -21,13 +21,21 @@ from mjgranular.errors import (
     InputError,
     OutputError,
     UnknownNameError,
+    shown,
     warn_user,
 )
-from mjgranular.experiment.ground import PlainSand, hide_replaced, refuse_floors
+from mjgranular.experiment.ground import (
+    PlainSand,
+    hide_replaced,
+    refuse_contradiction,
+    refuse_floors,
+)
 from mjgranular.experiment.scenery import add_scenery, place_sun
+from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.given import is_finite, kind_of
 from mjgranular.models import Chain
 from mjgranular.prints import Prints, PrintsRecorder
 from mjgranular.reading import check_regular, place
@@ -73,13 +81,17 @@ class Drop(PlainSand):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.height is not None and not (math.isfinite(self.height) and self.height >= 0):
-            raise InputError(f"the height must be finite and not negative, not {self.height} m")
-        if not math.isfinite(self.velocity):
-            raise InputError(f"the velocity must be finite, not {self.velocity} m/s")
+        if isinstance(self.model, str):
+            object.__setattr__(self, "model", Path(self.model))
+        if self.height is not None and not (is_finite(self.height) and self.height >= 0):
+            raise InputError(
+                f"the height must be finite and not negative, not {shown(self.height)} m"
+            )
+        if not is_finite(self.velocity):
+            raise InputError(f"the velocity must be finite, not {shown(self.velocity)} m/s")
         for name, value in (("duration", self.duration), ("time step", self.timestep)):
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, not {value} s")
+            if value is not None and not (is_finite(value) and value > 0):
+                raise InputError(f"the {name} must be positive and finite, not {shown(value)} s")
 
     def config(self) -> dict[str, Any]:
         """The drop in plain values; `from_config` makes a drop of them again."""
@@ -217,9 +229,14 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         UnknownNameError: a name that the model does not have.
         UnstableError: the state left reason.
     """
+    if not isinstance(drop, Drop):
+        raise InputError(f"run_drop takes a Drop(path, ...), not {kind_of(drop)}")
+    warn_of_slips(lengths={"the height of the start": drop.height}, speed=drop.velocity)
     model, xml = load(drop)
     if not drop.keep_floor:
         refuse_floors(model, drop.sand)
+    elif drop.instead_of:
+        refuse_contradiction(model, drop.sand)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FloorWarning)
         sand = Sand(model, drop.sand)

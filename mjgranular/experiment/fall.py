@@ -9,10 +9,12 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from mjgranular.errors import UnstableError, warn_user
+from mjgranular.errors import InputError, UnstableError, warn_user
 from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
+from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Recorder, Trajectory
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.given import kind_of
 
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
@@ -40,7 +42,15 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
 
     Warns:
         GranularWarning: the time step is above the bound of the explicit scheme.
+        RangeWarning: a height, a speed or a density that is a slip of units, most likely.
     """
+    if not isinstance(impact, Impact):
+        raise InputError(f"run_impact takes an Impact, not {kind_of(impact)}")
+    warn_of_slips(
+        lengths={"the height of release": impact.height},
+        speed=impact.speed,
+        density=impact.density,
+    )
     bound = impact.largest_step()
     if impact.scheme == "explicit" and impact.timestep > bound:
         warn_user(

@@ -10,7 +10,7 @@ from mjgranular.errors import InputError
 from mjgranular.look import NOT_SHOWN
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
-from mjgranular.shape.select import find_all
+from mjgranular.shape.select import find_all, names_in
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.choice import surface_of
 from mjgranular.surface.floors import describe_floors, find_floors
@@ -52,6 +52,16 @@ class PlainSand:
     def __post_init__(self) -> None:
         if self.bed is not None and self.height_field is not None:
             raise InputError("the sand is either a bed or a height field, not both")
+        own = "--bed" if self.bed is not None else "--height-field"
+        if self.bed is not None or self.height_field is not None:
+            for name in ("surface_height", "slope", "uphill"):
+                if getattr(self, name) != 0.0:
+                    option = f"--{name.replace('_', '-')}"
+                    raise InputError(
+                        f"{own} lies as its geom does: {option} is for a plane, leave it away"
+                    )
+        elif self.uphill != 0.0 and self.slope == 0.0:
+            raise InputError("--uphill is the direction of a slope: add --slope")
         _ = self.surface
 
     @property
@@ -87,6 +97,25 @@ def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
         UnknownNameError: the model has no such geom; lists those there are.
     """
     model.geom_group[find_all(model, "geom", sand.instead_of)] = NOT_SHOWN
+
+
+def refuse_contradiction(model: mujoco.MjModel, sand: SandSpec) -> None:
+    """Refuses to keep ground, where all that could be kept is what the sand replaces.
+
+    Args:
+        model: the model; contacts of what the sand replaces are switched off in it.
+        sand: the sand.
+
+    Raises:
+        InputError: says which of the two options is to go.
+    """
+    replace_geoms(model, sand.instead_of)
+    if not find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface)):
+        names = " ".join(map(str, names_in(sand.instead_of)))
+        raise InputError(
+            f"--keep-floor has no other ground to keep than {names}, which --instead-of has the "
+            "sand replace: leave one of the two away"
+        )
 
 
 def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:

@@ -9,8 +9,9 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.experiment.trajectory import Trajectory, degrees
+from mjgranular.given import is_finite, kind_of
 from mjgranular.law import get_law
 from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
@@ -63,8 +64,8 @@ class Impact:
 
     def __post_init__(self) -> None:
         for name in ("speed", "angle", "tangential_speed", "angular_velocity", "height"):
-            if not math.isfinite(getattr(self, name)):
-                raise InputError(f"{name} must be finite, not {getattr(self, name)}")
+            if not is_finite(getattr(self, name)):
+                raise InputError(f"{name} must be finite, not {shown(getattr(self, name))}")
         if self.speed < 0:
             raise InputError(
                 f"the speed of T is downward and must not be negative, not {self.speed} m/s"
@@ -81,7 +82,7 @@ class Impact:
                 f"not {self.height} m"
             )
         for name, value in (("time step", self.timestep), ("duration", self.duration)):
-            if not (math.isfinite(value) and value > 0):
+            if not (is_finite(value) and value > 0):
                 raise InputError(f"the {name} must be positive and finite, not {value} s")
         if self.timestep > self.duration:
             raise InputError(
@@ -91,6 +92,9 @@ class Impact:
             raise InputError(
                 f"until must be one of {', '.join(get_args(Until))}, not {self.until!r}"
             )
+        if not isinstance(self.law, str | None) or not isinstance(self.medium, str):
+            what = self.medium if isinstance(self.law, str | None) else self.law
+            raise InputError(f"medium and law of an impact are names, not {kind_of(what)}")
         _ = self.link
         medium = get_medium(self.medium)
         get_law(self.law, medium)

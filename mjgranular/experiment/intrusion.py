@@ -12,6 +12,7 @@ import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment.drop import loading
+from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.sand import Sand
 
 Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
@@ -143,6 +144,10 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         InputError: the model cannot be read.
         UnknownNameError: a name that does not exist.
     """
+    warn_of_slips(
+        lengths={"the depth at the end": intrusion.depth, "the path": intrusion.distance},
+        speed=intrusion.speed,
+    )
     model = _model(intrusion)
     geoms = None if intrusion.model is None or intrusion.geom is None else intrusion.geom
     sand = Sand(
@@ -215,6 +220,10 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
         if geom < 0:
             known = [source.geom(g).name for g in range(source.ngeom)]
             raise UnknownNameError("geom of the model", intrusion.geom, [k for k in known if k])
+        if source.geom_bodyid[geom] == 0:
+            raise InputError(
+                f"geom {intrusion.geom!r} is fixed to the world: an intruder is a geom of a body"
+            )
         root = source.body(int(source.body_rootid[source.geom_bodyid[geom]])).name
         roots = [body for body in roots if body.name == root] or roots
     if len(roots) != 1:
@@ -223,13 +232,14 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
             f"{intrusion.model} has {len(roots)} bodies in its world ({names}): an intruder is "
             "one of them, name a geom of it"
         )
-    for joint in [joint for body in spec.bodies for joint in body.joints]:
-        spec.delete(joint)  # the intruder is rigid, and moved as a whole
-    for other in list(spec.worldbody.bodies):
-        if other is not roots[0] and other.name != roots[0].name:
-            spec.delete(other)
-    for key in list(spec.keys):
-        spec.delete(key)
+    # The intruder is rigid, moved as a whole, and alone: what drives it, binds it, reads it or lies
+    # below it goes first, since it names what goes then.
+    others = [*spec.sensors, *spec.actuators, *spec.equalities, *spec.tendons, *spec.keys]
+    others += [*spec.pairs, *spec.excludes, *spec.worldbody.geoms]
+    others += [joint for body in spec.bodies for joint in body.joints]
+    others += [body for body in spec.worldbody.bodies if body.name != roots[0].name]
+    for other in others:
+        spec.delete(other)
     roots[0].add_freejoint()
     try:
         return spec.compile()

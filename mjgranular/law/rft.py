@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
-from mjgranular.given import is_finite
+from mjgranular.given import check_switch, is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, vector
 from mjgranular.law.facet import facet_kernel
@@ -78,6 +78,7 @@ class RftLaw(Law):
 
     def check_options(self) -> None:
         """Refuses options without meaning."""
+        check_switch(f"{type(self).__name__}: rise", self.rise)
         for key in ("inertia", "added"):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):

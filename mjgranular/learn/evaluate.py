@@ -10,6 +10,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.extras import need
+from mjgranular.given import check_count, kind_of
 from mjgranular.learn.agents import Agent
 from mjgranular.learn.episodes import Episodes, run_episodes
 from mjgranular.learn.settings import toml_value
@@ -129,6 +130,13 @@ def evaluate(
     Raises:
         InputError: fewer than two seeds, or a variant that is not of this form.
     """
+    if not callable(make_agent):
+        raise InputError(
+            "make_agent is a function that is given the environments and gives who acts in them, "
+            f"lambda env: policy for example, not {kind_of(make_agent)}"
+        )
+    check_count("seeds", seeds)
+    check_count("first_seed", first_seed, least=0)
     if seeds < LEAST_SEEDS:
         raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
     episodes = run_episodes(

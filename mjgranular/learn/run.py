@@ -156,12 +156,13 @@ class Run:
         )
 
 
-def begin_run(path: Path, environment: str, settings: Settings, *, seed: int) -> Run:
+def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: int) -> Run:
     """Makes the folder of a new run. Of two processes that try at once one is refused.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written to.
     """
+    path = Path(path)
     if not 0 <= seed < 2**31:
         raise InputError(f"a seed is a whole number from 0 to {2**31 - 1}, not {seed}")
     if not is_text(environment):

@@ -179,7 +179,12 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
     present = [name for name in ALGORITHMS if name in content]
     name = (algorithm or str(content.get("algorithm", ""))).lower()
     if name not in ALGORITHMS:
-        raise UnknownNameError("algorithm", name, present or ALGORITHMS)
+        others = [one for one in ALGORITHMS if one not in present]
+        hint = (
+            f"{where} has settings for {', '.join(present)}; for {' and '.join(others)} they are "
+        )
+        hint += "given in a file with a table of that name, --settings FILE.toml"
+        raise UnknownNameError("algorithm", name, ALGORITHMS, hint if present and others else "")
     if name not in content:
         raise InputError(
             f"{where} has no table [{name}]; it has settings for {', '.join(present) or 'none'}"
@@ -224,21 +229,21 @@ def _read_toml(file: Path) -> dict[str, Any]:
         raise InputError(f"{name} has a number that is too long") from None
 
 
-def change(settings: Settings, changes: Sequence[str]) -> Settings:
+def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
     """Settings with some values changed.
 
     Args:
         settings: to start from.
-        changes: `name=value`, where name is a field of the settings (`num_envs=8`), an argument of
-            the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values as in TOML,
-            where texts may go without quotes.
+        changes: one or several `name=value`, where name is a field of the settings (`num_envs=8`),
+            an argument of the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values
+            as in TOML, where texts may go without quotes.
 
     Raises:
         InputError: not of this form, an unknown name or a wrong type.
     """
     own = {entry.name for entry in fields(Settings)} - {"algorithm", *_TABLES}
     changed: dict[str, Any] = {name: dict(getattr(settings, name)) for name in _TABLES}
-    for text in changes:
+    for text in [changes] if isinstance(changes, str) else changes:
         name, given, value = text.partition("=")
         name = name.strip()
         if not given or not name:

@@ -32,7 +32,9 @@ class Quantity:
     source: str
 
     def __post_init__(self) -> None:
-        if not isinstance(self.value, (int, float, np.number)):
+        value = self.value
+        is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+        if not is_number or math.isnan(value):
             raise InputError(f"a quantity's value is a number, not {shown(self.value)}")
 
 
@@ -61,7 +63,16 @@ class Medium:
     grain: Quantity | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise InputError(
+                f"a medium has a name, a text such as 'my_sand', not {kind_of(self.name)}"
+            )
         medium = f"medium {shown(self.name)}"
+        if not isinstance(self.constants, Mapping):
+            raise InputError(
+                f"{medium}: constants are a table of laws, {{'rft3d': {{name: Quantity(...)}}}}, "
+                f"not {kind_of(self.constants)}"
+            )
         for value in (self.density, *([] if self.grain is None else [self.grain])):
             if not isinstance(value, Quantity):
                 raise InputError(
@@ -81,6 +92,11 @@ class Medium:
                 f"not {self.grain.value}"
             )
         for law, constants in self.constants.items():
+            if not isinstance(constants, Mapping):
+                raise InputError(
+                    f"{medium}: constants of {law} are a table, {{name: Quantity(...)}}, not "
+                    f"{kind_of(constants)}"
+                )
             for key, quantity in constants.items():
                 if not isinstance(quantity, Quantity):
                     raise InputError(

@@ -63,7 +63,13 @@ def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -
         state: of the relief (`relief.grid`).
         memory: how it remembers.
         middle: of the square, along the axes of the plane [m].
+
+    Raises:
+        InputError: the middle is no two numbers.
     """
+    numbers = np.asarray(middle)
+    if numbers.shape != (2,) or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+        raise InputError(f"the middle is two numbers [m], not {shown(middle)}")
     size = memory.size
     first = [round(place / memory.cell) - size // 2 for place in middle]
     i, j = (begin + np.arange(size) for begin in first)

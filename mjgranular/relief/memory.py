@@ -57,9 +57,9 @@ class Memory:
                 continue
             is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not is_number or not 0.0 < value < high:
+                end = "" if math.isinf(high) else f" and below {high:.4g} rad"
                 raise InputError(
-                    f"the memory's {name} must be a number above 0"
-                    f"{'' if math.isinf(high) else f' and below {high:.4g}'}, not {shown(value)}"
+                    f"the memory's {name} must be a number above 0{end}, not {shown(value)}"
                 )
         if not self.extent / self.cell <= MOST_CELLS:
             count = self.extent / self.cell
@@ -117,7 +117,9 @@ def as_memory(memory: Any) -> Memory | None:
         return Memory(cell=float(memory))
     if isinstance(memory, str):
         words = split_words(memory)
-        if len(words) == 1 and "=" not in words[0]:
-            return Memory(cell=read_value(words[0], float, "memory, the side of a cell,"))
+        if words and "=" not in words[0]:
+            return Memory(cell=read_value(memory.strip(), float, "memory, the side of a cell [m],"))
+        if not words:
+            raise InputError("memory is the side of a cell [m], or 'cell=0.01 extent=4', not ''")
         return Memory(**read_options(words, Memory, "memory"))
     raise InputError(f"memory is a Memory, the side of a cell [m] or True, not {shown(memory)}")

@@ -87,15 +87,27 @@ class Original:
         return {name: hashlib.blake2b(getattr(model, name).tobytes()).digest() for name in names}
 
 
-def warn_of_missed_steps(time: float, last: float | None, timestep: float) -> None:
+def warn_of_missed_steps(
+    time: float, last: float | None, timestep: float, *, began: float | None = None
+) -> None:
     """Warns where time has gone on without the sand.
 
     Args:
         time: of the simulation [s].
         last: when the sand last acted [s]; None for never.
         timestep: of that step [s].
+        began: time at the start of a simulation in which the sand was to act from its first step
+            on [s]; None where a state may come from elsewhere.
     """
-    if last is not None and time > last + 1.5 * timestep:
+    if last is None:
+        if began is not None and time > began + 0.5 * timestep:
+            warn_user(
+                f"time is {time:.6g} s, and this sand has never acted in this MjData: was "
+                "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside "
+                "mj_step; a state that was copied from elsewhere is no cause)",
+                MissedStepWarning,
+            )
+    elif time > last + 1.5 * timestep:
         warn_user(
             f"time is {time:.6g} s, but this sand last acted in the step from {last:.6g} s: was "
             "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside mj_step)",

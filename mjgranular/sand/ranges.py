@@ -11,6 +11,7 @@ import numpy as np
 from mjgranular.errors import RangeWarning, warn_user
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
+from mjgranular.shape.sizes import geom_name
 from mjgranular.surface import Plane, Surface
 
 _DENSITIES = (10.0, 25000.0)
@@ -24,12 +25,24 @@ _DEEPEST_START = 1.0
 """Of the highest point of all that meets the sand [m]. A robot is buried by hand; laws hold to some
 widths of a body. A height in millimetres, or with the wrong sign, is further off."""
 
+_LONGEST = 10.0
+"""Of a geom that meets the sand [m], across. Chosen: an excavator has 10 m. What was drawn in
+millimetres has more."""
+
+_LIGHTEST = 5.0
+"""Mean of all that meets the sand [kg/m^3]. Chosen: foam has 15 and more. In g/cm^3 water has 1,
+and steel 7.8."""
+
+_STEEPEST = math.radians(75)
+"""Of gravity against the way into a plane of sand. Chosen: sand slides from 35 degrees on, and
+where gravity is along y, it is 90."""
+
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws of which that is known: one of a user's own may be of mud, or of a lake."""
 
 
 def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surface: Surface) -> None:
-    """Warns of a density, a time step and a start that are beyond all sense.
+    """Warns of densities, sizes, a time step and a start that are beyond all sense.
 
     Args:
         model: the model.
@@ -57,6 +70,8 @@ def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surfac
             f"is met: {timestep:g} ms is {timestep / 1000:g} s",
             RangeWarning,
         )
+    _warn_of_bodies(model, geoms)
+    _warn_of_gravity(model, surface)
     depth = _depth_of_all(model, geoms, surface)
     if isinstance(law, _OF_SAND) and depth > _DEEPEST_START:
         warn_user(
@@ -65,6 +80,61 @@ def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surfac
             "lower the surface",
             RangeWarning,
         )
+
+
+def _warn_of_gravity(model: mujoco.MjModel, surface: Surface) -> None:
+    """Warns of gravity that does not pull into the sand."""
+    gravity = model.opt.gravity
+    strength = float(np.linalg.norm(gravity))
+    if not isinstance(surface, Plane) or strength == 0.0:
+        return
+    off = math.acos(max(-1.0, min(1.0, -float(gravity @ surface.normal) / strength)))
+    if off > _STEEPEST:
+        components = ", ".join(f"{component:g}" for component in gravity)
+        warn_user(
+            f"gravity, ({components}) m/s^2, is {math.degrees(off):.0f} degrees off the way into "
+            "the sand: z is up, and gravity 0 0 -9.81 on level ground",
+            RangeWarning,
+        )
+
+
+def _warn_of_bodies(model: mujoco.MjModel, geoms: Sequence[int]) -> None:
+    """Warns of what is drawn in millimetres, or weighed in g/cm^3."""
+    largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
+    across = 2 * float(model.geom_rbound[largest])
+    if across > _LONGEST:
+        warn_user(
+            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in metres, "
+            f"and {across:.3g} mm is {across / 1000:.3g} m",
+            RangeWarning,
+        )
+    volumes = [_volume(model, geom) for geom in geoms]
+    bodies = sorted({int(model.geom_bodyid[geom]) for geom in geoms})
+    mass = float(model.body_mass[bodies].sum())
+    if all(volumes) and 0.0 < mass < _LIGHTEST * sum(volumes):
+        density = mass / sum(volumes)
+        warn_user(
+            f"all that meets the sand weighs {mass:.3g} kg, on the mean {density:.3g} kg/m^3, less "
+            f"than any solid: {density:.3g} g/cm^3 is {1000 * density:.4g} kg/m^3",
+            RangeWarning,
+        )
+
+
+def _volume(model: mujoco.MjModel, geom: int) -> float:
+    """Volume of a geom [m^3]; 0 where it is not known, of meshes above all."""
+    x, y, z = model.geom_size[geom].tolist()
+    kinds = mujoco.mjtGeom
+    ball = 4 / 3 * math.pi
+    kind = model.geom_type[geom]
+    if kind == kinds.mjGEOM_SPHERE:
+        return ball * x**3
+    if kind == kinds.mjGEOM_CAPSULE:
+        return ball * x**3 + 2 * math.pi * x**2 * y
+    if kind == kinds.mjGEOM_CYLINDER:
+        return 2 * math.pi * x**2 * y
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        return ball * x * y * z
+    return 8 * x * y * z if kind == kinds.mjGEOM_BOX else 0.0
 
 
 def _depth_of_all(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> float:

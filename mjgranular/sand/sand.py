@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnstableError
-from mjgranular.given import check_data, check_model
+from mjgranular.given import check_data, check_model, check_switch
 from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import UPDATE
 from mjgranular.law import Law
@@ -90,6 +90,7 @@ class Sand:
         **fields: Unpack[SandFields],
     ) -> None:
         check_model(model, "Sand")
+        check_switch("shared", shared)
         self._model = model
         self._spec = combined(spec, fields)
         self._sand = sand = prepare(model, self._spec)
@@ -224,7 +225,11 @@ class Sand:
 
         What `apply` has left in `data.xfrc_applied` is taken back. A later `step` or `apply` begins
         anew; without an earlier one there is nothing to let go.
+
+        Raises:
+            InputError: something else than a simulation.
         """
+        check_data(data, "Sand")
         binding = self._bindings.pop(data, None)
         if binding is not None:
             self._recent = _NOBODY
@@ -353,8 +358,8 @@ class Sand:
         Masses and options may change between any two steps. What elements and selection are made
         of may not: sizes, places and types of geoms, meshes, the tree of bodies and joints.
 
-        Warns with a `MissedStepWarning` if time has gone on in `data` without this sand, after it
-        had acted there: `mujoco.mj_step` was called, most likely, where `step` was meant.
+        Warns with a `MissedStepWarning` if time has gone on in `data` without this sand, also if it
+        has never acted there: `mujoco.mj_step` was called, most likely, where `step` was meant.
 
         Raises:
             InputError: names what was changed; or options that the scheme cannot step.
@@ -363,13 +368,13 @@ class Sand:
         self._scheme.check(self._model)
         if data is not None:
             self._check_owner(data)
-            self._warn_of_missed_steps(data)
+            self._warn_of_missed_steps(data, began=0.0)
 
-    def _warn_of_missed_steps(self, data: mujoco.MjData) -> None:
+    def _warn_of_missed_steps(self, data: mujoco.MjData, began: float | None = None) -> None:
         bound = self._bindings.get(data)
-        if bound is not None:
-            timestep = max(self._last_timestep, self._options.timestep)
-            warn_of_missed_steps(data.time, bound.snapshot.time, timestep)
+        last = None if bound is None else bound.snapshot.time
+        timestep = max(self._last_timestep, self._options.timestep)
+        warn_of_missed_steps(data.time, last, timestep, began=began)
 
     def _solver(self, data: mujoco.MjData) -> Solver | None:
         """Counters of the scheme in this simulation."""

@@ -18,7 +18,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
+from mjgranular.given import check_switch
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import rows
 from mjgranular.kernel.memory import (
@@ -65,9 +66,10 @@ class Explicit(Scheme):
     longest_step: float = 1e9  # any
 
     def __post_init__(self) -> None:
-        if not self.longest_step > 0.0:
+        check_switch("Explicit: half_step", self.half_step)
+        if not (isinstance(self.longest_step, (int, float)) and self.longest_step > 0.0):
             raise InputError(
-                f"Explicit: longest_step must be positive, not {self.longest_step:g} s"
+                f"Explicit: longest_step must be positive, not {shown(self.longest_step)} s"
             )
 
     @property

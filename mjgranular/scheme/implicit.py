@@ -35,6 +35,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.given import check_count
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of
 from mjgranular.kernel.engine import (
@@ -97,8 +98,7 @@ class Implicit(Scheme):
     evaluations: int = 80
 
     def __post_init__(self) -> None:
-        if self.evaluations < 1:
-            raise InputError(f"Implicit: evaluations must be at least 1, not {self.evaluations}")
+        check_count("Implicit: evaluations", self.evaluations)
 
     @property
     def lead(self) -> float:

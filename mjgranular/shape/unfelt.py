@@ -1,4 +1,4 @@
-"""What can move in a model and yet is not felt by sand, or not as it moves."""
+"""What moves and is not felt by sand, or not as it moves; and what does not feel the sand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import mujoco
 
-from mjgranular.errors import UnfeltWarning, warn_user
+from mjgranular.errors import UnfeltWarning, listed, warn_user
 from mjgranular.names import name_of
 from mjgranular.shape.select import body_name, collides, mocap_above, moves
 
@@ -19,7 +19,7 @@ def warn_of_unfelt(model: mujoco.MjModel, geoms: Sequence[int], *, chosen: bool)
         geoms: ids of the geoms that meet the sand.
         chosen: whether the user has chosen them, and so what else stays out.
     """
-    for told in [*_hung(model, geoms), *(() if chosen else _left_out(model))]:
+    for told in [*_hung(model, geoms), *_numb(model, geoms), *(() if chosen else _left_out(model))]:
         warn_user(told, UnfeltWarning)
 
 
@@ -53,6 +53,26 @@ def _hung(model: mujoco.MjModel, geoms: Sequence[int]) -> Iterator[str]:
                 "them alone; <weld> a free body to the mocap body, and hang it on that"
             )
             return
+
+
+def _numb(model: mujoco.MjModel, geoms: Sequence[int]) -> Iterator[str]:
+    """Says which sensors of touch feel nothing of the sand that their bodies are in."""
+    bodies = {int(model.geom_bodyid[geom]) for geom in geoms}
+    site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
+    ours = model.sensor_objid[site & (model.sensor_type == mujoco.mjtSensor.mjSENS_PLUGIN)]
+    numb = [
+        name_of(model, "sensor", sensor) or f"number {sensor}"
+        for sensor in (model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH).nonzero()[0]
+        if int(model.site_bodyid[model.sensor_objid[sensor]]) in bodies
+        and model.sensor_objid[sensor] not in ours
+    ]
+    if numb:
+        one = len(numb) == 1
+        yield (
+            f"touch {'sensor' if one else 'sensors'} {listed(numb)} {'reads' if one else 'read'} "
+            "contacts alone, and nothing of the sand: the sensor mjgranular.sensor with the "
+            "measure touch does, inside mj_step, and Sand.report"
+        )
 
 
 def _bodies_of(model: mujoco.MjModel, flex: int) -> set[int]:

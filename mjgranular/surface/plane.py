@@ -38,7 +38,8 @@ class Plane(Surface):
         uphill: direction of steepest ascent, as an angle from the x axis about z [rad].
 
     Raises:
-        InputError: a value that is not finite, or a slope outside (-pi/2, pi/2).
+        InputError: a value that is not finite, a slope outside (-pi/2, pi/2), or a direction of
+            more than one turn.
     """
 
     probe: ClassVar[Any] = plane_probe
@@ -57,6 +58,11 @@ class Plane(Surface):
             raise InputError(
                 f"the plane's slope must be less than 90 degrees (pi/2 = 1.5708 rad), "
                 f"not {self.slope:.4f} rad"
+            )
+        if abs(self.uphill) > 2 * math.pi:
+            raise InputError(
+                f"the plane's uphill is an angle in radians, from -2 pi to 2 pi, not "
+                f"{self.uphill:g}: {self.uphill:g} degrees are {math.radians(self.uphill):.4g}"
             )
 
     @property

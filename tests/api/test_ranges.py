@@ -23,6 +23,9 @@ CASES = [
     (xml(), {"law": SLIP}, r"density of 1\.55 .*1\.55 g/cm\^3 is 1550 kg/m\^3"),
     (xml(timestep=1), {}, r"time step is 1 s.*1 ms is 0\.001 s"),
     (xml(z=-5), {}, r"starts 4\.8\d m and more under"),
+    (xml().replace(".1 .05 .03", "100 50 30"), {}, r"geom .* is 232 m across.*232 mm is 0\.232 m"),
+    (xml().replace("/></body>", ' density="2.7"/></body>'), {}, r"2\.7 g/cm\^3 is 2700 kg/m\^3"),
+    (xml().replace("<option", '<option gravity="0 -9.81 0"'), {}, r"90 degrees off the way into"),
     (xml(), {"surface": Plane(height=30)}, r"starts 29\.\d m and more under"),
 ]
 
@@ -43,6 +46,8 @@ def test_a_slip_is_named_in_python_and_in_mjcf(text, options, said):
         (xml(timestep=1), ["--timestep", "0.5"], "0.5 ms is 0.0005 s"),
         (xml(z=-5), [], "starts 4.8"),
         (xml(), ["--surface-height", "30"], "lengths are in metres"),
+        (xml(), ["--height", "50"], "50 mm is 0.05 m"),
+        (xml(), ["--velocity", "5000"], "5000 mm/s is 5 m/s"),
     ],
 )
 def test_a_slip_is_named_on_the_command_line(tmp_path, capsys, text, options, said):
@@ -60,3 +65,17 @@ def test_what_people_use_is_no_slip():
             if name != "play_sand":
                 Sand(model, medium=name, scheme="explicit")
         Sand(model, surface=Plane(height=0.4), scheme="explicit")
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("--density 7.8", "7.8 g/cm^3 is 7800 kg/m^3"),
+        ("--length 200 --diameter 10", "200 mm is 0.2 m"),
+        ("--height 1e9", "the height of release is 1e+09 m: lengths are in metres"),
+        ("--speed 5e3", "5000 mm/s is 5 m/s"),
+    ],
+)
+def test_a_slip_in_an_impact_is_named(capsys, typed, said):
+    main(["impact", "--duration", "1e-4", *typed.split()])
+    assert said in " ".join(capsys.readouterr().err.split())

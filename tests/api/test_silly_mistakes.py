@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 
 import mjgranular as mg
-from mjgranular.engine import tune
-from mjgranular.errors import GranularError
+from mjgranular.engine import relief_of, rne_post_constraint, tune
+from mjgranular.engine.readings import SandReadings
+from mjgranular.errors import GranularError, MissedStepWarning, RangeWarning
+from mjgranular.experiment import Impact, run_impact
+from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.medium.file import read_medium
 from mjgranular.models import Link, model_path
+from mjgranular.relief.heights import heights_of
 
 BLOCK = """
 <mujoco model="block">
@@ -50,6 +54,18 @@ def quantity(value: Any) -> mg.Quantity:
     return mg.Quantity(value, "kg/m^3", "weighed")
 
 
+def medium(**fields: Any) -> mg.Medium:
+    plain: Any = {"name": "a", "title": "a", "density": quantity(1500), "default_law": "link"}
+    return mg.Medium(**{**plain, **fields})
+
+
+def evaluated(make_agent: Any, **options: Any) -> Any:
+    pytest.importorskip("stable_baselines3")
+    from mjgranular.learn.evaluate import evaluate
+
+    return evaluate("mine", make_agent, "Pendulum-v1", {}, **options)
+
+
 def on_sand(*arguments: Any, **options: Any) -> Any:
     pytest.importorskip("gymnasium")
     from mjgranular import envs
@@ -76,6 +92,33 @@ def vec(name: str, num_envs: Any, **options: Any) -> Any:
     from mjgranular.envs.sb3 import make_vec_env
 
     return make_vec_env(name, num_envs, **options)
+
+
+def batch(name: str, **options: Any) -> Any:
+    gym = pytest.importorskip("gymnasium")
+    import mjgranular.envs  # noqa: F401
+
+    return gym.make_vec(f"mjgranular/{name}-v0", num_envs=2, **options)
+
+
+def registered(task: Any) -> Any:
+    pytest.importorskip("gymnasium")
+    from mjgranular.envs.ids import register_task
+
+    return register_task(task)
+
+
+def unfinished() -> type:
+    pytest.importorskip("gymnasium")
+    from mjgranular.envs import Task
+
+    return type("Nothing", (Task,), {})
+
+
+def gait_of(task: Any) -> Any:
+    from mjgranular.envs.gaits import gait
+
+    return gait(task)
 
 
 def stepped(action: Any) -> Any:
@@ -178,6 +221,22 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "degrees for slope": (
         lambda: mg.Plane(slope=30),
         "the plane's slope must be less than 90 degrees",
+    ),
+    "degrees for uphill": (
+        lambda: mg.Plane(slope=0.2, uphill=90),
+        "uphill is an angle in radians, from -2 pi to 2 pi, not 90: 90 degrees are 1.571",
+    ),
+    "middle in space": (
+        lambda: heights_of(np.zeros(9), mg.Memory(), (0, 0, 0)),
+        "the middle is two numbers [m], not [0, 0, 0]",
+    ),
+    "model to release": (
+        lambda: sand().release(MODEL),
+        "Sand takes a mujoco.MjData, not a MjModel",
+    ),
+    "steps of nothing": (
+        lambda: on_sand("Hopper-v5", frame_skip=0),
+        "frame_skip must be at least 1, not 0",
     ),
     "endless height": (lambda: mg.Plane(height=math.inf), "the plane's height must be finite"),
     "geom of a bed": (
@@ -430,6 +489,135 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         "observe_sand must be True or False, not 'no'",
     ),
     "medium of a number": (lambda: read_medium(3), "a medium is read from a file, not from 3"),
+    "word for tunable": (lambda: added(tunable="no"), "tunable must be True or False, not 'no'"),
+    "word for shared": (lambda: sand(shared="no"), "shared must be True or False, not 'no'"),
+    "words for memory": (
+        lambda: sand(memory="yes please"),
+        "memory, the side of a cell [m], must be a number, not 'yes please'",
+    ),
+    "empty memory": (lambda: sand(memory=""), "memory is the side of a cell [m]"),
+    "word for a switch of a law": (
+        lambda: mg.Rft3dLaw(3000, 0.4, 0.4, rise="no"),
+        "Rft3dLaw: rise must be True or False, not 'no'",
+    ),
+    "word for a switch of a scheme": (
+        lambda: mg.Explicit(half_step="no"),
+        "Explicit: half_step must be True or False, not 'no'",
+    ),
+    "text for a longest step": (
+        lambda: mg.Explicit(longest_step="1"),
+        "Explicit: longest_step must be positive, not '1' s",
+    ),
+    "half an evaluation": (
+        lambda: mg.Implicit(evaluations=2.5),
+        "Implicit: evaluations must be a whole number, not 2.5",
+    ),
+    "data for a state": (
+        lambda: tune(added(tunable=True), DATA, "sand", strength=2),
+        "not to a MjData; use data.plugin_state",
+    ),
+    "path for a model to tune": (
+        lambda: tune("robot.xml", np.zeros(4), "sand"),
+        "tune takes a compiled mujoco.MjModel, not 'robot.xml'",
+    ),
+    "text for a strength": (
+        lambda: tune(added(tunable=True), np.zeros(4), "sand", strength="2"),
+        "strength must be a number, or one for each simulation, not '2'",
+    ),
+    "half a sand": (
+        lambda: tune(added(tunable=True), np.zeros(4), "sand", active=0.5),
+        "active must be 0 or 1, False or True, not 0.5",
+    ),
+    "strengths of others": (
+        lambda: tune(added(tunable=True), np.zeros((3, 4)), "sand", strength=[1, 2]),
+        "one for each simulation, shape (3,), not of shape (2,)",
+    ),
+    "nothing for data in the engine": (
+        lambda: rne_post_constraint(MODEL, None),
+        "rne_post_constraint takes a mujoco.MjData, not None",
+    ),
+    "model and data the wrong way round": (
+        lambda: relief_of(DATA, MODEL),
+        "relief_of takes a compiled mujoco.MjModel, not a MjData; use data.model",
+    ),
+    "quantity that is none": (
+        lambda: quantity(math.nan),
+        "a quantity's value is a number, not nan",
+    ),
+    "name for a task": (
+        lambda: registered("x"),
+        "a task is a class that derives from mjgranular.envs.Task, not 'x'",
+    ),
+    "class that is no task": (lambda: registered(int), "not the class int"),
+    "task without a robot": (lambda: registered(unfinished()), "the task Nothing lacks observe,"),
+    "text for a number of simulations": (
+        lambda: vec("mjgranular/LinkDrop-v0", "8"),
+        "num_envs must be a whole number, not '8'",
+    ),
+    "half a simulation": (
+        lambda: vec("mjgranular/LinkDrop-v0", 2.5),
+        "num_envs must be a whole number, not 2.5",
+    ),
+    "text for threads": (
+        lambda: vec("mjgranular/LinkDrop-v0", 2, threads="many"),
+        "threads must be a whole number, not 'many'",
+    ),
+    "fewer than no threads": (
+        lambda: vec("mjgranular/LinkDrop-v0", 2, threads=-1),
+        "threads must be at least 0, not -1",
+    ),
+    "noise below zero": (
+        lambda: task("Hopper", reset_noise_scale=-1),
+        "reset_noise_scale must not be negative, not -1",
+    ),
+    "number for a curriculum": (
+        lambda: task("Hopper", randomise=ranges(strength=(1, 2)), curriculum=3),
+        "a curriculum is a function of the number of the episode that gives a SandRanges, not 3",
+    ),
+    "table for ranges": (
+        lambda: task("Hopper", randomise={"strength": (1, 2)}),
+        "randomise must be a SandRanges(strength=(0.5, 2), ...), not a dict",
+    ),
+    "gait of an environment": (
+        lambda: gait_of(task("LinkDrop")),
+        "a gait is of a task, which an environment has as env.unwrapped.task",
+    ),
+    "gait of an id": (lambda: gait_of("mjgranular/LinkDrop-v0"), "env.unwrapped.task, not of"),
+    "environment that is made already": (
+        lambda: on_sand(task("LinkDrop")),
+        "on_sand makes the environment itself, from its class or its id",
+    ),
+    "size of a picture": (
+        lambda: task("LinkDrop", render_mode="rgb_array", width="640"),
+        "width must be a whole number, not '640'",
+    ),
+    "batch that begins when it likes": (
+        lambda: batch("LinkDrop", autoreset_mode="same"),
+        "no autoreset_mode 'same'; there are: NextStep, SameStep, Disabled",
+    ),
+    "text for a seed": (
+        lambda: batch("LinkDrop").reset(seed="1"),
+        "a seed is a whole number, or a list of them, not '1'",
+    ),
+    "text for a speed": (lambda: Impact(speed="10"), "speed must be finite, not '10'"),
+    "number for a drop": (lambda: run_impact(10), "run_impact takes an Impact, not 10"),
+    "path for a drop": (lambda: run_drop("robot.xml"), "run_drop takes a Drop(path, ...), not"),
+    "medium without a name": (lambda: medium(name=""), "a medium has a name, a text such as"),
+    "number for a medium's name": (lambda: medium(name=3), "a medium has a name, a text such as"),
+    "list of constants": (lambda: medium(constants=[1]), "constants are a table of laws, {'rft3d'"),
+    "law of an impact": (
+        lambda: Impact(law=mg.LinkLaw),
+        "medium and law of an impact are names, not the class LinkLaw",
+    ),
+    "text for a height": (lambda: Drop("robot.xml", height="1"), "the height must be finite and"),
+    "policy for its maker": (
+        lambda: evaluated(object()),
+        "make_agent is a function that is given the environments",
+    ),
+    "text for seeds": (
+        lambda: evaluated(lambda env: None, seeds="3"),
+        "seeds must be a whole number, not '3'",
+    ),
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
@@ -440,7 +628,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
 # What MuJoCo or Python raises: with our words in it, or of a call of theirs.
 THEIRS = {
     "body of add_sand",
-    "body of an environment",
     "law in MJCF",
     "body in MJCF",
     "key in MJCF",
@@ -460,3 +647,51 @@ def test_a_silly_mistake_is_told_in_one_sentence(name: str) -> None:
     assert len(said) < 450
     for word in words.split(" ... "):
         assert word in said
+
+
+def test_steps_that_were_all_made_without_the_sand_are_told() -> None:
+    model = mujoco.MjModel.from_xml_string(BLOCK)
+    data = mujoco.MjData(model)
+    made_of_it = mg.Sand(model)
+    made_of_it.check(data)  # nothing has been missed
+    mujoco.mj_step(model, data, 3)
+    with pytest.warns(MissedStepWarning, match=r"never acted in this MjData: was mujoco\.mj_step"):
+        made_of_it.check(data)
+    made_of_it.report(data)  # of a state from anywhere, without a word
+
+
+def test_after_a_reset_nothing_is_left_of_the_last_step() -> None:
+    model = added()
+    data, other = mujoco.MjData(model), mujoco.MjData(model)
+    readings = SandReadings(model, ("sand",))
+    for each in (data, other):
+        each.qpos[2] = 0.0
+        each.qvel[2] = -1.0
+        mujoco.mj_step(model, each)
+        assert readings.read(each)[0, 2] > 1.0  # [N]
+    mujoco.mj_resetData(model, data)
+    assert not readings.read(data).any()
+    rne_post_constraint(model, data)
+    assert not data.cfrc_ext.any()
+    assert readings.read(other)[0, 2] > 1.0  # whom nobody has reset
+    rne_post_constraint(model, other)
+    assert other.cfrc_ext[2, 5] > 1.0
+
+
+def test_a_surface_that_is_raised_by_millimetres_is_told() -> None:
+    model = added(tunable=True)
+    with pytest.warns(RangeWarning, match=r"20 mm is 0\.02 m"):
+        tune(model, mujoco.MjData(model).plugin_state, "sand", height=20)
+
+
+def test_a_task_that_is_defined_again_takes_its_own_place() -> None:
+    pytest.importorskip("gymnasium")
+    from mjgranular.envs.link_drop import LinkDrop
+    from mjgranular.envs.tasks import tasks
+
+    again = type("LinkDrop", (LinkDrop,), {"__module__": LinkDrop.__module__})
+    try:
+        assert registered(again) == "mjgranular/LinkDrop-v0"
+        assert tasks["LinkDrop"] is again
+    finally:
+        registered(LinkDrop)

@@ -134,3 +134,35 @@ def test_a_body_welded_to_a_mocap_body_meets_what_its_speed_asks_for(speed):
     resists = 0.3 + 30.0 * found.depth + 0.1 * speed + 2.0 * speed**2
     assert found.force[0] == pytest.approx(-resists, rel=1e-3)
     assert data.qvel[0] == pytest.approx(speed, rel=1e-3)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_touch_sensors_of_bodies_in_the_sand_are_told_to_be_numb(own):
+    ball = BALL.replace("<geom", '<site name="sole" size=".1"/><geom')
+    spec = mujoco.MjSpec.from_string(text(ball))
+    spec.add_sensor(
+        name="sole",
+        type=mujoco.mjtSensor.mjSENS_TOUCH,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname="sole",
+    )
+    if own:  # one that feels the sand is there too
+        spec.activate_plugin("mjgranular.sensor")
+        plugin = spec.add_plugin(name="felt", plugin_name="mjgranular.sensor", active=True)
+        plugin.config = {"measure": "touch"}
+        sensor = spec.add_sensor(
+            name="felt",
+            type=mujoco.mjtSensor.mjSENS_PLUGIN,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname="sole",
+        )
+        sensor.plugin.active = True
+        sensor.plugin.plugin_name, sensor.plugin.name = "mjgranular.sensor", "felt"
+    add_sand(spec, law=DepthVelocityLaw(stiffness=30.0), scheme="explicit")
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        mujoco.MjData(spec.compile())
+    numb = [
+        str(one.message) for one in said if "touch sensor sole reads contacts" in str(one.message)
+    ]
+    assert len(numb) == (0 if own else 1)

@@ -18,7 +18,11 @@ from mjgranular import Plane, Sand
 from mjgranular.engine import add_sand, rne_post_constraint, tune
 from mjgranular.engine.measures import SENSOR
 
-pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning"),
+    # The robot has a touch sensor, which is to read as ever: of that a warning tells.
+    pytest.mark.filterwarnings("ignore:touch sensor:mjgranular.errors.UnfeltWarning"),
+]
 
 GRAVITY = 9.81
 LOAD = 5.0  # [kg], above the ankle

@@ -215,3 +215,28 @@ def test_a_model_that_asks_for_rk4_runs_with_another_integrator_and_says_so(ball
         result = run_drop(Drop(ball, height=0.01, duration=0.2))
     assert 'integrator="implicitfast"' in result.xml
     assert result.bodies[0].greatest_depth > 0.001
+
+
+def test_a_foot_of_a_robot_is_moved_as_a_ball_of_its_size(tmp_path):
+    """What drives, binds and reads the robot's joints, and its floor, is not in the way."""
+    robot = tmp_path / "robot.xml"
+    robot.write_text("""
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 .1"/>
+    <body name="torso" pos="0 0 .3"><freejoint/><geom type="box" size=".1 .1 .02"/>
+      <body name="leg"><joint name="hip" axis="0 1 0"/>
+        <geom name="foot" size=".025" pos="0 0 -.2"/><site name="sole" pos="0 0 -.2"/>
+      </body>
+    </body>
+  </worldbody>
+  <contact><exclude body1="torso" body2="leg"/><pair geom1="foot" geom2="floor"/></contact>
+  <tendon><fixed name="t"><joint joint="hip" coef="1"/></fixed></tendon>
+  <equality><joint joint1="hip" active="false"/></equality>
+  <actuator><motor joint="hip"/><motor tendon="t"/></actuator>
+  <sensor><jointpos joint="hip"/><touch site="sole"/></sensor>
+  <keyframe><key qpos="0 0 .3 1 0 0 0 .1"/></keyframe>
+</mujoco>""")
+    foot = run_intrusion(Intrusion(model=robot, geom="foot", depth=0.04, points=3))
+    ball = run_intrusion(Intrusion(intruder="sphere", size=0.05, depth=0.04, points=3))
+    np.testing.assert_allclose(foot.force, ball.force, rtol=1e-9, atol=1e-9)

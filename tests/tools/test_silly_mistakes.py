@@ -126,6 +126,11 @@ drop block.xml --bed tray --height-field dune | the sand is either a bed or a he
 drop block.xml --height-field block | geom 'block' is a box: a height field is made of a hfield geom
 drop block.xml --keyframe stand | no keyframe of the model 'stand'
 drop block.xml --instead-of floor | no geom of the model 'floor'
+drop floor.xml --instead-of floor --keep-floor | --keep-floor has no other ground to keep than floor
+drop block.xml --bed tray --slope 10 | --bed lies as its geom does: --slope is for a plane
+drop block.xml --uphill 90 | --uphill is the direction of a slope: add --slope
+drop block.xml --law link --medium play_sand | choose them with --geoms NAME or --bodies NAME
+drop block.xml --memory 'yes please' | memory, the side of a cell [m], must be a number
 drop block.xml --video | --video needs a folder to write to: add --out DIR
 drop block.xml --out old | old holds a result already (config.json, summary.json):
 drop block.xml --out notes.txt | cannot write to notes.txt: File exists; choose a folder
@@ -137,6 +142,7 @@ drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
 elements block.xml --figure block.bmp | a figure is written as .png, .svg or .pdf, not
+elements block.xml --color depth | --color is for a figure: add --figure FILE or --out DIR
 elements block.xml --figure old | a figure is written as .png, .svg or .pdf, not
 elements block.xml --figure a.png --out b | give --figure FILE for the figure alone or --out DIR
 elements block.xml --color red | invalid choice 'red' for argument '--color'. Expected one of
@@ -144,6 +150,10 @@ elements block.xml --law link --medium glass_beads | no constants in medium 'gla
 impact --speed -1 | the speed of T is downward and must not be negative
 impact --angle 90 | the angle from the vertical must be less than 90 degrees
 impact --body cube | no body 'cube'; there are: link, sphere, box, cylinder,
+impact --body sphere --length 0.3 | a sphere has no --length: its size is its --diameter
+impact --body chain:2 --until rest | --until is for one body: a chain is followed for its --duration
+impact --camera close | --camera is for a film: add --video
+impact --body chain:2 --video --out film --camera up | no camera 'up'; there are: free,
 impact --body chain:0 | a chain is chain:N with N links
 impact --body chain:two | a chain is chain:N with N links
 impact --until never | invalid choice 'never' for argument '--until'. Expected one of
@@ -155,6 +165,7 @@ intrude --points 1 | a path needs at least 2 points
 intrude --size 0 | the size must be positive and finite
 intrude --geom foot | --geom names a geom of a model: give the model too
 intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
+intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world: an intruder is a
 intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: leave --model
 sweep --over mass | invalid choice 'mass' for argument '--over'. Expected one of
 sweep --first 2 --last 2 | a sweep's range is empty: from 2.0 to 2.0
@@ -185,9 +196,11 @@ train quad.py | no environment 'quad.py'; there are: mjgranular/Ant-v0,
 train quad: | 'quad:' lacks the id behind the colon: quad:My-v0
 train :Quad-v0 | the module '' of the environment :Quad-v0 cannot be imported: one is named as
 train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean Quad-v0
+train quad:Nope-v0 | no environment 'quad:Nope-v0'; there are: quad:Quad-v0
 train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean quad?
 train error:Quad-v0 | the module 'error' of the environment error:Quad-v0 cannot be imported
 train CartPole-v1 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac,
+train mjgranular/LinkDrop-v0 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac, td3
 train CartPole-v1 --total-steps 0 | total_steps must be a whole number of at least 1 and at most
 train CartPole-v1 --total-steps 1.5 | a whole number is needed, not '1.5'
 train CartPole-v1 --seed -1 | a seed is a whole number from 0 to 2147483647
@@ -222,7 +235,8 @@ compare Robot | no robot to compare grounds with 'Robot'
 compare Hopper --policies 0 | a comparison needs at least 1 policy
 warm blok.xml | MuJoCo cannot load blok.xml
 warm block.xml --env Ant-v5 | name a MODEL.xml or --env ID
-warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: Reacher-v5,
+warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: mjgranular/Ant-v0,
+warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
 warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
 warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
 warm --over dune | invalid choice 'dune' for argument '--over'. Expected one of
