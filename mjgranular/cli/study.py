@@ -7,7 +7,6 @@ import json
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.table import Table
 from rich.text import Text
@@ -19,10 +18,7 @@ from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_st
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.study import column_of
 from mjgranular.experiment.table import need_parquet, write_csv, write_parquet
-from mjgranular.pool import UNFINISHED, Journal
-
-if TYPE_CHECKING:
-    from mjgranular.cli.sweep import SweepCommand
+from mjgranular.pool import UNFINISHED, Journal, Workers
 
 CSV, PARQUET, FIGURE = "sweep.csv", "sweep.parquet", "sweep.png"
 _SHOWN = 40  # rows of the table for people; chosen, as are these
@@ -30,20 +26,39 @@ _TOLD = 10  # failures
 _DRAWN = 2  # fields that a figure has room for
 
 
-def run(command: SweepCommand, study: Study) -> int:
-    """Runs the study of a command, shows it and writes it."""
-    if command.table == "parquet":
-        if command.out is None:
+def run(
+    study: Study,
+    on: Workers,
+    *,
+    place: Path | None,
+    overwrite: bool,
+    resume: bool,
+    as_json: bool,
+    parquet: bool,
+) -> int:
+    """Runs a study, shows it and writes it.
+
+    Args:
+        study: the runs.
+        on: where they are done.
+        place: folder for the result; None for none.
+        overwrite: whether a result there is replaced.
+        resume: whether there has to be an unfinished one there.
+        as_json: whether rows are shown as JSON.
+        parquet: whether the table is a Parquet file.
+    """
+    if parquet:
+        if place is None:
             raise InputError("--table is of the folder of --out")
         need_parquet()
-    journal = journal_of(study, command.out)
+    journal = journal_of(study, place)
     names = (CONFIG, SUMMARY, CSV, PARQUET, FIGURE, UNFINISHED)
-    folder = None if command.out is None else ResultFolder(command.out, names)
+    folder = None if place is None else ResultFolder(place, names)
     claimed = nullcontext()
     if folder is not None:
-        if command.resume:
-            check_resumed(journal, command.out)
-        claimed = folder.claimed(overwrite=command.overwrite, goes_on=journal.goes_on)
+        if resume:
+            check_resumed(journal, place)
+        claimed = folder.claimed(overwrite=overwrite, goes_on=journal.goes_on)
     with claimed:
         try:
             journal.begin()
@@ -52,22 +67,22 @@ def run(command: SweepCommand, study: Study) -> int:
             with progress_bar("running", len(study)) as progress:
                 result = run_study(
                     study,
-                    engine=command.engine,
-                    workers=command.workers,
-                    chunk=command.chunk,
-                    address=command.address,
+                    engine=on.engine,
+                    workers=on.count,
+                    chunk=on.chunk,
+                    address=on.address,
                     journal=journal,
                     progress=progress,
                 )
-            _show(result, as_json=command.json)
+            _show(result, as_json=as_json)
             if folder is not None and result.finished:
-                _write(folder, result, parquet=command.table == "parquet")
-                if not command.json:
-                    out.print(f"written to {command.out}", highlight=False, markup=False)
+                _write(folder, result, parquet=parquet)
+                if not as_json:
+                    out.print(f"written to {place}", highlight=False, markup=False)
         finally:
             journal.close()
-            _remove_empty(journal, command.out)
-    return _status(result, command.out)
+            _remove_empty(journal, place)
+    return _status(result, place)
 
 
 def _remove_empty(journal: Journal, folder: Path | None) -> None:

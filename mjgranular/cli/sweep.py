@@ -71,11 +71,19 @@ class SweepCommand(LinkOptions, EngineOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        _ = self.on
+        _ = self.on  # which checks itself
         if self.resume and (self.out is None or self.overwrite):
             raise InputError("--resume goes on with the folder of --out, and overwrites nothing")
         if self.vary:
-            return study.run(self, self._study())
+            return study.run(
+                self._study(),
+                self.on,
+                place=self.out,
+                overwrite=self.overwrite,
+                resume=self.resume,
+                as_json=self.json,
+                parquet=self.table == "parquet",
+            )
         self._only("of", "sample", "seed", "method", "table", wants="is for --vary")
         sweep = self._sweep()
         journal = sweep.journal(self.out)

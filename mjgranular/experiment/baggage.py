@@ -18,6 +18,7 @@ from typing import Any
 import mujoco
 
 from mjgranular.errors import InputError
+from mjgranular.experiment.drop import loading
 from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.study import Experiment, Study
 from mjgranular.law import Law, get_law, law_in, laws, register_law
@@ -182,13 +183,14 @@ def _files(experiment: Experiment) -> dict[Path, bytes]:
     model = None if isinstance(experiment, Impact) else experiment.model
     if not isinstance(model, Path):
         return {}
-    files = [str(model)]
-    if model.suffix.lower() in (".xml", ".urdf"):
-        files = mujoco.mju_getXMLDependencies(str(model))
-    paths = [Path(file).absolute() for file in files]
-    content = {path: read_file(path, "a file of the model", largest=_LARGEST) for path in paths}
     own = model.absolute()
-    return {own: read_file(own, "the model", largest=_LARGEST), **content}
+    content = {own: read_file(own, "the model", largest=_LARGEST)}
+    if model.suffix.lower() in (".xml", ".urdf"):
+        with loading(model.name):
+            named = mujoco.mju_getXMLDependencies(str(model))
+        for path in (Path(file).absolute() for file in named):
+            content[path] = read_file(path, "a file of the model", largest=_LARGEST)
+    return content
 
 
 def _is_here(path: Path, content: bytes) -> bool:

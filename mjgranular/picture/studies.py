@@ -14,6 +14,7 @@ from mjgranular.picture.plain import plain
 
 _BLUE = PALETTE[0]
 _MOST_MARKERS = 60  # of a line; of more the line says it all. Chosen
+_MOST_TICKS = 8  # of a grid, each at a value of it; chosen
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,9 @@ def _draw_over(
         cells[np.searchsorted(rows, y), np.searchsorted(across, x)] = values
         drawn = axes.pcolormesh(across, rows, cells, shading="nearest", cmap="viridis")
         axes.grid(visible=False)
+        for at, put in ((across, axes.set_xticks), (rows, axes.set_yticks)):
+            if len(at) <= _MOST_TICKS:
+                put(at)
     else:
         size = 18 if len(x) < 1000 else 4
         drawn = axes.scatter(x, y, c=values, s=size, cmap="viridis")

@@ -43,16 +43,19 @@ class Journal:
         size: int,
         is_result: Callable[[Mapping[str, Any]], bool] | None = None,
     ) -> None:
+        self._file: IO[bytes] | None = None
         self._path = None if folder is None else folder / UNFINISHED
         # Through JSON, so that it equals what is read: tuples are lists there.
         self._asked = json.loads(json.dumps({"asked": dict(asked), "versions": versions()}))
         self._is_result = is_result
-        self._file: IO[bytes] | None = None
         self._places = array("q", [_NONE]) * size
         self._flushed = 0.0
         self._end = 0
         self.count = 0
         """Results that are there."""
+
+    def __del__(self) -> None:
+        self.close()
 
     def __contains__(self, index: int) -> bool:
         return self._places[index] != _NONE
@@ -171,8 +174,8 @@ class Journal:
         index, row = content.get("index"), content.get("row")
         if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(places):
             return "it is damaged"
-        known = isinstance(row, dict) and (self._is_result is None or self._is_result(row))
-        if not known or places[index] != _NONE:
+        known = self._is_result is None or (isinstance(row, dict) and self._is_result(row))
+        if "row" not in content or not known or places[index] != _NONE:
             return "it is damaged"
         places[index] = at
         return None
