@@ -21,7 +21,8 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from mjgranular.experiment import Impact, Study, journal_of, run_study
@@ -65,13 +66,14 @@ def children(engine: str) -> list[int]:
 
 
 def same(drops: int) -> None:
-    """Files of one process, and of Ray with 1, 2 and 4 workers."""
+    """Files of one process, of two, and of Ray with 1, 2 and 4 workers."""
     some = study(drops, _SHORT)
     expected, _ = table(some, workers=1)
     for engine, workers in (("local", 2), ("ray", 1), ("ray", 2), ("ray", 4)):
         found, _ = table(some, engine=engine, workers=workers)
         assert found == expected, (engine, workers)
-        print(f"same: {drops} drops on {engine} with {workers} workers, {len(found)} bytes: equal")
+        told = f"{drops} drops on {engine} with {workers} workers, {len(found)} bytes: equal"
+        print(f"same: {told}", flush=True)
 
 
 def kills(engine: str, count: int, draw: random.Random) -> None:
@@ -104,7 +106,7 @@ def kills(engine: str, count: int, draw: random.Random) -> None:
         assert lines == 201, "a row twice, or none"
         assert found == expected
         done += len(ended)
-        print(f"kills: {done} of {count} workers of {engine} ended so far, table equal")
+        print(f"kills: {done} of {count} workers of {engine} ended so far, table equal", flush=True)
 
 
 def node() -> None:
@@ -129,7 +131,7 @@ def node() -> None:
         assert gone.is_set()
         assert result.failed == 0
         assert found == expected
-        print("node: one of two nodes was taken away, table equal")
+        print("node: one of two nodes was taken away, table equal", flush=True)
     finally:
         ray.shutdown()
         cluster.shutdown()
@@ -159,7 +161,10 @@ def resume(count: int, draw: random.Random) -> None:
                     break
                 done += 1
             assert found == expected
-        print(f"resume: {done} of {count} interruptions, each gone on from on the other engine")
+        print(
+            f"resume: {done} of {count} interruptions, each gone on from on the other engine",
+            flush=True,
+        )
 
 
 def _nap(_shared: object, seconds: float) -> dict[str, float]:
@@ -171,9 +176,6 @@ def _nap(_shared: object, seconds: float) -> dict[str, float]:
 
 def cost(rounds: int = 3) -> None:
     """Time between the end of a chunk and the beginning of the worker's next, interleaved."""
-    import ray
-
-    ray.init(num_cpus=2, include_dashboard=False, logging_level="ERROR", log_to_driver=False)
     for seconds, count in ((1.0, 16), (0.1, 60), (0.0, 400)):
         least = {"local": 1e9, "ray": 1e9}
         for _ in range(rounds):
@@ -181,8 +183,9 @@ def cost(rounds: int = 3) -> None:
                 least[engine] = min(least[engine], _between(engine, seconds, count))
         ratio = (seconds + least["ray"]) / (seconds + least["local"])
         each = ", ".join(f"{name} {1e3 * value:.2f} ms" for name, value in least.items())
-        print(f"cost: between chunks of {seconds:g} s: {each}; ray over local {ratio:.4f}")
-    ray.shutdown()
+        print(
+            f"cost: between chunks of {seconds:g} s: {each}; ray over local {ratio:.4f}", flush=True
+        )
 
 
 def _between(engine: str, seconds: float, count: int) -> float:
@@ -199,6 +202,24 @@ def _between(engine: str, seconds: float, count: int) -> float:
         if before["worker"] == after["worker"]
     ]
     return sum(gaps) / len(gaps)
+
+
+@contextmanager
+def _session() -> Iterator[None]:
+    """One Ray for a check: its start is no part of any of them."""
+    import ray
+
+    ray.init(
+        num_cpus=4,
+        include_dashboard=False,
+        logging_level="ERROR",
+        log_to_driver=False,
+        address="local",
+    )
+    try:
+        yield
+    finally:
+        ray.shutdown()
 
 
 def main() -> None:
@@ -220,7 +241,8 @@ def main() -> None:
         "cost": cost,
     }
     for name in given.what or checks:
-        checks[name]()
+        with nullcontext() if name == "node" else _session():
+            checks[name]()
 
 
 if __name__ == "__main__":
