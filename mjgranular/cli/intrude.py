@@ -64,7 +64,7 @@ class IntrudeCommand(LawOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        intrusion = self._intrusion()
+        intrusion = self.intrusion()
         if self.out is None:
             self._show(run_intrusion(intrusion))
             return 0
@@ -97,10 +97,11 @@ class IntrudeCommand(LawOptions):
     def _what(self) -> str:
         if self.model is not None:
             return self.geom or self.model.name
-        intrusion = self._intrusion()
+        intrusion = self.intrusion()
         return f"{intrusion.intruder} of {intrusion.size * 1e3:g} mm"
 
-    def _intrusion(self) -> Intrusion:
+    def intrusion(self) -> Intrusion:
+        """The intrusion that is asked for."""
         shape = {"intruder": self.intruder, "size": self.size}
         given = {name: value for name, value in shape.items() if value is not None}
         if self.model is not None and given:

@@ -11,6 +11,11 @@ from mjgranular.experiment.impact import Stop as Stop
 from mjgranular.experiment.paper import CASES as CASES
 from mjgranular.experiment.paper import PaperCase as PaperCase
 from mjgranular.experiment.paper import reproduce as reproduce
+from mjgranular.experiment.run_study import StudyResult as StudyResult
+from mjgranular.experiment.run_study import journal_of as journal_of
+from mjgranular.experiment.run_study import run_study as run_study
+from mjgranular.experiment.study import Between as Between
+from mjgranular.experiment.study import Study as Study
 from mjgranular.experiment.sweep import Sweep as Sweep
 from mjgranular.experiment.sweep import SweepResult as SweepResult
 from mjgranular.experiment.sweep import run_sweep as run_sweep

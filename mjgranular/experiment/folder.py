@@ -17,8 +17,8 @@ from mjgranular import files
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
-from mjgranular.experiment.provenance import versions
 from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.pool.versions import versions
 from mjgranular.prints import Prints
 from mjgranular.saved import (
     checked_fields,

@@ -1,28 +1,24 @@
-"""Many drops that differ in one thing, spread over the processor's cores."""
+"""Many drops that differ in one thing, spread over processes or a cluster."""
 
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
-import signal
-import threading
-import warnings
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from multiprocessing.connection import Connection
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mjgranular.errors import GranularError, GranularWarning, InputError, warn_user
+from mjgranular.errors import InputError, OutputError
+from mjgranular.experiment.baggage import Baggage, pack, unpack
 from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact
+from mjgranular.experiment.study import Study
 from mjgranular.experiment.trajectory import degrees
-from mjgranular.signals import signal_of
+from mjgranular.pool import Journal, Workers, map_tasks
+from mjgranular.pool.workers import Engine
+from mjgranular.saved import number
 
 Over = Literal["speed", "angle"]
 
@@ -61,6 +57,10 @@ class Sweep:
         values = np.linspace(self.first, self.last, self.points)
         return [replace(self.impact, **{self.over: float(value)}) for value in values]
 
+    def journal(self, folder: Path | None) -> Journal:
+        """The summaries of its drops that a folder keeps; None for a file that is soon gone."""
+        return Journal(folder, {"sweep": asdict(self)}, self.points, _is_summary)
+
 
 @dataclass(frozen=True)
 class SweepResult:
@@ -72,6 +72,7 @@ class SweepResult:
         failures: for drops that could not be finished, value and reason.
         interrupted: whether it was broken off before its end.
         stopped_by: the signal that did so; None if none did.
+        lost: how many of the failures are drops whose workers died.
     """
 
     sweep: Sweep
@@ -79,15 +80,20 @@ class SweepResult:
     failures: list[tuple[float, str]]
     interrupted: bool
     stopped_by: int | None = None
+    lost: int = 0
 
 
 def run_sweep(
     sweep: Sweep,
     *,
+    engine: Engine = "local",
     workers: int | None = None,
+    chunk: int | None = None,
+    address: str | None = None,
     progress: Callable[[int], None] | None = None,
     finished: Mapping[int, dict[str, Any]] | None = None,
     keep: Callable[[int, dict[str, Any]], None] | None = None,
+    journal: Journal | None = None,
 ) -> SweepResult:
     """Runs the drops in processes of their own, which end with this one however it ends.
 
@@ -95,88 +101,53 @@ def run_sweep(
 
     Args:
         sweep: the drops.
+        engine: "local", processes of this machine, or "ray".
         workers: number of processes; None for one a core. 1 runs them in this process.
+        chunk: drops that a process is given at a time; None for about a second's worth.
+        address: of a Ray cluster, HOST:PORT or "auto"; None for a Ray on this machine.
         progress: called with the number of drops done.
         finished: summaries of drops that need not be run again, by their number in the sweep.
         keep: called with number and summary of each drop as soon as it is done.
+        journal: where summaries are kept, and those that are there already; `sweep.journal`.
 
     Raises:
-        InputError: fewer than one worker.
+        InputError: fewer than one worker, or an engine that cannot be used.
     """
-    if workers is not None and workers < 1:
-        raise InputError(f"a sweep needs at least 1 worker, not {workers}")
+    on = Workers(engine, workers, chunk, address)
     impacts = sweep.impacts()
-    rows: dict[int, dict[str, Any]] = dict(finished or {})
-    todo = {index: impact for index, impact in enumerate(impacts) if index not in rows}
-    count = min(workers or os.cpu_count() or 1, len(todo))
-    failures: list[tuple[float, str]] = []
-    interrupted, stopped_by = False, None
+    if journal is None:
+        journal = sweep.journal(None)
+        journal.begin()
+        journal.keep([*(finished or {}).items()])
+    values = [getattr(impact, sweep.over) for impact in impacts]
+    found = map_tasks(
+        _drop,
+        impacts,
+        shared=pack(Study(sweep.impact, {sweep.over: values})),
+        on=on,
+        journal=journal,
+        progress=progress,
+        answered=keep,
+    )
+    failures = [
+        (degrees(values[one.index]) if sweep.over == "angle" else values[one.index], one.reason)
+        for one in found.failures
+    ]
+    return SweepResult(
+        sweep, [*journal.results()], failures, found.interrupted, found.stopped_by, found.lost
+    )
 
-    def finish(index: int, outcome: dict[str, Any] | str) -> None:
-        if isinstance(outcome, str):
-            value = getattr(impacts[index], sweep.over)
-            failures.append((degrees(value) if sweep.over == "angle" else value, outcome))
-        else:
-            rows[index] = outcome
-            if keep is not None:
-                keep(index, outcome)
-        if progress is not None:
-            progress(len(rows) + len(failures))
 
+def _drop(baggage: Baggage, impact: Impact) -> dict[str, Any]:
+    """The summary of one drop."""
+    unpack(baggage, impact)
+    return run_impact(impact).summary()
+
+
+def _is_summary(row: Mapping[str, Any]) -> bool:
+    names = ("speed", "angle_deg", "timestep", "depth", "stopping_time")
     try:
-        if count <= 1:
-            for index, impact in todo.items():
-                finish(index, _drop(impact))
-        else:
-            _in_processes(todo, count, finish)
-    except KeyboardInterrupt as stop:
-        interrupted, stopped_by = True, signal_of(stop)
-    except BrokenProcessPool:
-        warn_user("a process of the sweep was ended from outside, perhaps for lack of memory")
-        interrupted = True
-    ordered = [rows[index] for index in sorted(rows)]
-    return SweepResult(sweep, ordered, failures, interrupted, stopped_by)
-
-
-def _in_processes(
-    impacts: Mapping[int, Impact],
-    count: int,
-    finish: Callable[[int, dict[str, Any] | str], None],
-) -> None:
-    # Started anew rather than forked: MuJoCo and numba may hold threads and locks.
-    context = multiprocessing.get_context("spawn")
-    until, ours = context.Pipe(duplex=False)  # closed by us or, if we are killed, by the system
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(until,))
-    try:
-        futures: dict[Future[dict[str, Any] | str], int] = {
-            pool.submit(_drop, impact): index for index, impact in impacts.items()
-        }
-        for future in as_completed(futures):
-            finish(futures[future], future.result())
-        pool.shutdown()
-    finally:
-        ours.close()  # drops that nobody waits for any more are not finished
-        pool.shutdown(wait=True, cancel_futures=True)
-        until.close()
-
-
-def _begin(until: Connection) -> None:
-    """Has a worker end when its parent does, and leaves Ctrl-C to that, which keeps the rows."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def end() -> None:
-        with suppress(EOFError, OSError):
-            until.recv_bytes()  # nothing is ever sent
-        os._exit(1)
-
-    threading.Thread(target=end, daemon=True).start()
-
-
-def _drop(impact: Impact) -> dict[str, Any] | str:
-    """The summary of one drop, or why there is none."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", GranularWarning)  # the command line warns once for all
-            return run_impact(impact).summary()
-    except GranularError as error:
-        return str(error)
+        numbers = [number(row, name, "") for name in names]
+    except OutputError:
+        return False
+    return None not in numbers[:-1]

@@ -24,9 +24,9 @@ from mjgranular.errors import (
     warn_user,
 )
 from mjgranular.experiment.folder import CONFIG, TRAINING
-from mjgranular.experiment.provenance import versions
 from mjgranular.learn.normalizer import FILE as NORMALIZER
 from mjgranular.learn.settings import Settings
+from mjgranular.pool.versions import versions
 from mjgranular.saved import is_text, number, read_json, read_text
 
 CHECKPOINTS = "checkpoints"

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.given import kind_of
 from mjgranular.medium.file import read_medium
-from mjgranular.medium.medium import Medium
+from mjgranular.medium.medium import Medium, Quantity
 from mjgranular.registry import Registry
 
 media: Registry[Medium] = Registry("medium")
 """Media by their names."""
+
+_WORDS = re.compile(r"(.*?\S)((?:\s+\w+=\S*)+)\s*")
 
 
 def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
@@ -32,7 +36,8 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
 def get_medium(medium: str | Path | Medium) -> Medium:
     """The medium of that name, or `medium` itself if it is one.
 
-    A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`).
+    A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`). With
+    `density=1500` behind a name the medium has another bulk density [kg/m^3].
 
     Raises:
         UnknownNameError: no such name; lists those that exist.
@@ -40,8 +45,31 @@ def get_medium(medium: str | Path | Medium) -> Medium:
     """
     if isinstance(medium, Medium):
         return medium
+    if isinstance(medium, str) and medium in media:
+        return media[medium]
+    words = _WORDS.fullmatch(medium) if isinstance(medium, str) else None
+    if words is not None:
+        return _with_options(get_medium(words[1]), words[2].split(), medium)
     if isinstance(medium, Path) or str(medium).endswith((".yaml", ".yml")):
         return read_medium(Path(medium))
-    if isinstance(medium, str) and medium not in media and Path(medium).suffix:
+    if isinstance(medium, str) and Path(medium).suffix:
         raise UnknownNameError("medium", medium, media, "a medium's file ends in .yaml or .yml")
     return media[medium]
+
+
+def _with_options(medium: Medium, options: list[str], name: str) -> Medium:
+    """A medium of another density: what else a medium has are constants of a law, and go there."""
+    given = dict(option.split("=", 1) for option in options)
+    others = given.keys() - {"density"}
+    if others or len(given) < len(options):
+        raise InputError(
+            f"{shown(name)}: behind a medium's name stands density=KG/M^3 and nothing else; "
+            'constants of a law stand behind the law\'s name, as in "rft3d scale=1.3"'
+        )
+    try:
+        density = float(given["density"])
+    except ValueError:
+        raise InputError(
+            f"the density of a medium must be a number, not {shown(given['density'])}"
+        ) from None
+    return replace(medium, name=name, density=Quantity(density, "kg/m^3", "given by the user"))

@@ -43,7 +43,6 @@ from mjgranular.cli.render import RenderCommand
 from mjgranular.errors import GranularError
 from mjgranular.experiment import Impact, Sweep
 from mjgranular.experiment.folder import ResultFolder, read_impact, saved_command
-from mjgranular.experiment.unfinished import Unfinished
 from mjgranular.learn import change, find_settings
 from mjgranular.learn import train as _training  # noqa: F401  its imports are not timed below
 from mjgranular.learn.checkpoint import load_checkpoint
@@ -84,8 +83,9 @@ def make_runs(folder: Path) -> list[Path]:
         assert main(["sweep", "--points", "4", *quick[:2], "--workers", "1", "--json",
                      "--out", str(folder / "sweep")]) == 0  # fmt: skip
     rows = json.loads((folder / "sweep" / "summary.json").read_text())
-    for index, row in enumerate(rows[:3]):
-        Unfinished(folder / "sweep", _SWEEP).keep(index, row)
+    journal = _SWEEP.journal(folder / "sweep")
+    journal.keep([*enumerate(rows[:3])])
+    journal.close()
     for algorithm, some in _QUICK.items():
         few = ("num_envs=2", "checkpoint_every=64", "total_steps=128", "net=[8, 8]")
         settings = change(find_settings("Pendulum-v1", algorithm=algorithm), (*few, *some))
@@ -118,10 +118,12 @@ def read_everything(kind: str, folder: Path) -> None:
         command._model(Film(camera="free", seconds=0.1, width=32, height=32))
 
     def sweep() -> None:
-        unfinished = Unfinished(folder, _SWEEP)
+        journal = _SWEEP.journal(folder)
         names = ("config.json", "summary.json", "sweep.csv")
-        with ResultFolder(folder, names).claimed(goes_on=lambda: unfinished.rows() is not None):
-            unfinished.begin()
+        with ResultFolder(folder, names).claimed(goes_on=journal.goes_on):
+            journal.begin()
+            list(journal.results())
+            journal.close()
 
     def act() -> None:
         policy = load_policy(folder)

@@ -35,11 +35,11 @@ import mjgranular  # noqa: F401  before mujoco: it chooses how to draw without a
 from mjgranular.cli.main import main
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.folder import CONFIG, read_impact
-from mjgranular.experiment.unfinished import UNFINISHED
 from mjgranular.extras import need
 from mjgranular.learn import train as _training  # noqa: F401  imported once, for all children
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import open_run
+from mjgranular.pool import UNFINISHED
 
 _OPERATIONS = ("replace", "rename", "fsync", "unlink", "mkdir", "rmdir", "open")
 _MOST_KILLS = 4

@@ -16,7 +16,7 @@ from mjgranular.cli import main
 from mjgranular.errors import OutputError
 from mjgranular.experiment import Impact, Sweep, run_sweep
 from mjgranular.experiment.folder import ResultFolder, read_impact
-from mjgranular.experiment.unfinished import UNFINISHED, Unfinished
+from mjgranular.pool import UNFINISHED
 from mjgranular.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
 
 ATTACKS = Path(__file__).resolve().parents[2] / "scripts" / "attacks"
@@ -279,22 +279,39 @@ def test_a_reader_sees_one_result_while_it_is_replaced(tmp_path, monkeypatch):
 SWEEP = Sweep(points=3, impact=Impact(speed=2.0, timestep=1e-4, duration=0.05))
 
 
+def kept(sweep, folder):
+    """The rows that a folder keeps of a sweep, by their number; None if there are none of it."""
+    journal = sweep.journal(folder)
+    if not journal.goes_on():
+        return None
+    journal.begin()
+    rows = {index: journal[index] for index in range(sweep.points) if index in journal}
+    journal.close()
+    return rows
+
+
+def keep(sweep, folder, *rows):
+    journal = sweep.journal(folder)
+    journal.begin()
+    journal.keep(rows)
+    journal.close()
+
+
 def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
     whole = run_sweep(SWEEP, workers=1).rows
-    unfinished = Unfinished(tmp_path, SWEEP)
-    assert unfinished.rows() is None
-    (tmp_path / UNFINISHED).write_text('{"sweep"')  # killed at its first line
-    assert unfinished.rows() == unfinished.begin() == {}
-    unfinished.keep(2, whole[2])
+    assert kept(SWEEP, tmp_path) is None
+    (tmp_path / UNFINISHED).write_text('{"asked"')  # killed at its first line
+    assert kept(SWEEP, tmp_path) == {}
+    keep(SWEEP, tmp_path, (2, whole[2]))
     with (tmp_path / UNFINISHED).open("a") as file:
         file.write('{"index": 1, "ro')  # killed while it wrote
-    assert unfinished.begin() == {2: whole[2]}
-    assert Unfinished(tmp_path, Sweep(points=4, impact=SWEEP.impact)).rows() is None
+    assert kept(SWEEP, tmp_path) == {2: whole[2]}
+    assert kept(Sweep(points=4, impact=SWEEP.impact), tmp_path) is None
     computed = []
     result = run_sweep(
         SWEEP,
         workers=1,
-        finished=unfinished.rows(),
+        finished=kept(SWEEP, tmp_path),
         keep=lambda index, row: computed.append(index),
     )
     assert computed == [0, 1]
@@ -302,7 +319,7 @@ def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
 
 
 def test_another_unfinished_sweep_is_not_lost(tmp_path, capfd):
-    Unfinished(tmp_path, SWEEP).keep(0, run_sweep(SWEEP, workers=1).rows[0])
+    keep(SWEEP, tmp_path, (0, run_sweep(SWEEP, workers=1).rows[0]))
     before = (tmp_path / UNFINISHED).read_bytes()
     command = ["sweep", "--points", "5", "--workers", "1", *QUICK, "--out", str(tmp_path)]
     assert main(command) == 2

@@ -25,6 +25,7 @@ PACKAGES = {
 # beside the folders, "mjgranular" is the public interface, which is built on the engine.
 ORDER = (
     "files",
+    "pool",
     "medium",
     "kernel",
     "shape",

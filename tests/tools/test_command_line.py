@@ -14,7 +14,7 @@ import pytest
 
 from mjgranular.cli import main
 from mjgranular.experiment import CASES
-from mjgranular.experiment.unfinished import UNFINISHED
+from mjgranular.pool import UNFINISHED
 
 REQUIRED = {
     "law": str,

@@ -91,6 +91,8 @@ def shortened(command):
         return [*words, "--law", "link", "--scheme", "explicit"]
     if "--resume" in words:
         return [*words, "--total-steps", "128"] if "--total-steps" in words else words
+    if "--vary" in words:  # has no points, and its own options where it has --of
+        return [*words, "--workers", "1", *(["--sample", "3"] if "--sample" in words else [])]
     return [*words, *SHORT.get(words[0], "").split()]
 
 

@@ -1,0 +1,308 @@
+"""One experiment many times, with some of its fields varied: on a grid, or drawn."""
+
+from __future__ import annotations
+
+import math
+import types
+import typing
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from mjgranular.errors import InputError, UnknownNameError, shown
+from mjgranular.experiment.drop import Drop
+from mjgranular.experiment.impact import Impact
+from mjgranular.experiment.intrusion import Intrusion
+from mjgranular.experiment.trajectory import degrees
+from mjgranular.extras import need
+from mjgranular.given import is_finite, kind_of
+from mjgranular.law import law_in
+from mjgranular.medium import get_medium
+
+Experiment = Impact | Drop | Intrusion
+Value = float | int | str
+Method = Literal["latin", "sobol"]
+
+ANGLES = ("angle", "slope", "uphill", "tilt", "direction")
+"""Fields that are radians here, and degrees on the command line and in tables."""
+
+LAW, MEDIUM = "law.", "medium."
+_DENSITY = "medium.density"
+_MOST = 10**9  # tasks; chosen. A grid of more is a slip
+_CHECKED = 1000  # values of a field that are looked at beforehand; of more, both ends
+_NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "state", "keep_floor")
+
+
+@dataclass(frozen=True)
+class Between:
+    """A range that values are drawn from.
+
+    Attributes:
+        low: its lower end.
+        high: its upper end.
+    """
+
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if not (is_finite(self.low) and is_finite(self.high)):
+            raise InputError(f"a range must be finite, not {shown(self.low)} to {shown(self.high)}")
+        if not self.low < self.high:
+            raise InputError(
+                f"a range goes from its lower to its upper end, not from {self.low} to {self.high}"
+            )
+
+
+@dataclass(frozen=True)
+class Study:
+    """An experiment many times, with some of its fields varied.
+
+    Without `sample` it is a grid: every value of a field with every value of the others, the last
+    field fastest. With it, points are drawn, spread evenly over the ranges.
+
+    Attributes:
+        experiment: what is common to all: an `Impact`, a `Drop` or an `Intrusion`.
+        vary: for each field that is varied its values, or for a sample a range, `Between`. Fields
+            of the experiment, SI and radians; `law.NAME` is a parameter of the law;
+            `medium.density` the bulk density of the sand [kg/m^3].
+        sample: how many points are drawn; None for a grid.
+        seed: of what is drawn.
+        method: "latin", a Latin hypercube, or "sobol", a scrambled Sobol sequence; both by SciPy
+            (`scipy.stats.qmc`). Of Sobol's, powers of two are balanced best.
+
+    Raises:
+        InputError: nothing is varied, a value that the experiment refuses, or a range in a grid.
+        UnknownNameError: no such field; lists those there are.
+        MissingExtraError: a sample is asked for, and SciPy is not installed.
+    """
+
+    experiment: Experiment = field(default_factory=Impact)
+    vary: Mapping[str, Sequence[Value] | Between] = field(default_factory=dict)
+    sample: int | None = None
+    seed: int = 0
+    method: Method = "latin"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.experiment, get_args(Experiment)):
+            raise InputError(
+                f"a study is of an Impact, a Drop or an Intrusion, not of "
+                f"{kind_of(self.experiment)}"
+            )
+        if not self.vary:
+            raise InputError("a study varies something, such as speed=(1.0, 2.0)")
+        if self.method not in get_args(Method):
+            raise UnknownNameError("way to draw a sample", self.method, get_args(Method))
+        if self.sample is not None and not 1 <= self.sample <= _MOST:
+            raise InputError(f"a sample has 1 to {_MOST} points, not {self.sample}")
+        if self.seed < 0:
+            raise InputError(f"a seed is 0 or more, not {self.seed}")
+        for name, values in self.vary.items():
+            self._check_values(name, values)
+        if len(self) > _MOST:
+            raise InputError(f"a grid of {len(self)} points: {_MOST} are the most")
+        self._check_experiments()
+
+    def __len__(self) -> int:
+        """How many experiments there are."""
+        return math.prod(self._shape) if self.sample is None else self.sample
+
+    def __getitem__(self, index: int) -> dict[str, Value]:
+        """The values of one of them, by the names of the fields."""
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        if self.sample is None:
+            at = np.unravel_index(index, self._shape)
+            return {
+                name: _plain(values[int(k)])  # pyright: ignore[reportIndexIssue]
+                for (name, values), k in zip(self.vary.items(), at, strict=True)
+            }
+        drawn = self._points[index].tolist()
+        return {
+            name: _drawn(values, share)
+            for (name, values), share in zip(self.vary.items(), drawn, strict=True)
+        }
+
+    def at(self, index: int) -> Experiment:
+        """One of the experiments."""
+        return with_values(self.experiment, self[index])
+
+    def config(self) -> dict[str, Any]:
+        """The study in plain values."""
+        base = self.experiment
+        return {
+            "experiment": type(base).__name__.lower(),
+            "common": asdict(base) if isinstance(base, Impact) else base.config(),
+            "vary": {
+                name: asdict(values) if isinstance(values, Between) else [*map(_plain, values)]
+                for name, values in self.vary.items()
+            },
+            "sample": self.sample,
+            "seed": None if self.sample is None else self.seed,
+            "method": None if self.sample is None else self.method,
+        }
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return tuple(1 if isinstance(v, Between) else len(v) for v in self.vary.values())
+
+    @cached_property
+    def _points(self) -> np.ndarray:
+        """What was drawn, in the unit cube, shape (sample, fields)."""
+        assert self.sample is not None
+        qmc = need("scipy.stats.qmc", extra="sample", purpose="Drawing a sample")
+        kind = qmc.LatinHypercube if self.method == "latin" else qmc.Sobol
+        drawn = kind(len(self.vary), seed=np.random.default_rng(self.seed))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of no power of two: see `method`
+            return drawn.random(self.sample)
+
+    def _check_values(self, name: str, values: object) -> None:
+        if isinstance(values, Between):
+            if self.sample is None:
+                raise InputError(
+                    f"{name} has a range, and a grid needs values: say how many, as in "
+                    f"{name}={values.low:g}:{values.high:g}:10, or draw a sample"
+                )
+            return
+        if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
+            raise InputError(f"{name} needs a list of values, not {kind_of(values)}")
+        if not len(values):
+            raise InputError(f"{name} needs at least one value")
+        for value in values:
+            if not isinstance(value, str) and not is_finite(value):
+                raise InputError(f"values of {name} are finite numbers or names, not {value!r}")
+
+    def _check_experiments(self) -> None:
+        """Makes the experiments at each value of each field, the others at their first."""
+        first = {name: _some(values)[0] for name, values in self.vary.items()}
+        for name, values in self.vary.items():
+            for value in _some(values):
+                with_values(self.experiment, {**first, name: value})
+        if self.sample is not None:
+            _ = self._points
+
+
+def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
+    """An experiment with other values of some fields.
+
+    Args:
+        experiment: the experiment.
+        values: by the names of the fields; `law.NAME`, and `medium.density`, too.
+
+    Raises:
+        UnknownNameError: no such field, or no such parameter of the law; lists those there are.
+        InputError: a value that the experiment refuses.
+    """
+    hints = typing.get_type_hints(type(experiment))
+    known = [f.name for f in fields(experiment) if f.name not in _NOT_VARIED]
+    own, law, medium = {}, {}, {}
+    for name, value in values.items():
+        if name.startswith(LAW):
+            law[name.removeprefix(LAW)] = value
+        elif name.startswith(MEDIUM):
+            medium[name] = value
+        elif name not in known:
+            raise UnknownNameError("field to vary", name, [*known, "law.NAME", _DENSITY])
+        else:
+            own[name] = _fitting(name, value, hints[name])
+    changed = replace(experiment, **own)
+    if law:  # of the medium as it is named: its law's constants do not depend on its density
+        changed = replace(changed, law=_law_with(changed, law))
+    if medium:
+        changed = replace(changed, medium=_medium_with(changed, medium))
+    return changed
+
+
+def column_of(name: str) -> str:
+    """The heading of a field in tables."""
+    return f"{name}_deg" if name in ANGLES else name
+
+
+def value_in_table(name: str, value: Value) -> Value:
+    """A field's value as it stands in tables."""
+    return degrees(value) if name in ANGLES and not isinstance(value, str) else value
+
+
+def _law_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
+    """The law of an experiment in words, with other parameters."""
+    text = experiment.law
+    if text is None:
+        if experiment.medium is None:
+            raise InputError(
+                f"the law follows from the bodies where neither law nor medium is given: name the "
+                f"law whose parameter law.{next(iter(values))} is"
+            )
+        text = get_medium(experiment.medium).default_law
+    kind, given = law_in(text)
+    hints = typing.get_type_hints(kind)
+    known = [f.name for f in fields(kind)]  # pyright: ignore[reportArgumentType]
+    for name, value in values.items():
+        if name not in known:
+            raise UnknownNameError(f"parameter of the law {kind.name}", name, known)
+        given[name] = _fitting(f"law.{name}", value, hints[name])
+    words = (f"{name}={_word(value)}" for name, value in given.items())
+    return " ".join((kind.name, *words))
+
+
+def _medium_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
+    """The medium of an experiment in words, with another density."""
+    for name in values:
+        if name != _DENSITY:
+            raise UnknownNameError(
+                "field to vary", name, [_DENSITY], "constants of a law are law.NAME", guess=False
+            )
+    if experiment.medium is None:
+        raise InputError(
+            "the medium follows from law and bodies where it is not given: name the medium whose "
+            "density is varied"
+        )
+    name = str(experiment.medium).partition(" density=")[0]
+    return f"{name} density={_word(values[_DENSITY])}"
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else repr(value)
+
+
+def _fitting(name: str, value: Value, kind: Any) -> Any:
+    """A value of the type that a field has.
+
+    Raises:
+        InputError: it cannot have that.
+    """
+    kinds = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+    if float in kinds or int in kinds:
+        if isinstance(value, str):
+            raise InputError(f"{name} is a number, not {shown(value)}")
+        if float in kinds:
+            return float(value)
+        if value != int(value):
+            raise InputError(f"{name} is a whole number, not {value}: give a list of such")
+        return int(value)
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _plain(value: Any) -> Value:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _drawn(values: Sequence[Value] | Between, share: float) -> Value:
+    """The value that lies at a share, from 0 to 1, of all that there are."""
+    if isinstance(values, Between):
+        return values.low + share * (values.high - values.low)
+    return _plain(values[min(int(share * len(values)), len(values) - 1)])
+
+
+def _some(values: Sequence[Value] | Between) -> list[Value]:
+    """Values to look at beforehand."""
+    if isinstance(values, Between):
+        return [values.low, values.high]
+    few = values if len(values) <= _CHECKED else [values[0], values[-1]]
+    return [_plain(value) for value in few]

@@ -1,0 +1,161 @@
+"""Figures of studies: what came out against one varied field, or over two."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
+from mjgranular.picture.plain import plain
+
+_BLUE = PALETTE[0]
+_MOST_MARKERS = 60  # of a line; of more the line says it all. Chosen
+_MOST_TICKS = 8  # of a grid, each at a value of it; chosen
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A column of the table, as it is drawn.
+
+    Attributes:
+        column: its name.
+        label: with the unit that it is drawn in.
+        scale: of that unit in the table's.
+    """
+
+    column: str
+    label: str
+    scale: float = 1.0
+
+
+OUTCOMES: dict[str, tuple[Axis, Axis]] = {
+    "impact": (
+        Axis("stopping_time", "stopping time [ms]", 1e3),
+        Axis("depth", "depth of T at the stop [mm]", 1e3),
+    ),
+    "drop": (
+        Axis("greatest_depth", "greatest depth [mm]", 1e3),
+        Axis("greatest_force", "greatest force of the sand on a body [N]"),
+    ),
+    "intrusion": (
+        Axis("resistance", "resistance at the end of the path [N]"),
+        Axis("work", "work done on the sand [J]"),
+    ),
+}
+"""For each experiment the two columns that are drawn."""
+
+_UNITS = {
+    **dict.fromkeys(("speed", "tangential_speed", "velocity"), "m/s"),
+    **dict.fromkeys(("height", "length", "diameter", "size", "depth", "start", "distance"), "m"),
+    **dict.fromkeys(("surface_height", "memory"), "m"),
+    **dict.fromkeys(("density", "medium.density"), "kg/m^3"),
+    **dict.fromkeys(("timestep", "duration"), "s"),
+    "angular_velocity": "rad/s",
+}
+
+
+def axis_of(column: str) -> Axis:
+    """The axis of a varied field, by the name of its column."""
+    name = column.removesuffix("_deg")
+    unit = _UNITS.get(column) if name == column else "deg"
+    words = name if name.startswith("law.") else name.replace("_", " ")
+    return Axis(column, words if unit is None else f"{words} [{unit}]")
+
+
+def draw_study(
+    path: Path,
+    columns: Mapping[str, Sequence[Any]],
+    varied: Sequence[str],
+    outcomes: Sequence[Axis],
+    *,
+    joined: bool,
+    title: str = "",
+) -> None:
+    """Draws two outcomes against one varied field, or over two.
+
+    Args:
+        path: of the picture.
+        columns: of the table; None where there is no value.
+        varied: names of the one or two columns that were varied.
+        outcomes: what is drawn.
+        joined: whether they lie on a grid.
+        title: above the figure.
+    """
+    inputs = [axis_of(name) for name in varied]
+    if len(inputs) == 1:
+        figure, context = figure_of_size(6.4, 6.0)
+        axes = figure.subplots(2, 1, sharex=True)
+        for axis, outcome in zip(axes, outcomes, strict=True):
+            _draw_line(axis, columns, inputs[0], outcome, joined=joined)
+        axes[1].set_xlabel(inputs[0].label)
+    else:
+        figure, context = figure_of_size(9.6, 4.2)
+        axes = figure.subplots(1, 2, sharey=True)
+        for axis, outcome in zip(axes, outcomes, strict=True):
+            drawn = _draw_over(axis, columns, inputs, outcome, joined=joined)
+            figure.colorbar(drawn, ax=axis, label=outcome.label)
+            axis.set_xlabel(inputs[0].label)
+        axes[0].set_ylabel(inputs[1].label)
+    figure.suptitle(plain(title))
+    save_figure(figure, context, path)
+
+
+def _draw_line(
+    axes: Any, columns: Mapping[str, Sequence[Any]], x: Axis, y: Axis, *, joined: bool
+) -> None:
+    at, names = _places(columns[x.column])
+    values = _numbers(columns[y.column]) * y.scale
+    if joined and names is None:
+        order = np.argsort(at, kind="stable")
+        marker = "o" if len(at) <= _MOST_MARKERS else ""
+        axes.plot(at[order], values[order], color=_BLUE, marker=marker, markersize=3.5)
+    else:
+        axes.scatter(at, values, s=12 if joined or len(at) < 1000 else 3, color=_BLUE)
+    if names is not None:
+        axes.set_xticks(range(len(names)), names)
+    axes.set_ylabel(y.label)
+
+
+def _draw_over(
+    axes: Any,
+    columns: Mapping[str, Sequence[Any]],
+    inputs: Sequence[Axis],
+    outcome: Axis,
+    *,
+    joined: bool,
+) -> Any:
+    """Colours over the plane of two fields; gives what a bar of colours is made for."""
+    (x, x_names), (y, y_names) = (_places(columns[one.column]) for one in inputs)
+    values = _numbers(columns[outcome.column]) * outcome.scale
+    if joined:
+        rows, across = np.unique(y), np.unique(x)
+        cells = np.full((len(rows), len(across)), np.nan)
+        cells[np.searchsorted(rows, y), np.searchsorted(across, x)] = values
+        drawn = axes.pcolormesh(across, rows, cells, shading="nearest", cmap="viridis")
+        axes.grid(visible=False)
+        for at, put in ((across, axes.set_xticks), (rows, axes.set_yticks)):
+            if len(at) <= _MOST_TICKS:
+                put(at)
+    else:
+        size = 18 if len(x) < 1000 else 4
+        drawn = axes.scatter(x, y, c=values, s=size, cmap="viridis")
+    for names, put in ((x_names, axes.set_xticks), (y_names, axes.set_yticks)):
+        if names is not None:
+            put(range(len(names)), names)
+    return drawn
+
+
+def _places(values: Sequence[Any]) -> tuple[np.ndarray, list[str] | None]:
+    """Where values lie along an axis; of names their order, and the names."""
+    if not any(isinstance(value, str) for value in values):
+        return _numbers(values), None
+    names = list(dict.fromkeys(str(value) for value in values))
+    return np.array([float(names.index(str(value))) for value in values]), names
+
+
+def _numbers(values: Sequence[Any]) -> np.ndarray:
+    return np.array([np.nan if value is None else float(value) for value in values])

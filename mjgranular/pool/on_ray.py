@@ -1,0 +1,190 @@
+"""The engine `ray`: chunks are tasks of Ray, on this machine or on all that its cluster has."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, NamedTuple
+
+from mjgranular.errors import GranularError, InputError
+from mjgranular.extras import need
+from mjgranular.pool.chunk import Function, run_chunk
+from mjgranular.pool.versions import mismatch, versions
+from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Workers
+
+# Chosen, not measured.
+_CONNECT = 3.0  # [s] for the head's port to open
+_ANSWER = 15.0  # [s] for the head to say that it is well: a process of Ray's own asks it
+_STORE = 128 * 2**20  # bytes of the object store of a Ray of our own: what tasks share, and rows
+_AHEAD = 2  # chunks for each core, so that none waits for us
+
+
+class _Refused(NamedTuple):
+    """A worker that cannot do the work: why."""
+
+    reason: str
+
+
+class RayPool:
+    """Tasks of Ray.
+
+    A session that this process has already is used and left as it is; else one is begun, and ended
+    with the work.
+
+    Args:
+        function: of the tasks; the workers import the module that it is in.
+        shared: by all of them, put into the object store once.
+        workers: where.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+        InputError: no cluster answers at the address, or it is one of another version of Ray.
+    """
+
+    def __init__(self, function: Function, shared: Any, workers: Workers) -> None:
+        self._ray = need("ray", extra="ray", purpose="The engine ray")
+        self._mine = not self._ray.is_initialized()
+        if self._mine:
+            self._begin(workers)
+        cores = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        self.count = min(workers.count or cores, cores)
+        # Ray itself holds back what is more than its cores; we, what is more than we were told.
+        self.slots = self.count if self.count < cores else _AHEAD * cores
+        self._work = self._ray.put((function, shared, versions()))
+        # How often a chunk is begun is not for Ray to say: see `tasks`.
+        self._run = self._ray.remote(num_cpus=1, max_retries=0)(_run)
+        self._under_way: dict[Any, int] = {}
+
+    def _begin(self, workers: Workers) -> None:
+        common: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
+        if workers.address is None:
+            common |= {
+                "num_cpus": workers.count or os.cpu_count(),
+                "object_store_memory": _STORE,
+                "include_dashboard": False,
+                "address": "local",  # whatever RAY_ADDRESS says
+            }
+        else:
+            _check_answers(workers.address)
+            common["address"] = workers.address
+        try:
+            with _signals_kept():
+                self._ray.init(**common)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            said = " ".join(str(error).split())
+            where = f"the cluster at {workers.address}" if workers.address else "this machine"
+            raise InputError(f"Ray cannot be used on {where}: {said}") from None
+
+    def submit(self, key: int, chunk: Chunk) -> None:
+        self._under_way[self._run.remote(self._work, chunk)] = key
+
+    def wait(self) -> list[Done | Lost]:
+        ready, _ = self._ray.wait(list(self._under_way), num_returns=1)
+        return [self._result(ref, self._under_way.pop(ref)) for ref in ready]
+
+    def _result(self, ref: Any, key: int) -> Done | Lost:
+        errors = self._ray.exceptions
+        try:
+            found = self._ray.get(ref)
+        except errors.RayTaskError as error:  # not in a task: those are caught
+            raise InputError(_why(error)) from None
+        except errors.RayError as error:
+            told = " ".join(str(error).split()).partition(". ")[0]
+            return Lost(key, f"its worker is gone ({type(error).__name__}: {told})")
+        if isinstance(found, _Refused):
+            raise InputError(found.reason)
+        return Done(key, *found)
+
+    def close(self) -> None:
+        for ref in self._under_way:
+            with suppress(Exception):  # a cluster that has gone: there is nothing to end there
+                self._ray.cancel(ref, force=True)
+        self._under_way.clear()
+        if self._mine:
+            self._ray.shutdown()
+
+
+def _run(
+    work: tuple[Function, Any, dict[str, Any]], chunk: Chunk
+) -> tuple[list[Answer], float] | _Refused:
+    """Works through a chunk, in a process of Ray's."""
+    function, shared, expected = work
+    different = mismatch(expected, versions())
+    if different is not None:
+        return _Refused(
+            f"the worker on {socket.gethostname()} has other versions, so its results could be "
+            f"other ones: {different}; install the same on all nodes"
+        )
+    return run_chunk(function, shared, chunk)
+
+
+def _why(error: Any) -> str:
+    """A sentence on what kept a worker from beginning."""
+    cause = error.cause if isinstance(getattr(error, "cause", None), Exception) else error
+    if isinstance(cause, GranularError):
+        return str(cause)
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    last = lines[-1] if lines else type(error).__name__
+    if "ModuleNotFoundError" in str(error) or isinstance(cause, ImportError):
+        return (
+            f"a worker of Ray lacks a module that the tasks need, install it on all nodes: {last}"
+        )
+    return f"a worker of Ray cannot begin: {last}"
+
+
+def _check_answers(address: str) -> None:
+    """Refuses an address at which no cluster answers, within seconds: Ray itself takes minutes.
+
+    Raises:
+        InputError: says what was tried.
+    """
+    asked = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
+    if address != "auto":
+        host, colon, port = address.rpartition(":")
+        if "://" in address or not (colon and host and port.isdigit() and int(port) < 65536):
+            raise InputError(
+                f"the address of a Ray cluster is HOST:PORT of its head, such as 10.0.0.1:6379, or "
+                f"auto, not {address!r}"
+            )
+        try:
+            socket.create_connection((host, int(port)), timeout=_CONNECT).close()
+        except OSError as error:
+            raise InputError(
+                f"nothing answers at {address} ({error.strerror or error}): is the head of the "
+                "cluster up (ray start --head), and its port open from here?"
+            ) from None
+        asked += ["--address", address]
+    try:
+        done = subprocess.run(asked, capture_output=True, timeout=_ANSWER, check=False)
+    except subprocess.TimeoutExpired:
+        pass
+    else:
+        if done.returncode == 0:
+            return
+    where = "on this machine" if address == "auto" else f"at {address}"
+    raise InputError(
+        f"no Ray cluster answers {where} within {_ANSWER:g} s: ray start --head makes one, "
+        "ray status says how it is"
+    )
+
+
+@contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Undoes what Ray does to this process's signals, which end a run so that nothing is lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            if handler is not None:
+                signal.signal(number, handler)

@@ -1,0 +1,219 @@
+"""A function over many independent tasks, whatever becomes of the workers."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+from mjgranular.pool.chunk import Function
+from mjgranular.pool.journal import Journal
+from mjgranular.pool.local import Processes, ThisProcess
+from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Pool, Workers
+from mjgranular.signals import signal_of
+
+TRIES = 3
+"""Times that a chunk is begun; the last time each of its tasks by itself."""
+
+# A chunk of a second costs less than 1 % in handing it out (docs/cluster.md), and not much is lost
+# with it. Towards the end of a run chunks become smaller, so that all workers end together.
+_SECONDS = 1.0
+_ROUNDS = 2
+_LARGEST = 10_000
+_NAMED = 1000  # failures that are kept; of more only the number
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A task without a result.
+
+    Attributes:
+        index: its number.
+        reason: why, in a sentence.
+        lost: whether its workers died, each of three; else it raised an error.
+    """
+
+    index: int
+    reason: str
+    lost: bool = False
+
+
+@dataclass
+class Mapped:
+    """What came of many tasks.
+
+    Attributes:
+        journal: with the results; `journal.results()` goes through them in the order of the tasks.
+        failures: tasks without a result, in order; the first 1000 of them.
+        failed: how many there are.
+        lost: how many of these were lost with their workers.
+        interrupted: whether the run was broken off before its end.
+        stopped_by: the signal that did so; None if none did.
+    """
+
+    journal: Journal
+    failures: list[Failure]
+    failed: int = 0
+    lost: int = 0
+    interrupted: bool = False
+    stopped_by: int | None = None
+
+
+def map_tasks(
+    function: Function,
+    tasks: Sequence[Any],
+    *,
+    shared: Any = None,
+    on: Workers | None = None,
+    journal: Journal | None = None,
+    progress: Callable[[int], None] | None = None,
+    answered: Callable[[int, Any], None] | None = None,
+) -> Mapped:
+    """Calls a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps what is done.
+
+    A worker that dies is replaced, and its chunk done again, three times at most: the last time
+    each of its tasks by itself, so that one that ends its process costs no other its result.
+
+    Args:
+        function: `function(shared, task)`, which workers find by its name; gives plain values.
+        tasks: are asked for as they are handed out, and need not lie in memory.
+        shared: sent to each worker once.
+        on: where the tasks run; None for one process a core.
+        journal: for the results; tasks that it has results of are not done again. None for one
+            that is gone with this process.
+        progress: called with the number of tasks that are done.
+        answered: called with number and result of each task as soon as that is kept.
+
+    Raises:
+        InputError: there are no workers that could do anything; says what would help.
+        OutputError: results cannot be written.
+    """
+    if journal is None:
+        journal = Journal(None, {}, len(tasks))
+        journal.begin()
+    run = _Run(tasks, on or Workers(), journal, progress, answered)
+    todo = len(tasks) - journal.count
+    if todo == 0:
+        return run.mapped
+    pool: Pool | None = None
+    try:
+        pool = _open(function, shared, run.workers, todo)
+        run.follow(pool)
+    except KeyboardInterrupt as stop:
+        run.mapped.interrupted, run.mapped.stopped_by = True, signal_of(stop)
+    finally:
+        if pool is not None:
+            pool.close()
+        run.mapped.failures.sort(key=lambda failure: failure.index)
+    return run.mapped
+
+
+def _open(function: Function, shared: Any, workers: Workers, todo: int) -> Pool:
+    if workers.engine == "ray":
+        from mjgranular.pool.on_ray import RayPool
+
+        return RayPool(function, shared, workers)
+    count = min(workers.count or os.cpu_count() or 1, todo)
+    return ThisProcess(function, shared) if count == 1 else Processes(function, shared, count)
+
+
+@dataclass
+class _Batch:
+    """A chunk under way: numbers of its tasks, and how often it was begun."""
+
+    indices: Sequence[int]
+    tries: int = 0
+
+
+class _Run:
+    """Hands out chunks, and takes what comes back."""
+
+    def __init__(
+        self,
+        tasks: Sequence[Any],
+        workers: Workers,
+        journal: Journal,
+        progress: Callable[[int], None] | None,
+        answered: Callable[[int, Any], None] | None,
+    ) -> None:
+        self.workers = workers
+        self.mapped = Mapped(journal, [])
+        self._tasks = tasks
+        self._journal = journal
+        self._progress = progress
+        self._answered = answered
+        self._missing = journal.missing()
+        self._left = len(tasks) - journal.count  # not handed out yet
+        self._again: deque[_Batch] = deque()
+        self._seconds: float | None = None  # of a task, the least that was seen
+
+    def follow(self, pool: Pool) -> None:
+        """Until there is an answer to every task, or it is lost."""
+        under_way: dict[int, _Batch] = {}
+        key = 0
+        while True:
+            while len(under_way) < pool.slots and (batch := self._next(pool.count)) is not None:
+                under_way[key] = batch
+                batch.tries += 1
+                pool.submit(key, self._chunk(batch))
+                key += 1
+            if not under_way:
+                return
+            for found in pool.wait():
+                self._take(under_way.pop(found.key), found)
+
+    def _chunk(self, batch: _Batch) -> Chunk:
+        return tuple((index, self._tasks[index]) for index in batch.indices)
+
+    def _next(self, count: int) -> _Batch | None:
+        if self._again:
+            return self._again.popleft()
+        indices = list(islice(self._missing, self._size(count)))
+        self._left -= len(indices)
+        return _Batch(indices) if indices else None
+
+    def _size(self, count: int) -> int:
+        if self.workers.chunk is not None:
+            return self.workers.chunk
+        if self._seconds is None:  # nothing is known of them yet
+            return 1
+        by_time = int(min(_SECONDS / max(self._seconds, 1e-9), _LARGEST))
+        return max(1, min(by_time, math.ceil(self._left / (_ROUNDS * count))))
+
+    def _take(self, batch: _Batch, found: Done | Lost) -> None:
+        if isinstance(found, Lost):
+            self._lose(batch, found.reason)
+        else:
+            each = found.seconds / len(found.answers)
+            self._seconds = each if self._seconds is None else min(self._seconds, each)
+            self._keep(found.answers)
+        if self._progress is not None:
+            self._progress(self._journal.count + self.mapped.failed)
+
+    def _keep(self, answers: Sequence[Answer]) -> None:
+        there = [(one.index, one.result) for one in answers if one.error is None]
+        self._journal.keep(there)
+        for one in answers:
+            if one.error is not None:
+                self._fail(Failure(one.index, one.error))
+            elif self._answered is not None:
+                self._answered(one.index, one.result)
+
+    def _lose(self, batch: _Batch, reason: str) -> None:
+        if batch.tries < TRIES - 1:
+            self._again.append(batch)
+        elif batch.tries == TRIES - 1:
+            self._again.extend(_Batch([index], batch.tries) for index in batch.indices)
+        else:
+            for index in batch.indices:
+                self._fail(Failure(index, f"{reason}; tried {TRIES} times", lost=True))
+
+    def _fail(self, failure: Failure) -> None:
+        self.mapped.failed += 1
+        self.mapped.lost += failure.lost
+        if len(self.mapped.failures) < _NAMED:
+            self.mapped.failures.append(failure)

@@ -1,0 +1,249 @@
+"""Workers that die, nodes that go, engines that change: the table is the same to the last bit.
+
+    python scripts/attacks/workers.py                  # everything, some minutes on two cores
+    python scripts/attacks/workers.py same --drops 1000
+    python scripts/attacks/workers.py kills --engine ray --count 20
+
+`same` compares the files of `mjgranular sweep` from one process with those of Ray with 1, 2 and 4
+workers. `kills` ends worker processes at random moments. `node` takes a machine away from a cluster
+of two. `resume` breaks a sweep off and goes on with it on the other engine, again and again. `cost`
+measures what Ray takes beside what processes take. Needs the extra `ray`, and Linux.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import multiprocessing
+import os
+import random
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+
+from mjgranular.experiment import Impact, Study, journal_of, run_study
+from mjgranular.experiment.table import write_csv
+from mjgranular.pool import UNFINISHED, Workers, map_tasks
+
+_LONG = Impact(speed=2.0, timestep=1e-5)  # some 30 ms a drop
+_SHORT = Impact(speed=2.0, timestep=1e-4)
+
+
+def study(drops: int, base: Impact) -> Study:
+    """So many drops, drawn."""
+    from mjgranular.experiment import Between
+
+    return Study(base, {"speed": Between(1.0, 5.0), "angle": Between(0.6, 1.0)}, sample=drops)
+
+
+def table(some: Study, folder: Path | None = None, **how: object) -> tuple[bytes, object]:
+    """The bytes of the table, and the result."""
+    journal = journal_of(some, folder)
+    journal.begin()
+    result = run_study(some, journal=journal, **how)  # pyright: ignore[reportArgumentType]
+    with tempfile.TemporaryDirectory() as place:
+        file = Path(place) / "table.csv"
+        write_csv(file, result.columns(), result.rows)
+        return file.read_bytes(), result
+
+
+def children(engine: str) -> list[int]:
+    """Worker processes that are at work."""
+    if engine == "local":
+        return [child.pid for child in multiprocessing.active_children() if child.pid]
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            if (entry / "cmdline").read_bytes().startswith(b"ray::"):
+                found.append(int(entry.name))
+        except OSError:
+            continue
+    return found
+
+
+def same(drops: int) -> None:
+    """Files of one process, of two, and of Ray with 1, 2 and 4 workers."""
+    some = study(drops, _SHORT)
+    expected, _ = table(some, workers=1)
+    for engine, workers in (("local", 2), ("ray", 1), ("ray", 2), ("ray", 4)):
+        found, _ = table(some, engine=engine, workers=workers)
+        assert found == expected, (engine, workers)
+        told = f"{drops} drops on {engine} with {workers} workers, {len(found)} bytes: equal"
+        print(f"same: {told}", flush=True)
+
+
+def kills(engine: str, count: int, draw: random.Random) -> None:
+    """Ends workers at random moments of several runs."""
+    some = study(200, _LONG)
+    expected, _ = table(some, workers=1)
+    done = 0
+    while done < count:
+        over = threading.Event()
+        ended = []
+
+        def kill(ended: list[int] = ended, over: threading.Event = over, most: int = 5) -> None:
+            while len(ended) < most and not over.wait(draw.uniform(0.3, 2.0)):
+                there = children(engine)
+                if there:
+                    try:
+                        os.kill(draw.choice(there), signal.SIGKILL)
+                    except OSError:
+                        continue
+                    ended.append(1)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        with tempfile.TemporaryDirectory() as folder:
+            found, result = table(some, Path(folder), engine=engine, workers=2, chunk=7)
+            over.set()
+            killer.join()
+            lines = (Path(folder) / UNFINISHED).read_text().count("\n")
+        assert result.failed == 0, [result.told(one) for one in result.failures]
+        assert lines == 201, "a row twice, or none"
+        assert found == expected
+        done += len(ended)
+        print(f"kills: {done} of {count} workers of {engine} ended so far, table equal", flush=True)
+
+
+def node() -> None:
+    """A node of a cluster of two goes in the midst of the work."""
+    import ray
+    from ray.cluster_utils import Cluster
+
+    some = study(120, _LONG)
+    expected, _ = table(some, workers=1)
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    other = cluster.add_node(num_cpus=1)
+    gone = threading.Event()
+
+    def progress(finished: int) -> None:
+        if finished > 20 and not gone.is_set():
+            gone.set()
+            cluster.remove_node(other, allow_graceful=False)
+
+    try:
+        address = cluster.address
+        found, result = table(some, engine="ray", address=address, chunk=5, progress=progress)
+        assert gone.is_set()
+        assert result.failed == 0
+        assert found == expected
+        print("node: one of two nodes was taken away, table equal", flush=True)
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+
+
+def resume(count: int, draw: random.Random) -> None:
+    """Breaks sweeps off, and goes on with them on the other engine."""
+    some = study(60, _SHORT)
+    expected, _ = table(some, workers=1)
+    engines = itertools.cycle(("local", "ray"))
+    done = 0
+    while done < count:
+        with tempfile.TemporaryDirectory() as folder:
+            for engine in engines:
+                before = journal_of(some, Path(folder))
+                before.begin()
+                stop = before.count + draw.randint(1, 20)
+                before.close()
+
+                def progress(finished: int, stop: int = stop) -> None:
+                    if finished >= stop:
+                        raise KeyboardInterrupt
+
+                how = {"engine": engine, "workers": 2, "chunk": 3, "progress": progress}
+                found, result = table(some, Path(folder), **how)
+                if not result.interrupted or result.finished == len(some):
+                    break
+                done += 1
+            assert found == expected
+        print(
+            f"resume: {done} of {count} interruptions, each gone on from on the other engine",
+            flush=True,
+        )
+
+
+def _nap(_shared: object, seconds: float) -> dict[str, float]:
+    """A task of known length that takes no core: where it ran, from when to when."""
+    begin = time.monotonic()
+    time.sleep(seconds)
+    return {"worker": os.getpid(), "begin": begin, "end": time.monotonic()}
+
+
+def cost(rounds: int = 3) -> None:
+    """Time between the end of a chunk and the beginning of the worker's next, interleaved."""
+    for seconds, count in ((1.0, 16), (0.1, 60), (0.0, 400)):
+        least = {"local": 1e9, "ray": 1e9}
+        for _ in range(rounds):
+            for engine in least:
+                least[engine] = min(least[engine], _between(engine, seconds, count))
+        ratio = (seconds + least["ray"]) / (seconds + least["local"])
+        each = ", ".join(f"{name} {1e3 * value:.2f} ms" for name, value in least.items())
+        print(
+            f"cost: between chunks of {seconds:g} s: {each}; ray over local {ratio:.4f}", flush=True
+        )
+
+
+def _between(engine: str, seconds: float, count: int) -> float:
+    """Mean time that a worker waits for its next chunk [s], of one task each."""
+    found = map_tasks(
+        _nap,
+        [seconds] * count,
+        on=Workers(engine, 2, 1),  # pyright: ignore[reportArgumentType]
+    )
+    rows = sorted(found.journal.results(), key=lambda row: (row["worker"], row["begin"]))
+    gaps = [
+        after["begin"] - before["end"]
+        for before, after in itertools.pairwise(rows)
+        if before["worker"] == after["worker"]
+    ]
+    return sum(gaps) / len(gaps)
+
+
+@contextmanager
+def _session() -> Iterator[None]:
+    """One Ray for a check: its start is no part of any of them."""
+    import ray
+
+    ray.init(
+        num_cpus=4,
+        include_dashboard=False,
+        logging_level="ERROR",
+        log_to_driver=False,
+        address="local",
+    )
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def main() -> None:
+    """Runs what is named, or everything."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("what", nargs="*", help="same, kills, node, resume, cost; default: all")
+    parser.add_argument("--engine", choices=("local", "ray"), help="for kills; default: both")
+    parser.add_argument("--count", type=int, default=20, help="of kills and of interruptions")
+    parser.add_argument("--drops", type=int, default=1000, help="for same")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    draw = random.Random(given.seed)
+    engines = (given.engine,) if given.engine else ("local", "ray")
+    checks: dict[str, Callable[[], object]] = {
+        "same": lambda: same(given.drops),
+        "kills": lambda: [kills(engine, given.count, draw) for engine in engines],
+        "node": node,
+        "resume": lambda: resume(given.count, draw),
+        "cost": cost,
+    }
+    for name in given.what or checks:
+        with nullcontext() if name == "node" else _session():
+            checks[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""Tasks on workers: order, failures, workers that die, runs that go on. On Ray: `test_ray.py`."""
+
+import json
+import multiprocessing
+import operator
+import os
+import signal
+import socket
+import time
+
+import pytest
+
+from mjgranular.cli import main
+from mjgranular.errors import InputError, MissingExtraError, OutputError, UnknownNameError
+from mjgranular.pool import UNFINISHED, Journal, Workers, map_tasks
+from mjgranular.pool.on_ray import RayPool, _run
+from mjgranular.pool.versions import mismatch, versions
+
+HERE = Workers(count=1)
+
+
+def results(mapped):
+    return list(mapped.journal.results())
+
+
+def test_a_task_that_raises_is_told_and_the_others_are_there():
+    mapped = map_tasks(operator.truediv, [1.0, 0.0, 2.0], shared=1.0, on=HERE)
+    assert results(mapped) == [1.0, 0.5]
+    assert [(one.index, one.lost) for one in mapped.failures] == [(1, False)]
+    assert mapped.failures[0].reason == "ZeroDivisionError: float division by zero"
+
+
+def test_an_interruption_keeps_what_is_done_and_a_journal_goes_on(tmp_path):
+    def stop(done):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    tasks = list(range(10))
+    journal = Journal(tmp_path, {"of": "sums"}, 10)
+    journal.begin()
+    mapped = map_tasks(
+        operator.add, tasks, shared=1, on=Workers(count=1, chunk=1), journal=journal, progress=stop
+    )
+    assert (mapped.interrupted, mapped.stopped_by) == (True, signal.SIGINT)
+    assert results(mapped) == [1, 2, 3]
+    journal.close()
+    again = Journal(tmp_path, {"of": "sums"}, 10)
+    assert again.goes_on()
+    again.begin()
+    done = []
+    mapped = map_tasks(
+        operator.add,
+        tasks,
+        shared=1,
+        on=HERE,
+        journal=again,
+        answered=lambda index, _: done.append(index),
+    )
+    assert done == list(range(3, 10))
+    assert results(mapped) == list(range(1, 11))
+
+
+def test_a_journal_of_something_else_says_what_differs(tmp_path):
+    journal = Journal(tmp_path, {"of": "sums", "size": 3}, 3)
+    journal.keep([(0, {"x": 1})])
+    journal.close()
+    assert Journal(tmp_path, {"of": "sums", "size": 3}, 3).fault() is None
+    assert "another size" in Journal(tmp_path, {"of": "sums", "size": 4}, 4).fault()
+    text = (tmp_path / UNFINISHED).read_text()
+    (tmp_path / UNFINISHED).write_text(text.replace(f'"{versions()["mujoco"]}"', '"1.0"'))
+    assert "version of mujoco" in Journal(tmp_path, {"of": "sums", "size": 3}, 3).fault()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"index": 0, "row": {"x": 1}}',  # twice
+        '{"index": 3, "row": {"x": 1}}',
+        '{"index": true, "row": {"x": 1}}',
+        '{"index": 1}',
+        '{"index": 1, "row": {"x": NaN}}',
+        "[]",
+        "x" * 2_000_000,
+    ],
+)
+def test_a_damaged_journal_is_not_gone_on_from(line, tmp_path):
+    def journal():
+        return Journal(tmp_path, {"of": "sums"}, 3)
+
+    first = journal()
+    first.keep([(0, {"x": 1})])
+    first.close()
+    with (tmp_path / UNFINISHED).open("a") as file:
+        file.write(f"{line}\n")
+    assert journal().fault() == "it is damaged"
+    assert not journal().goes_on()
+
+
+def test_results_lie_on_the_disk_and_not_in_memory():
+    """A hundred thousand rows of 1 kB are 100 MB; what is kept of each is where it lies."""
+    import tracemalloc
+
+    journal = Journal(None, {}, 20_000)
+    journal.begin()
+    tracemalloc.start()
+    for first in range(0, 20_000, 100):
+        journal.keep([(index, {"text": "x" * 1000}) for index in range(first, first + 100)])
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 2e6
+    assert sum(1 for _ in journal.results()) == 20_000
+    journal.close()
+
+
+def test_mistakes():
+    with pytest.raises(UnknownNameError, match="no engine 'dask'"):
+        Workers("dask")
+    with pytest.raises(InputError, match="at least 1 worker"):
+        Workers(count=0)
+    with pytest.raises(InputError, match="at least 1 task"):
+        Workers(chunk=0)
+    with pytest.raises(InputError, match="say --engine ray too"):
+        Workers(address="auto")
+
+
+def test_what_cannot_be_written_is_told(tmp_path):
+    journal = Journal(tmp_path / "gone", {}, 2)
+    with pytest.raises(OutputError, match="cannot write"):
+        journal.keep([(0, {"x": 1})])
+
+
+# Processes
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_costs_nothing_but_a_task_that_kills_does():
+    ended = []
+
+    def kill(done):
+        busy = multiprocessing.active_children()
+        if not ended and done == 2 and busy:
+            os.kill(busy[0].pid, signal.SIGKILL)
+            ended.append(1)
+
+    tasks = list(range(8))
+    mapped = map_tasks(operator.add, tasks, shared=1, on=Workers(count=2, chunk=2), progress=kill)
+    assert ended
+    assert results(mapped) == list(range(1, 9))
+    assert mapped.failures == []
+    # A task is text, and what all share evaluates it: functions of tests are not found elsewhere.
+    tasks = ["0", "1", "__import__('os')._exit(3)", "3"]
+    mapped = map_tasks(operator.call, tasks, shared=eval, on=Workers(count=2, chunk=4))
+    assert [(one.index, one.lost) for one in mapped.failures] == [(2, True)]
+    assert "status 3" in mapped.failures[0].reason
+    assert "tried 3 times" in mapped.failures[0].reason
+    assert results(mapped) == [0, 1, 3]
+    assert multiprocessing.active_children() == []
+
+
+# Ray, as far as it needs none
+
+
+def test_without_ray_the_install_line_is_given(monkeypatch, capfd):
+    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'mjgranular\[ray\]'"):
+        RayPool(operator.add, 1, Workers("ray"))
+    assert main(["sweep", "--points", "2", "--engine", "ray"]) == 2
+    assert "mjgranular[ray]" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("address", ["somewhere", "ray://host:10001", "host:", ":1", "host:99999"])
+def test_an_address_that_is_none(address, capfd):
+    pytest.importorskip("ray")
+    assert main(["sweep", "--points", "2", "--engine", "ray", "--address", address]) == 2
+    assert "HOST:PORT of its head" in capfd.readouterr().err
+
+
+def test_an_address_where_nobody_listens_is_told_at_once(capfd):
+    pytest.importorskip("ray")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+        before = time.monotonic()
+        assert main(["sweep", "--points", "2", "--engine", "ray", "--address", address]) == 2
+        assert time.monotonic() - before < 20
+    assert f"nothing answers at {address}" in capfd.readouterr().err
+
+
+def test_a_worker_of_another_version_refuses_and_names_both():
+    here = versions()
+    assert mismatch(here, here) is None
+    told = _run((operator.add, 1, {**here, "mjgranular": "0.1.0"}), ((0, 1),))
+    assert f"mjgranular {here['mjgranular']} there and 0.1.0 here" in told.reason
+    told = _run((operator.add, 1, {**here, "mujoco": "3.0"}), ((0, 1),))
+    assert f"mujoco {here['mujoco']} there and 3.0 here" in told.reason
+    answers, _ = _run((operator.add, 1, here), ((0, 1),))
+    assert json.dumps(answers[0].result) == "2"
