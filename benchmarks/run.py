@@ -32,7 +32,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from mjgranular.experiment.provenance import versions
+from mjgranular.pool.versions import versions
 
 FAMILIES = {
     "doors": doors.GROUPS,

@@ -19,7 +19,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import floats, longs, records
 from mjgranular.kernel.vector import read_vector
 from mjgranular.prints.skin import BLOCK
-from mjgranular.relief.grid import HEIGHT, key_at, key_of, place_of, start_of
+from mjgranular.relief.grid import HEIGHT, base_of, own_mark, place_of, start_of
 from mjgranular.relief.probe import level_kernel, state_length
 from mjgranular.relief.relief import Relief, relief_dtype
 from mjgranular.surface import Surface
@@ -168,7 +168,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     def height(relief, state, i, j):
         """Height of the sand at a node over the surface [m]; not a number is untouched."""
         k = place_of(relief.size, i, j)
-        if key_at(state, relief.size, k) != key_of(i, j):
+        if own_mark(state, relief.size, k, base_of(i, j)) < 0.0:
             return 0.0
         found = state[start_of(relief.size, HEIGHT) + k]
         return found if math.isfinite(found) else 0.0
