@@ -64,8 +64,8 @@ class Figures:
             `sand/force`: of the sand on the robot [N], world axes, shape (n, 3); `sand/depth`: of
             its deepest point [m], negative above the sand; `sand/power`: of the sand on it [W];
             `sand/froude`; `sand/valid`: whether the law holds; `sand/error`: found where the law
-            was held against measured motion as fast as this, in parts; 0 above the sand, and nan
-            where nothing as fast was compared.
+            was held against measured motion as fast as this, in parts and at most 1; 1 where
+            nothing as fast was compared, 0 above the sand.
         """
         first, *others = self._blocks
         block = readings[:, first : first + 6].copy()  # nobody is to hold the simulation's memory
@@ -90,7 +90,7 @@ class Figures:
 
     def _errors(self, active: np.ndarray | int, froude: np.ndarray) -> np.ndarray:
         """Errors found at Froude numbers, for the sand that is switched on; shape (n,)."""
-        error = np.full(froude.shape, np.nan)
+        error = np.ones(froude.shape)
         for sand, (bounds, errors) in enumerate(self._found):
             mine = np.broadcast_to(np.asarray(active) == sand, froude.shape)
             error[mine] = errors[np.searchsorted(bounds, froude[mine])]
@@ -112,11 +112,11 @@ class _Limits:
         self.tilt = surface_of(sand.surface).tilt(model)
 
     def found(self) -> tuple[np.ndarray, np.ndarray]:
-        """Froude numbers up to which errors were found, and these; one more error, nan, beyond."""
+        """Froude numbers up to which errors were found, and these; one more error, 1, beyond."""
         bounds = sorted({finding.froude for finding in self._findings})
         found = [found_at(self._findings, bound, self._grains) for bound in bounds]
-        errors = [np.nan if one is None else one.error for one in found]
-        return np.array(bounds), np.array([*errors, np.nan])
+        errors = [1.0 if one is None else min(one.error, 1.0) for one in found]
+        return np.array(bounds), np.array([*errors, 1.0])
 
     def most(self, measure: Measure) -> float:
         return min((v.most for v in self._limits if v.measure == measure), default=math.inf)

@@ -56,8 +56,8 @@ def on_sand(
       a body at rest;
     - `cfrc_ext`, which some environments observe or charge for, has the sand's forces in it beside
       those of contacts;
-    - `info` has the sand's figures, `sand/force`, `sand/depth`, `sand/power`, `sand/froude` and
-      `sand/valid` (`mjgranular.envs.figures`).
+    - `info` has the sand's figures, `sand/force`, `sand/depth`, `sand/power`, `sand/froude`,
+      `sand/valid` and `sand/error` (`mjgranular.envs.figures`).
 
     Healthy ranges are as they were: robots sink in by millimetres to centimetres.
 

@@ -19,6 +19,7 @@ from mjgranular import InputError, Plane, RenderError, Sand, UnknownNameError
 from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ids import id_of
+from mjgranular.law.validity import findings_of, found_at
 from mjgranular.learn import environments
 from mjgranular.models import Link
 
@@ -410,3 +411,12 @@ def test_gaits_name_their_parameters():
         action = script(0.7)
         assert action.dtype == np.float32
         assert np.abs(action).max() <= 1
+
+
+def test_the_error_that_was_found_is_told_with_the_force():
+    env = SandEnv("ChainSwim", medium="play_sand", law="link_distributed")
+    _, info = env.reset(seed=0)
+    found = found_at(findings_of("link_distributed"), info["sand/froude"])
+    assert info["sand/error"] == found.error
+    high = SandEnv("ChainSwim", surface=Plane(height=-1.0))
+    assert high.reset(seed=0)[1]["sand/error"] == 0.0  # above the sand
