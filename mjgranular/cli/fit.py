@@ -18,9 +18,9 @@ from mjgranular import files
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
 from mjgranular.cli.options import law_named
 from mjgranular.errors import InputError, MissingExtraError, OutputError
-from mjgranular.pool.versions import versions
 from mjgranular.fit import Fit, FitResult, RunErrors, read_fit, run_fit
 from mjgranular.fit.known import fitted_medium, medium_text
+from mjgranular.pool.versions import versions
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
 
