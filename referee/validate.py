@@ -25,6 +25,9 @@ DATA = ROOT / "referee" / "data"
 SETS = ("seen", "small_bed", "katsuragi_durian", "plates", "quikrete", "paper_link")
 """Folders of data, in the order of the page."""
 
+KAPPA, ADDED_BY = 2.5, ("sphere_v1.0", "sphere_v3.0")
+"""Of the added mass, and the runs of `seen` that it was chosen by."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -85,6 +88,10 @@ def candidates(runs: RunSet) -> list[Candidate]:
         found.append(
             Candidate(f"{name} inertia", replace(law, **changes), by, f"{text}, lambda = 1.1")
         )
+        with_mass = replace(law, **changes, added=KAPPA)
+        theirs = (*by, *ADDED_BY) if runs.name == "seen" else by
+        text = f"{text}, lambda = 1.1, kappa = {KAPPA:g}"
+        found.append(Candidate(f"{name} added", with_mass, theirs, text))
     return found
 
 

@@ -24,7 +24,7 @@ from mjgranular.picture.elements import check_file, count, draw_elements, kind_o
 from mjgranular.sand import Sand
 from mjgranular.sand.cost import Cost
 from mjgranular.sand.report import Names
-from mjgranular.scheme import Implicit
+from mjgranular.scheme import Explicit, Implicit
 
 _CSV = "elements.csv"
 _FIGURE = "elements.png"
@@ -106,7 +106,7 @@ class ElementsCommand(ChoiceOptions):
         # No step is made: sand and floor of the model's own are no matter.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FloorWarning)
-            sand = Sand(model, drop.sand, scheme="explicit", shared=True)
+            sand = Sand(model, drop.sand, scheme=Explicit(prescribed=True), shared=True)
         return sand, data.qpos
 
     def _config(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment.drop import loading
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.sand import Sand
+from mjgranular.scheme import Explicit
 
 Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
 _BODY = "intruder"
@@ -156,7 +157,7 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         law=intrusion.law,
         geoms=geoms,
         resolution=intrusion.resolution,
-        scheme="explicit",  # motion is prescribed: the law at the velocity that it has
+        scheme=Explicit(prescribed=True),
     )
     data = mujoco.MjData(model)
     down, along = math.sin(intrusion.direction), math.cos(intrusion.direction)

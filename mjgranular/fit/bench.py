@@ -20,6 +20,7 @@ from mjgranular.sand.binding import Binding, bind
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.sand.spec import SandSpec
+from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import FINE
 
 _STILL = 1e-6  # greatest velocity at which a body is said to rest [m/s], [rad/s]; chosen
@@ -31,12 +32,12 @@ class Bench:
 
     Args:
         model: the model.
-        scheme: "implicit" to let it move, "explicit" to ask for forces.
+        scheme: to let it move, or to ask for forces on what is led.
         bodies: names of the bodies that meet the sand; None for all that can move.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, scheme: str, bodies: tuple[str, ...] | None = None
+        self, model: mujoco.MjModel, scheme: Scheme, bodies: tuple[str, ...] | None = None
     ) -> None:
         self.model = model
         self.data = mujoco.MjData(model)

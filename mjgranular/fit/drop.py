@@ -19,6 +19,7 @@ from mjgranular.fit.run import Run
 from mjgranular.fit.trial import Series, Trial, rms
 from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
+from mjgranular.scheme import Implicit
 from mjgranular.surface import Plane
 from mjgranular.surface.floors import describe_floors, find_floors
 
@@ -130,7 +131,7 @@ class DropTrial(Trial):
         self._qpos = projectile.touching(run.angle)
         self._qvel = projectile.moving(run.angle, self._first_speed(), 0.0, 0.0)
         self._timestep = timestep
-        self.bench = Bench(model, "implicit", ("link",))
+        self.bench = Bench(model, Implicit(), ("link",))
 
     def simulate(self, material: Material) -> Fall:
         self.bench.use(material)
@@ -222,7 +223,7 @@ class ModelTrial(DropTrial):
                     "a keyframe with its velocities"
                 )
             self._qvel[model.jnt_dofadr[joint] + 2] -= run.speed
-        self.bench = Bench(model, "implicit")
+        self.bench = Bench(model, Implicit())
         self.shift = None
 
     def simulate(self, material: Material) -> Fall:

@@ -10,6 +10,7 @@ from mjgranular.fit.constants import Material
 from mjgranular.fit.result import RunErrors
 from mjgranular.fit.run import Run
 from mjgranular.fit.trial import Series, Trial, rms
+from mjgranular.scheme import Explicit
 
 _POINTS = 41  # at which the force of a smooth path is asked for; between them it is a line
 _UNITS = (("mm", 1e-3), ("cm", 1e-2))
@@ -47,7 +48,7 @@ class PushTrial(Trial):
     def _make_bench(self) -> None:
         assert self.run.body is not None
         projectile = self.run.body.projectile
-        self.bench = Bench(projectile.model(1e-4), "explicit", ("link",))
+        self.bench = Bench(projectile.model(1e-4), Explicit(prescribed=True), ("link",))
         self._qpos = projectile.touching(self.run.angle)
 
     def _force(self, depth: float, velocity: tuple[float, float]) -> np.ndarray:

@@ -13,6 +13,7 @@ from mjgranular.models.link import offset
 from mjgranular.referee.motion import Motion
 from mjgranular.referee.runs import MeasuredRun
 from mjgranular.sand import Sand
+from mjgranular.scheme import Explicit
 
 TIMESTEP = 5e-5
 """Of simulated drops [s]: halving it moves final depths by less than 0.3 %."""
@@ -115,8 +116,7 @@ def _seen(run: MeasuredRun, data: mujoco.MjData) -> tuple[float, float, float]:
 
 def _moved(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
     model = run.body.model(TIMESTEP)
-    # Motion is prescribed: the law at the velocity that the body has.
-    sand = Sand(model, medium=medium, law=law, bodies="link", scheme="explicit")
+    sand = Sand(model, medium=medium, law=law, bodies="link", scheme=Explicit(prescribed=True))
     data = mujoco.MjData(model)
     speeds = run.motion.speed
     if speeds is None:

@@ -11,7 +11,7 @@ second order for the velocity, leapfrog for the position). It costs one sum alon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, ClassVar
 
@@ -57,6 +57,8 @@ class Explicit(Scheme):
             the scheme is of first order in depth too.
         longest_step: the longest time step that may be set later [s]: the sand then refuses to go
             on, since longer ones may give energy.
+        prescribed: bodies are led, not pushed: the law at the velocity that they have. Then sand
+            that is moved along, which answers to accelerations, is left out.
     """
 
     name: ClassVar[str] = "explicit"
@@ -64,6 +66,7 @@ class Explicit(Scheme):
 
     half_step: bool = True
     longest_step: float = 1e9  # any
+    prescribed: bool = False
 
     def __post_init__(self) -> None:
         check_switch("Explicit: half_step", self.half_step)
@@ -81,12 +84,12 @@ class Explicit(Scheme):
         return 0.5 if self.half_step else 0.0
 
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        if kernel.added is not None:
+        if kernel.added is not None and not self.prescribed:
             raise InputError(
                 "sand that is moved along (the law's `added`) needs scheme='implicit': the "
                 "explicit scheme knows no acceleration"
             )
-        return explicit_program(kernel, scene)
+        return explicit_program(replace(kernel, added=None), scene)
 
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
