@@ -25,7 +25,7 @@ DATA = ROOT / "referee" / "data"
 SETS = ("seen", "small_bed", "katsuragi_durian", "plates", "quikrete", "paper_link")
 """Folders of data, in the order of the page."""
 
-KAPPA, ADDED_BY = 2.5, ("sphere_v1.0", "sphere_v3.0")
+KAPPA, ADDED_BY = 2.5, ("sphere 1 m/s", "sphere 3 m/s")
 """Of the added mass, and the runs of `seen` that it was chosen by."""
 
 
