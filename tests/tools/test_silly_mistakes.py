@@ -235,7 +235,7 @@ compare Robot | no robot to compare grounds with 'Robot'
 compare Hopper --policies 0 | a comparison needs at least 1 policy
 warm blok.xml | MuJoCo cannot load blok.xml
 warm block.xml --env Ant-v5 | name a MODEL.xml or --env ID
-warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: mjgranular/Ant-v0,
+warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: ... mjgranular/Ant-v0,
 warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
 warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
 warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
