@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.engine.instances import instance_of
-from mjgranular.errors import InputError, RangeWarning, shown, warn_user
+from mjgranular.errors import InputError, shown
 from mjgranular.given import check_model, kind_of
 from mjgranular.sand.prepare import PreparedSand
 
@@ -26,9 +26,6 @@ STATE_SIZE = len(STATE)
 
 INITIAL = (1.0, 1.0, 1.0, 0.0)
 """Values after a reset."""
-
-_HIGHEST = 10.0
-"""Height by which a surface is raised or lowered [m]. Chosen: more are millimetres."""
 
 TUNING_DTYPE = np.dtype(
     [
@@ -124,13 +121,6 @@ def tune(
         for key, value in values.items()
         if value is not None
     }
-    highest = np.abs(given.get("height", 0.0)).max(initial=0.0)
-    if highest > _HIGHEST:
-        warn_user(
-            f"the surface is moved by {highest:g} m: lengths are in metres, and {highest:g} mm is "
-            f"{highest / 1000:g} m",
-            RangeWarning,
-        )
     first = int(model.plugin_stateadr[instance])
     for key, value in given.items():
         state[..., first + STATE.index(key)] = value

@@ -118,7 +118,7 @@ def as_memory(memory: Any) -> Memory | None:
     if isinstance(memory, str):
         words = split_words(memory)
         if words and "=" not in words[0]:
-            return Memory(cell=read_value(memory.strip(), float, "memory, the side of a cell [m],"))
+            return Memory(cell=read_value(memory.strip(), float, "memory, the side of a cell,"))
         if not words:
             raise InputError("memory is the side of a cell [m], or 'cell=0.01 extent=4', not ''")
         return Memory(**read_options(words, Memory, "memory"))

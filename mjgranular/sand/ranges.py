@@ -88,7 +88,8 @@ def _warn_of_gravity(model: mujoco.MjModel, surface: Surface) -> None:
     strength = float(np.linalg.norm(gravity))
     if not isinstance(surface, Plane) or strength == 0.0:
         return
-    off = math.acos(max(-1.0, min(1.0, -float(gravity @ surface.normal) / strength)))
+    down = min(1.0, max(-gravity[2], -float(gravity @ surface.normal)) / strength)
+    off = math.acos(max(-1.0, down))  # a wall of sand that was asked for is one
     if off > _STEEPEST:
         components = ", ".join(f"{component:g}" for component in gravity)
         warn_user(

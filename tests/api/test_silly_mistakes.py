@@ -13,7 +13,7 @@ import pytest
 import mjgranular as mg
 from mjgranular.engine import relief_of, rne_post_constraint, tune
 from mjgranular.engine.readings import SandReadings
-from mjgranular.errors import GranularError, MissedStepWarning, RangeWarning
+from mjgranular.errors import GranularError, MissedStepWarning
 from mjgranular.experiment import Impact, run_impact
 from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.medium.file import read_medium
@@ -493,7 +493,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "word for shared": (lambda: sand(shared="no"), "shared must be True or False, not 'no'"),
     "words for memory": (
         lambda: sand(memory="yes please"),
-        "memory, the side of a cell [m], must be a number, not 'yes please'",
+        "memory, the side of a cell, must be a number, not 'yes please'",
     ),
     "empty memory": (lambda: sand(memory=""), "memory is the side of a cell [m]"),
     "word for a switch of a law": (
@@ -676,12 +676,6 @@ def test_after_a_reset_nothing_is_left_of_the_last_step() -> None:
     assert readings.read(other)[0, 2] > 1.0  # whom nobody has reset
     rne_post_constraint(model, other)
     assert other.cfrc_ext[2, 5] > 1.0
-
-
-def test_a_surface_that_is_raised_by_millimetres_is_told() -> None:
-    model = added(tunable=True)
-    with pytest.warns(RangeWarning, match=r"20 mm is 0\.02 m"):
-        tune(model, mujoco.MjData(model).plugin_state, "sand", height=20)
 
 
 def test_a_task_that_is_defined_again_takes_its_own_place() -> None:

@@ -130,7 +130,7 @@ drop floor.xml --instead-of floor --keep-floor | --keep-floor has no other groun
 drop block.xml --bed tray --slope 10 | --bed lies as its geom does: --slope is for a plane
 drop block.xml --uphill 90 | --uphill is the direction of a slope: add --slope
 drop block.xml --law link --medium play_sand | choose them with --geoms NAME or --bodies NAME
-drop block.xml --memory 'yes please' | memory, the side of a cell [m], must be a number
+drop block.xml --memory 'yes please' | memory, the side of a cell, must be a number
 drop block.xml --video | --video needs a folder to write to: add --out DIR
 drop block.xml --out old | old holds a result already (config.json, summary.json):
 drop block.xml --out notes.txt | cannot write to notes.txt: File exists; choose a folder
@@ -195,7 +195,7 @@ train quad | no environment 'quad'; there are: mjgranular/Ant-v0,
 train quad.py | no environment 'quad.py'; there are: mjgranular/Ant-v0,
 train quad: | 'quad:' lacks the id behind the colon: quad:My-v0
 train :Quad-v0 | the module '' of the environment :Quad-v0 cannot be imported: one is named as
-train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean Quad-v0
+train quad:Quadd-v0 | no environment 'quad:Quadd-v0' ... did you mean quad:Quad-v0
 train quad:Nope-v0 | no environment 'quad:Nope-v0'; there are: quad:Quad-v0
 train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean quad?
 train error:Quad-v0 | the module 'error' of the environment error:Quad-v0 cannot be imported
@@ -235,7 +235,7 @@ compare Robot | no robot to compare grounds with 'Robot'
 compare Hopper --policies 0 | a comparison needs at least 1 policy
 warm blok.xml | MuJoCo cannot load blok.xml
 warm block.xml --env Ant-v5 | name a MODEL.xml or --env ID
-warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: mjgranular/Ant-v0,
+warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: ... mjgranular/Ant-v0,
 warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
 warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
 warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
