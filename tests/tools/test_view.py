@@ -62,6 +62,11 @@ def test_what_is_shown_moves_as_under_sand_of_ones_own(block: Path) -> None:
     np.testing.assert_allclose(mine.qpos, theirs.qpos, rtol=1e-9, atol=1e-12)
 
 
+def test_prints_are_shown(block: Path) -> None:
+    assert ViewCommand(block, memory="0.02").load().nskin == 1
+    assert ViewCommand(block).load().nskin == 0
+
+
 def test_a_model_with_sand_is_shown_with_that(
     block: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
