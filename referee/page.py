@@ -107,7 +107,8 @@ def _when(found: list[list[Comparison]]) -> list[str]:
             text = _span([e.trajectory for e in errors]) + ("" if judged else " (fitted)")
             stops = [e.stop for e in errors if e.stop is not None]
             if stops and judged:
-                text += f"; stop {_percent(min(stops))} to {_percent(max(stops))}"
+                low, high = _percent(min(stops)), _percent(max(stops))
+                text += f"; stop {low}" + (f" to {high}" if high != low else "")
             cells.append(text)
             if judged and name != "depth_velocity":
                 best[name] = errors

@@ -10,9 +10,12 @@ import matplotlib as mpl
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 if TYPE_CHECKING:
     from validate import Comparison
+
+    from mjgranular.referee import Motion
 
 # Okabe and Ito's colours; dashes for the laws without inertia.
 _LOOK = {
@@ -62,27 +65,21 @@ def draw(found: list[Comparison], folder: Path) -> str:
             motion, drop = run.motion, run.kind == "drop"
             dot = "o" if len(motion.depth) == 1 else None
             axis.set_title(run.name)
-            x = motion.time if drop else (motion.speed if run.kind == "drag" else motion.depth)
-            y = motion.depth if drop else motion.force
-            scale = (1e3, -1e3) if drop else ((1.0, 1.0) if run.kind == "drag" else (1e3, 1.0))
-            (line,) = axis.plot(scale[0] * x, scale[1] * y, "k", lw=2.6, marker=dot, ms=8)
+            x, y = _curve(run.kind, motion)
+            (line,) = axis.plot(x, y, "k", lw=2.6, marker=dot, ms=8)
             labels[_WHAT.get(runs.name, "measured")] = line
             for c in found:
                 if c.run is not run or c.motion is None:
                     continue
                 color, style = _LOOK.get(c.candidate.name, _REST)
-                x = c.motion.time if drop else x
-                y = c.motion.depth if drop else c.motion.force
-                name = c.candidate.name
-                (line,) = axis.plot(
-                    scale[0] * x, scale[1] * y, style, color=color, lw=1.3, marker=dot
-                )
-                labels[name] = line
+                curve = _curve(run.kind, c.motion)
+                (line,) = axis.plot(*curve, style, color=color, lw=1.3, marker=dot)
+                labels[c.candidate.name] = line
             if drop:
                 axis.set(xlabel="time [ms]", ylabel="height of the lowest point [mm]")
-                axis.set_xlim(0, 1.05e3 * motion.time[-1])
+                axis.set_xlim(0, 1.05 * x[-1])
             elif run.kind == "drag":
-                axis.set(xlabel="speed [m/s]", ylabel="force [N]", ylim=(0, 1.25 * max(y)))
+                axis.set(xlabel="speed [m/s]", ylabel="force [N]", ylim=(0, 1.25 * y.max()))
             else:
                 axis.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0, None))
         figure.legend(
@@ -93,3 +90,15 @@ def draw(found: list[Comparison], folder: Path) -> str:
         figure.savefig(folder / name, metadata={"Software": None})
         plt.close(figure)
     return name
+
+
+def _curve(kind: str, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """What is drawn: height over time of a drop [mm, ms], force over depth [mm] or speed [N]."""
+    if kind == "drop":
+        assert motion.time is not None
+        return 1e3 * motion.time, -1e3 * motion.depth
+    assert motion.force is not None
+    if kind == "drag":
+        assert motion.speed is not None
+        return motion.speed, motion.force
+    return 1e3 * motion.depth, motion.force

@@ -40,7 +40,7 @@ def main(folder: Path, into: Path) -> None:
                 into / f"{name}.csv", ["time [s]", "depth [m]", "force [N]"], rows, ["force [N]"]
             )
             continue
-        speed = -table.get("vz_com", table.get("vz"))
+        speed = -table["vz_com" if "vz_com" in table else "vz"]
         picks = np.unique(np.linspace(0, len(time) - 1, _ROWS).round().astype(int))
         t, v = time[picks], speed[picks]
         force = np.concatenate([[0.0], mass * (GRAVITY - np.diff(v) / np.diff(t))])

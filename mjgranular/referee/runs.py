@@ -287,9 +287,16 @@ def _motion(file: Path, kind: Kind, numbers: dict[str, float]) -> Motion:
     columns = {names[h]: table[:, i] for i, h in enumerate(headings) if h in names}
     if kind != "drop":
         columns.pop("time", None)
-    if "depth" not in columns:
-        columns["depth"] = np.full(len(table), numbers.get("depth", math.nan))
-    return Motion(**columns)
+    if "depth" not in columns and "depth" not in numbers:
+        raise InputError("a drag needs the depth of the body's lowest point [m]")
+    depth = columns.pop("depth", np.full(len(table), numbers.get("depth", math.nan)))
+    return Motion(
+        depth=depth,
+        time=columns.get("time"),
+        speed=columns.get("speed"),
+        force=columns.get("force"),
+        pitch=columns.get("pitch"),
+    )
 
 
 def _number(key: str, value: Any) -> float:

@@ -130,6 +130,7 @@ def test_seen_runs_are_what_their_source_says():
         motion = runs[name].motion
         assert 1e3 * motion.final_depth == pytest.approx(depth, abs=0.1)
         # Thinned, and counted from the touch, which is up to 0.5 ms late.
+        assert motion.stop is not None
         assert 1e3 * motion.stop == pytest.approx(stop, abs=1.0)
         if pitch is not None:
             assert motion.pitch[-1] == pytest.approx(pitch, abs=0.1)
@@ -178,6 +179,11 @@ def test_a_set_of_ones_own(tmp_path):
         ({"medium": "{density: 1500}"}, InputError, "internal_friction is missing"),
         ({"medium": "{densty: 1500}"}, UnknownNameError, "densty"),
         ({"run": RUN.replace("a.csv", "b.csv")}, InputError, "b.csv"),
+        (
+            {"run": RUN.replace("drop", "drag"), "table": "speed [m/s],force [N]\n1,1\n"},
+            InputError,
+            "a drag needs the depth",
+        ),
     ],
 )
 def test_what_is_wrong_in_a_set_is_said(tmp_path, wrong, error, message):

@@ -231,7 +231,9 @@ def test_the_finding_that_tells_most_of_a_motion(froude, grains, finding):
 class Judged(DepthVelocityLaw):
     """A law about which something was found."""
 
-    findings = (SLOW, FAST)
+    @property
+    def findings(self):
+        return SLOW, FAST
 
 
 def test_a_report_has_the_error_that_was_found():
