@@ -23,7 +23,7 @@ from mjgranular.fit.trial import Trial
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 
-_TRIALS: dict[str, type[Trial]] = {
+_TRIALS: dict[str, Callable[[Run], Trial]] = {
     "drop": DropTrial,
     "intrude": PushTrial,
     "drag": DragTrial,
@@ -113,11 +113,12 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)
 
-    def show(what: str) -> Callable[[int], None] | None:
-        return None if progress is None else lambda count: progress(count, what)
+    def show(count: int) -> None:
+        if progress is not None:
+            progress(count, "fitting")
 
     start = _with_starts(fit, fitted)
-    problem = Problem(fitted, start, fit.free, show("fitting"))
+    problem = Problem(fitted, start, fit.free, show)
     x = problem.start()
     if any(outcome is None for outcome in problem.outcomes(x)):
         raise UnstableError(
