@@ -22,7 +22,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from mjgranular.experiment import Impact, Study, journal_of, run_study
@@ -30,6 +30,7 @@ from mjgranular.experiment.table import write_csv
 from mjgranular.pool import UNFINISHED, Workers, map_tasks
 
 _LONG = Impact(speed=2.0, timestep=1e-5)  # some 30 ms a drop
+_KILLED = 60  # drops of a run in which workers are killed
 _SHORT = Impact(speed=2.0, timestep=1e-4)
 
 
@@ -58,7 +59,7 @@ def children(engine: str) -> list[int]:
     found = []
     for entry in Path("/proc").glob("[0-9]*"):
         try:
-            if (entry / "cmdline").read_bytes().startswith(b"ray::"):
+            if (entry / "cmdline").read_bytes().startswith(b"ray::_run"):
                 found.append(int(entry.name))
         except OSError:
             continue
@@ -77,33 +78,41 @@ def same(drops: int) -> None:
 
 
 def kills(engine: str, count: int, draw: random.Random) -> None:
-    """Ends workers at random moments of several runs."""
-    some = study(200, _LONG)
+    """Ends workers at random moments of several runs, five in each."""
+    some = study(_KILLED, _LONG)
     expected, _ = table(some, workers=1)
     done = 0
     while done < count:
-        over = threading.Event()
-        ended = []
+        moments = sorted(draw.sample(range(1, _KILLED - 10), 5))
+        timers: list[threading.Timer] = []
+        ended: list[int] = []
 
-        def kill(ended: list[int] = ended, over: threading.Event = over, most: int = 5) -> None:
-            while len(ended) < most and not over.wait(draw.uniform(0.3, 2.0)):
-                there = children(engine)
-                if there:
-                    try:
-                        os.kill(draw.choice(there), signal.SIGKILL)
-                    except OSError:
-                        continue
+        def kill(ended: list[int] = ended) -> None:
+            there = children(engine)
+            if there:
+                with suppress(OSError):
+                    os.kill(draw.choice(there), signal.SIGKILL)
                     ended.append(1)
 
-        killer = threading.Thread(target=kill)
-        killer.start()
+        def progress(
+            finished: int,
+            moments: list[int] = moments,
+            timers: list[threading.Timer] = timers,
+            kill: Callable[[], None] = kill,
+        ) -> None:
+            while moments and finished >= moments[0]:
+                moments.pop(0)
+                timers.append(threading.Timer(draw.uniform(0.0, 0.1), kill))
+                timers[-1].start()
+
         with tempfile.TemporaryDirectory() as folder:
-            found, result = table(some, Path(folder), engine=engine, workers=2, chunk=7)
-            over.set()
-            killer.join()
+            how = {"engine": engine, "workers": 2, "chunk": 3, "progress": progress}
+            found, result = table(some, Path(folder), **how)
+            for timer in timers:
+                timer.join()
             lines = (Path(folder) / UNFINISHED).read_text().count("\n")
         assert result.failed == 0, [result.told(one) for one in result.failures]
-        assert lines == 201, "a row twice, or none"
+        assert lines == 1 + _KILLED, "a row twice, or none"
         assert found == expected
         done += len(ended)
         print(f"kills: {done} of {count} workers of {engine} ended so far, table equal", flush=True)
@@ -114,14 +123,14 @@ def node() -> None:
     import ray
     from ray.cluster_utils import Cluster
 
-    some = study(120, _LONG)
+    some = study(60, _LONG)
     expected, _ = table(some, workers=1)
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     other = cluster.add_node(num_cpus=1)
     gone = threading.Event()
 
     def progress(finished: int) -> None:
-        if finished > 20 and not gone.is_set():
+        if finished > 5 and not gone.is_set():
             gone.set()
             cluster.remove_node(other, allow_graceful=False)
 
