@@ -1,4 +1,4 @@
-"""Films and pictures of prints: the trail of the hexapod, the link's crater, a worm's trench.
+"""Films and pictures of prints: the trail of the hexapod, the cut of the link, a worm's furrow.
 
 python docs/figures/prints_films.py [trail crater trench ...]
 """
@@ -60,7 +60,7 @@ def trench() -> Iterator[np.ndarray]:
 
 
 def crater() -> Iterator[np.ndarray]:
-    """The paper's link falls upright into play sand at 3 m/s."""
+    """The paper's link meets play sand at 45 degrees and 3 m/s, and lies down in it."""
     spec = Link().spec()
     for name in ("bed", "table"):  # cut open
         spec.delete(spec.geom(name))

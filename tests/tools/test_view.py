@@ -63,8 +63,8 @@ def test_what_is_shown_moves_as_under_sand_of_ones_own(block: Path) -> None:
 
 
 def test_prints_are_shown(block: Path) -> None:
-    assert ViewCommand(block, memory="0.02").load().nskin == 1
-    assert ViewCommand(block).load().nskin == 0
+    assert ViewCommand(block, memory="0.02", instead_of=("floor",)).load().nskin == 1
+    assert ViewCommand(block, instead_of=("floor",)).load().nskin == 0
 
 
 def test_a_model_with_sand_is_shown_with_that(
