@@ -15,7 +15,6 @@ from mjgranular.envs.task import Task, check_actions
 from mjgranular.envs.tasks import get_task
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.given import check_count, kind_of
-from mjgranular.relief.memory import as_memory
 
 
 class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -89,9 +88,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "height": height,
             "camera_name": camera_name,
         }
-        # What sand remembers is a large state: a simulation that keeps its own is not copied.
-        kept = {"persistent": True} if as_memory(self.task.memory) is not None else {}
-        self.batch = _batch_class()(self.task.model, num_envs, threads, **kept)
+        self.batch = _batch_class()(self.task.model, num_envs, threads)
         self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
         self._ctrl = self.batch.bind("ctrl")
         self._plugin_state = self.batch.bind("plugin_state")
