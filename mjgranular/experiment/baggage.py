@@ -136,10 +136,9 @@ def _own_laws(study: Study) -> Iterable[OwnLaw]:
                 f"the law {kind.name!r} is defined in a script or notebook, where workers do not "
                 "find it: put it into a module, a file of its own"
             )
-        file = getattr(module, "__file__", None)
-        alone = "." not in kind.__module__ and file is not None and file.endswith(".py")
-        alone = alone and not file.endswith("__init__.py")
-        source = read_file(Path(str(file)), "the module", largest=_LARGEST) if alone else None
+        file = Path(getattr(module, "__file__", None) or "")
+        alone = "." not in kind.__module__ and file.suffix == ".py" and file.stem != "__init__"
+        source = read_file(file, "the module", largest=_LARGEST) if alone else None
         yield OwnLaw(kind.name, kind.__module__, kind.__qualname__, source)
 
 

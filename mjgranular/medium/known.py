@@ -47,8 +47,7 @@ def get_medium(medium: str | Path | Medium) -> Medium:
         return medium
     if isinstance(medium, str) and medium in media:
         return media[medium]
-    words = _WORDS.fullmatch(medium) if isinstance(medium, str) else None
-    if words is not None:
+    if isinstance(medium, str) and (words := _WORDS.fullmatch(medium)):
         return _with_options(get_medium(words[1]), words[2].split(), medium)
     if isinstance(medium, Path) or str(medium).endswith((".yaml", ".yml")):
         return read_medium(Path(medium))

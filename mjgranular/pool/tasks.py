@@ -195,13 +195,13 @@ class _Run:
             self._progress(self._journal.count + self.mapped.failed)
 
     def _keep(self, answers: Sequence[Answer]) -> None:
-        there = [(one.index, one.result) for one in answers if one.error is None]
+        there = [(one.number, one.result) for one in answers if one.error is None]
         self._journal.keep(there)
         for one in answers:
             if one.error is not None:
-                self._fail(Failure(one.index, one.error))
+                self._fail(Failure(one.number, one.error))
             elif self._answered is not None:
-                self._answered(one.index, one.result)
+                self._answered(one.number, one.result)
 
     def _lose(self, batch: _Batch, reason: str) -> None:
         if batch.tries < TRIES - 1:

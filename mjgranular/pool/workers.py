@@ -49,12 +49,12 @@ class Answer(NamedTuple):
     """What became of one task.
 
     Attributes:
-        index: its number.
+        number: of the task.
         result: what its function gave; None if that raised.
         error: why there is no result; None if there is one.
     """
 
-    index: int
+    number: int
     result: Any
     error: str | None
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import logging
 import multiprocessing
 import os
 import random
@@ -25,7 +26,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
-from mjgranular.experiment import Impact, Study, journal_of, run_study
+from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.table import write_csv
 from mjgranular.pool import UNFINISHED, Workers, map_tasks
 
@@ -41,7 +42,7 @@ def study(drops: int, base: Impact) -> Study:
     return Study(base, {"speed": Between(1.0, 5.0), "angle": Between(0.6, 1.0)}, sample=drops)
 
 
-def table(some: Study, folder: Path | None = None, **how: object) -> tuple[bytes, object]:
+def table(some: Study, folder: Path | None = None, **how: object) -> tuple[bytes, StudyResult]:
     """The bytes of the table, and the result."""
     journal = journal_of(some, folder)
     journal.begin()
@@ -151,7 +152,7 @@ def resume(count: int, draw: random.Random) -> None:
     some = study(60, _SHORT)
     expected, _ = table(some, workers=1)
     engines = itertools.cycle(("local", "ray"))
-    done = 0
+    done, found = 0, b""
     while done < count:
         with tempfile.TemporaryDirectory() as folder:
             for engine in engines:
@@ -221,7 +222,7 @@ def _session() -> Iterator[None]:
     ray.init(
         num_cpus=4,
         include_dashboard=False,
-        logging_level="ERROR",
+        logging_level=logging.ERROR,
         log_to_driver=False,
         address="local",
     )

@@ -75,7 +75,7 @@ def test_stable_baselines_batch_takes_memory() -> None:
     from mjgranular.envs.sb3 import make_vec_env
 
     vec = make_vec_env(id_of("Hexapod"), 2, seed=0, memory=0.02)
-    vec.reset()
+    observations = vec.reset()
     for _ in range(3):
         observations, *_ = vec.step(np.zeros((2, 12), np.float32))
     assert np.isfinite(observations).all()

@@ -48,7 +48,7 @@ def test_a_sample_is_spread_evenly_and_is_that_of_its_seed(method):
     study = Study(QUICK, vary, sample=64, seed=3, method=method)
     points = [study[k] for k in range(64)]
     # Both put one point into each of 64 slices of every range: that is what they are made for.
-    slices = [math.floor((point["speed"] - 1.0) / 4.0 * 64) for point in points]
+    slices = [math.floor((float(point["speed"]) - 1.0) / 4.0 * 64) for point in points]
     assert sorted(slices) == list(range(64))
     assert sum(point["law"] == "link" for point in points) == 32
     again = Study(QUICK, vary, sample=64, seed=3, method=method)
