@@ -17,15 +17,17 @@ if TYPE_CHECKING:
 
     from mjgranular.referee import Motion
 
-# Okabe and Ito's colours; dashes for the laws without inertia.
+# Okabe and Ito's colours; dashes for the laws without inertia, dots for those with an added mass.
 _LOOK = {
     "link": ("#AA4499", "--"),
     "link_distributed": ("#AA4499", "-"),
     "depth_velocity": ("#009E73", "-"),
     "rft2d": ("#D55E00", "--"),
     "rft2d inertia": ("#D55E00", "-"),
+    "rft2d added": ("#D55E00", ":"),
     "rft3d": ("#0072B2", "--"),
     "rft3d inertia": ("#0072B2", "-"),
+    "rft3d added": ("#0072B2", ":"),
 }
 _REST = ("#6B6B6B", ":")
 _WHAT = {
