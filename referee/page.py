@@ -160,8 +160,8 @@ def _travels(found: list[list[Comparison]]) -> list[str]:
         "paper's own drops, which nobody has measured. A force takes the first line that reaches",
         "its Froude number and whose bodies were as thin in grains; where no grain size is known a",
         "body counts as wide. Beyond the last line nothing is known, and the error is `None`.",
-        "`inertia` is the same law with its inertial term switched on, `added` with an added mass beside",
-        "it ([Faster motion](laws/rft.md#faster-motion)). Constants other than those",
+        "`inertia` is the same law with its inertial term switched on, `added` with an added mass",
+        "beside it ([Faster motion](laws/rft.md#faster-motion)). Constants other than those",
         "compared here have errors of their own.",
         "",
     ]
