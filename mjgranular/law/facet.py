@@ -83,8 +83,8 @@ def facet_kernel(
         ceiling: see `Surface.ceiling_kernel`.
         added: whether sand is moved along (`facet_added`).
 
-    The law's record has `inertia`, lambda rho [kg/m^3], `added`, kappa rho [kg/m^3], and `rise`, 1
-    where the surface behind a turning body is lowered.
+    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
+    turning body is lowered; where sand is moved along also `added`, kappa rho [kg/m^3].
     """
 
     @partial(compiled, inline=True)
@@ -92,6 +92,7 @@ def facet_kernel(
         return probe(surface, point)
 
     look = straight_up if toward is None else toward
+    moved = _moved if added else _none_moved
 
     @partial(compiled, inline=True)
     def facet_sample(facet, pose, law, surface, g):
@@ -149,7 +150,7 @@ def facet_kernel(
             mean,
             facet.area,
             choose(depth <= 0.0, 0.0, law.inertia * facet.area),
-            law.added * facet.width * facet.area,
+            moved(law, facet),
         )
 
     def respond_kernel(led: Any) -> Any:
@@ -202,6 +203,16 @@ def facet_kernel(
         return kernel
     simple = respond_kernel(simple_slope_kernel(slope))
     return replace(kernel, complexity=complexity, respond_simple=simple)
+
+
+@partial(compiled, inline=True)
+def _moved(law, facet):
+    return law.added * facet.width * facet.area
+
+
+@partial(compiled, inline=True)
+def _none_moved(law, facet):
+    return 0.0 * facet.area
 
 
 @partial(compiled, inline=True)

@@ -47,7 +47,7 @@ class RftLaw(Law):
             `strength (alpha n + beta u + gamma z)`; and the factors' derivatives by u.z, by n.z
             and by n.u, three vectors.
         inertia: lambda of the dynamic term.
-        added: kappa of the added mass.
+        added: kappa of the added mass; a law without it needs no such field.
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -64,7 +64,7 @@ class RftLaw(Law):
     )
 
     inertia: float
-    added: float
+    added: float = 0.0
     rise: bool
 
     @property

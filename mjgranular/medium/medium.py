@@ -33,8 +33,7 @@ class Quantity:
 
     def __post_init__(self) -> None:
         value = self.value
-        is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-        if not is_number or math.isnan(value):
+        if not isinstance(value, (int, float, np.number)) or isinstance(value, bool):
             raise InputError(f"a quantity's value is a number, not {shown(self.value)}")
 
 

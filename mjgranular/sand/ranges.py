@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular.errors import RangeWarning, warn_user
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
-from mjgranular.shape.sizes import geom_name
+from mjgranular.shape.sizes import LARGEST, geom_name
 from mjgranular.surface import Plane, Surface
 
 _DENSITIES = (10.0, 25000.0)
@@ -103,6 +103,8 @@ def _warn_of_bodies(model: mujoco.MjModel, geoms: Sequence[int]) -> None:
     """Warns of what is drawn in millimetres, or weighed in g/cm^3."""
     largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
     across = 2 * float(model.geom_rbound[largest])
+    if not across < LARGEST:
+        return  # which is refused where elements are made
     if across > _LONGEST:
         warn_user(
             f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in metres, "
