@@ -101,10 +101,10 @@ def _warn_of_gravity(model: mujoco.MjModel, surface: Surface) -> None:
 
 def _warn_of_bodies(model: mujoco.MjModel, geoms: Sequence[int]) -> None:
     """Warns of what is drawn in millimetres, or weighed in g/cm^3."""
+    if not (model.geom_size[list(geoms)] < LARGEST).all():
+        return  # refused where elements are made
     largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
     across = 2 * float(model.geom_rbound[largest])
-    if not across < LARGEST:
-        return  # which is refused where elements are made
     if across > _LONGEST:
         warn_user(
             f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in metres, "
