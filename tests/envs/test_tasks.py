@@ -216,9 +216,12 @@ def speed(env, script, seconds=3.0):
 
 @pytest.mark.parametrize("frequency", [1.0, 3.0])
 def test_a_wave_from_the_tail_swims_backwards_as_fast(frequency):
-    # One whole wave from the tail is that from the head, seen after half a turn about z.
+    # One whole wave from the tail is that from the head, seen after half a turn about z, but for how
+    # it begins: the longer the mean, the less of that is in it (5.5 % after 3 s, 2.3 % after 5).
     env = SandEnv("ChainSwim", reset_noise_scale=0)
-    ahead, back = (speed(env, gait(env.task, waves=w, frequency=frequency)) for w in (1.0, -1.0))
+    ahead, back = (
+        speed(env, gait(env.task, waves=w, frequency=frequency), 5.0) for w in (1.0, -1.0)
+    )
     assert ahead > 0.01
     assert back == pytest.approx(-ahead, rel=0.05)
 
@@ -326,7 +329,7 @@ def test_wrong_input_is_told():
         gym.make(id_of("ChainSwim"), link=3)
     with pytest.raises(InputError, match="links must be a whole number from 2 up"):
         SandEnv("ChainCrawl", links=1)
-    with pytest.raises(InputError, match="frame_skip must be a whole number"):
+    with pytest.raises(InputError, match="frame_skip must be at least 1, not 0"):
         SandEnv("Hexapod", frame_skip=0)
     with pytest.raises(InputError, match="target_range must be"):
         SandEnv("LinkDrop", target_range=(0.2, 0.1))
