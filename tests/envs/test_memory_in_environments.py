@@ -82,11 +82,17 @@ def test_stable_baselines_batch_takes_memory() -> None:
     vec.close()
 
 
-@pytest.mark.parametrize("given", ["memory=true", "memory=0.02", 'memory="cell=0.02 extent=3"'])
-def test_a_variant_of_an_evaluation_may_have_memory(given: str) -> None:
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("memory=true", Memory()),
+        ("memory=0.02", Memory(cell=0.02)),
+        ('memory="cell=0.02 extent=3"', MEMORY),
+    ],
+)
+def test_a_variant_of_an_evaluation_may_have_memory(given: str, expected: Memory) -> None:
     options = parse_variant(given)
     model = SandEnv("Hexapod", **options).model
-    expected = Memory() if given == "memory=true" else MEMORY
     assert model.npluginstate == expected.state_size
 
 

@@ -216,8 +216,8 @@ def speed(env, script, seconds=3.0):
 
 @pytest.mark.parametrize("frequency", [1.0, 3.0])
 def test_a_wave_from_the_tail_swims_backwards_as_fast(frequency):
-    # One whole wave from the tail is that from the head, seen after half a turn about z, but for how
-    # it begins: the longer the mean, the less of that is in it (5.5 % after 3 s, 2.3 % after 5).
+    # One whole wave from the tail is that from the head, seen after half a turn about z, but for
+    # how it begins: the longer the mean, the less of that is in it (5.5 % after 3 s, 2.3 after 5).
     env = SandEnv("ChainSwim", reset_noise_scale=0)
     ahead, back = (
         speed(env, gait(env.task, waves=w, frequency=frequency), 5.0) for w in (1.0, -1.0)
