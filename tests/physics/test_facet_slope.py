@@ -124,7 +124,7 @@ class Facet:
         mean = positive_part(REAL(self.depth), *map(REAL, self.rises))[3]
         return np.array([
             1.0, 0.0, 0.0, 0.0, 0.0, *self.normal, *self.up, *self.spread[0], *self.spread[1],
-            self.depth, *self.rises, float(mean), AREA, self.push,
+            self.depth, *self.rises, float(mean), AREA, self.push, 0.0,
         ])  # fmt: skip
 
     def rates(self, u):
