@@ -53,7 +53,7 @@ class RftLaw(Law):
 
     stress: ClassVar[Any] = None
     slope: ClassVar[Any] = None
-    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "added")
+    density_keys: ClassVar[tuple[str, ...]] = ("inertia",)
     validity: ClassVar[tuple[Limit, ...]] = (
         Limit("froude", 0.4, "quasi-static RFT, Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),
         Limit("inertial_number", 0.1, "Agarwal et al., Sci. Adv. 7 eabe0631 (2021)"),

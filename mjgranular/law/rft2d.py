@@ -168,6 +168,7 @@ class Rft2dLaw(RftLaw):
     )
     slope: ClassVar[Any] = rft2d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("scale",)
+    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "added")
 
     A00: float
     A10: float

@@ -188,6 +188,7 @@ class Rft3dLaw(RftLaw):
     )
     slope: ClassVar[Any] = rft3d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("stiffness",)
+    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "added")
 
     density: float
     internal_friction: float
