@@ -183,12 +183,12 @@ def test_a_record_that_begins_before_the_fall():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "least"), [("independent", 90), ("correlated", 85)])
+@pytest.mark.parametrize(("noise", "least"), [("independent", 36), ("correlated", 34)])
 def test_true_values_are_inside_their_intervals(noise, least):
-    """95 % intervals, in 100 repeats with 2 % noise."""
+    """95 % intervals, in 40 repeats with 2 % noise (of 100: 99 and 93)."""
     random = np.random.default_rng(1)
     inside = dict.fromkeys(TRUE, 0)
-    for _ in range(100):
+    for _ in range(40):
         runs = []
         for speed in (1.0, 3.0):
             e = correlated(random, 60) if noise == "correlated" else random.normal(size=60)
@@ -201,10 +201,10 @@ def test_true_values_are_inside_their_intervals(noise, least):
 
 @pytest.mark.slow
 def test_runs_that_are_off_as_a_whole_are_held_against_each_other():
-    """2 % of the depth by which the surface of each run lies elsewhere, in 30 repeats."""
+    """2 % of the depth by which the surface of each run lies elsewhere, in 15 repeats."""
     random = np.random.default_rng(2)
     inside = dict.fromkeys(TRUE, 0)
-    for _ in range(30):
+    for _ in range(15):
         runs = tuple(
             drop(speed, 0.3 * random.normal(size=60) + random.normal())
             for speed in (0.8, 1.3, 2.0, 2.5, 3.0)
@@ -212,4 +212,4 @@ def test_runs_that_are_off_as_a_whole_are_held_against_each_other():
         result = run_fit(Fit(runs, GUESS, ("stiffness", "quadratic")))
         for name, value in TRUE.items():
             inside[name] += covers(result, name, value)
-    assert min(inside.values()) >= 23, inside  # 25 and 29 were measured
+    assert min(inside.values()) >= 11, inside  # of 30: 25 and 29
