@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from mjgranular.errors import InputError, UnknownNameError, shown
-from mjgranular.extras import need
 from mjgranular.fit.body import Body
 from mjgranular.fit.fit import Fit
 from mjgranular.fit.known import known_medium, number
 from mjgranular.fit.run import Run
 from mjgranular.law import Law
-from mjgranular.medium.outline import OutlineError, read_outline
-from mjgranular.reading import place, read_file
+from mjgranular.medium.outline import read_outline_file
+from mjgranular.reading import place
 
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
@@ -59,15 +58,15 @@ def read_fit(
         UnknownNameError: a law, medium, constant or run that there is not.
     """
     path = Path(path)
-    yaml = need("yaml", extra="fit", purpose="Reading runs from a file")
-    content = read_file(path, "the runs", largest=LARGEST)
+    outline = read_outline_file(
+        path,
+        "the runs",
+        "runs need",
+        largest=LARGEST,
+        extra="fit",
+        purpose="Reading runs from a file",
+    )
     name = place(path)
-    try:
-        outline = read_outline(content.decode("utf-8"), yaml)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name} is not YAML: byte {error.start} is not UTF-8") from None
-    except OutlineError as error:
-        raise InputError(f"{name} is not YAML as runs need it: {error}") from None
     if not isinstance(outline, dict) or not isinstance(outline.get("runs"), list):
         raise InputError(f"{name}: runs are a list under the key runs, beside the key medium")
     for key in outline:

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from mjgranular.errors import InputError, shown
-from mjgranular.extras import need
 from mjgranular.given import kind_of
 from mjgranular.medium.medium import Medium, Quantity
-from mjgranular.medium.outline import OutlineError, read_outline
-from mjgranular.reading import place, read_file
+from mjgranular.medium.outline import read_outline_file
+from mjgranular.reading import place
 
 LARGEST = 100_000
 """Size up to which a file is read [bytes]; chosen, ten times what a medium with every law needs."""
@@ -45,19 +44,18 @@ def read_medium(path: str | Path) -> Medium:
     if not isinstance(path, (str, Path)):
         raise InputError(f"a medium is read from a file, not from {kind_of(path)}")
     path = Path(path)
-    yaml = need("yaml", extra="media", purpose="Reading a medium from a file")
-    content = read_file(path, "the medium", largest=LARGEST)
-    name = place(path)
-    try:
-        outline = read_outline(content.decode("utf-8"), yaml)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name} is not YAML: byte {error.start} is not UTF-8") from None
-    except OutlineError as error:
-        raise InputError(f"{name} is not YAML as a medium needs it: {error}") from None
+    outline = read_outline_file(
+        path,
+        "the medium",
+        "a medium needs",
+        largest=LARGEST,
+        extra="media",
+        purpose="Reading a medium from a file",
+    )
     try:
         return _medium(outline)
     except InputError as error:
-        raise InputError(f"{name}: {error}") from None
+        raise InputError(f"{place(path)}: {error}") from None
 
 
 def _medium(content: Any) -> Medium:

@@ -7,9 +7,12 @@ object, date or number is made of what a file says, and the work grows with its 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from mjgranular.errors import InputError, shown
+from mjgranular.extras import need
+from mjgranular.reading import place, read_file
 
 # Chosen: a medium needs a depth of 4, and its longest text is a citation.
 _DEEPEST = 8
@@ -20,6 +23,33 @@ _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 class OutlineError(InputError):
     """Error in a text, with its line."""
+
+
+def read_outline_file(
+    path: Path, what: str, needed: str, *, largest: int, extra: str, purpose: str
+) -> Any:
+    """Reads a YAML file as `read_outline` does.
+
+    Args:
+        path: of the file.
+        what: it is to be, in messages: "the medium".
+        needed: by whom: "a medium needs".
+        largest: size of the file [bytes].
+        extra: that brings PyYAML.
+        purpose: of reading, for the message where it is missing.
+
+    Raises:
+        InputError: the file cannot be read, is too large, or is no such YAML; says which.
+        MissingExtraError: there is no PyYAML.
+    """
+    yaml = need("yaml", extra=extra, purpose=purpose)
+    content = read_file(path, what, largest=largest)
+    try:
+        return read_outline(content.decode("utf-8"), yaml)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{place(path)} is not YAML: byte {error.start} is not UTF-8") from None
+    except OutlineError as error:
+        raise InputError(f"{place(path)} is not YAML as {needed} it: {error}") from None
 
 
 def read_outline(text: str, yaml: Any) -> Any:
