@@ -17,7 +17,7 @@ from mjgranular.law.facet_slope import (
     led_slope_kernel,
     simple_slope_kernel,
 )
-from mjgranular.law.kernel import Added, LawKernel
+from mjgranular.law.kernel import AddedMass, LawKernel
 from mjgranular.law.patch import wet_part
 
 LANES = 8
@@ -217,7 +217,7 @@ def _none_moved(law, facet):
 
 @partial(compiled, inline=True)
 def facet_added(facet, v, h):
-    """Sand that a facet moves along (`Added`): a layer kappa w deep in front of its wet part.
+    """Sand that a facet moves along (`AddedMass`): a layer kappa w deep in front of its wet part.
 
     What was in the sand a step ago follows from the velocity, by which the step has brought the
     facet here.
@@ -239,7 +239,7 @@ def facet_added(facet, v, h):
     else:
         now, before = 1.0, 1.0 if depth + h * dot(v, facet.up) > 0.0 else 0.0
     mass = share * facet.moved
-    return Added(mass * now, mass * before, facet.normal)
+    return AddedMass(mass * now, mass * before, facet.normal)
 
 
 @partial(compiled, inline=True)

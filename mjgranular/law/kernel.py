@@ -40,7 +40,7 @@ Attributes:
 """
 
 
-class Added(NamedTuple):
+class AddedMass(NamedTuple):
     """Sand that is moved along with an element, as a mass in one direction.
 
     Attributes:
@@ -86,8 +86,8 @@ class LawKernel:
             multiplier of any size.
         respond_simple: a quicker `respond`, for lanes that are all simple.
         added: kernel `added(sample, v, h)`: the sand that is moved along with the element
-            (`Added`), by the velocity of its point at the start of the step [m/s] and the time step
-            [s]. Its inertia needs the implicit scheme.
+            (`AddedMass`), by the velocity of its point at the start of the step [m/s] and the time
+            step [s]. Its inertia needs the implicit scheme.
     """
 
     element: type

@@ -1,8 +1,8 @@
 """Sand that is moved along with elements: its momentum, taken implicitly.
 
 An element that drives into sand takes along some of what is in front of it, a mass m in the
-direction n (`law.kernel.Added`). Of that, m' was moved along a step ago, and the rest was at rest.
-By the end of the step all of it moves as the element does, and the element has paid for that:
+direction n (`law.kernel.AddedMass`). Of that, m' was moved along a step ago, and the rest was at
+rest. By the end of the step all of it moves as the element does, and the element has paid for that:
 
     h f = -n (m n.v' - m' n.v)
 
