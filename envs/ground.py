@@ -14,6 +14,7 @@ from mjgranular.engine.measures import SENSOR
 from mjgranular.errors import GranularError
 from mjgranular.look import NOT_SHOWN, TILE, add_material
 from mjgranular.relief.memory import as_memory
+from mjgranular.sand.prepare import fitted
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
 from mjgranular.surface.choice import surface_of
@@ -67,10 +68,13 @@ def put_on_sand(
     for number, body in enumerate(spec.bodies):
         if not body.name:  # sensors find bodies by name
             body.name = f"body_{number}"
-    names = []
+    names, bare = [], spec.copy()
     for sand, surface in zip(sands, surfaces, strict=True):
         replaced = [*(floor.name for floor in floors), *names_in(sand.instead_of)]
         placed = combined(sand, {"surface": surface, "instead_of": replaced})
+        if as_memory(placed.memory) is not None:
+            with quiet():
+                placed = fitted(bare.compile(), placed)
         # What prints are pressed into is drawn by the sand itself, at its true place.
         draw = () if as_memory(placed.memory) is None else ("surface",)
         names.append(add_sand(spec, placed, tunable=tunable, draw=draw).name)

@@ -155,6 +155,9 @@ class OnSand(MujocoEnv):
             )
         self.sands, self._choices = sands_of(self._ranges, SandSpec(**base), None)
         self._drawn, self._episodes = Sample(), 0
+        mode, modes = options.get("render_mode"), self.metadata["render_modes"]
+        if mode is not None and mode not in modes:
+            raise InputError(f"render_mode must be None or one of {', '.join(modes)}, not {mode!r}")
         super().__init__(**options)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -59,6 +59,23 @@ def check_data(data: Any, who: str) -> None:
         )
 
 
+def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:
+    """Refuses what is not of a kind.
+
+    Args:
+        value: what was given.
+        kind: a class.
+        who: takes one.
+        meant: how one is made, if its name does not say so.
+
+    Raises:
+        InputError: says so.
+    """
+    if not isinstance(value, kind):
+        how = f"; use {meant}" if meant else ""
+        raise InputError(f"{who} takes {_one(kind.__name__)}, not {kind_of(value)}{how}")
+
+
 def check_switch(name: str, value: Any) -> None:
     """Refuses what is neither True nor False: a word, "no" as well, would count as True.
 
@@ -101,4 +118,9 @@ def kind_of(value: Any) -> str:
         return f"the class {value.__name__}"
     if value is None or isinstance(value, (str, int, float)):
         return shown(value)
-    return f"a {type(value).__name__}"
+    return _one(type(value).__name__)
+
+
+def _one(name: str) -> str:
+    """A name with its article; those of MuJoCo's are spoken letter by letter."""
+    return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

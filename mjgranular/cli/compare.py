@@ -13,6 +13,7 @@ from mjgranular.cli.console import out, print_json, progress_bar, show_error
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
 from mjgranular.experiment.folder import SUMMARY, ResultFolder
 from mjgranular.learn.compare import GROUNDS, Cell, compare
+from mjgranular.learn.evaluate import check_seeds
 
 _FIGURE = "compare.png"
 
@@ -44,6 +45,7 @@ class CompareCommand:
         """Runs the command."""
         if self.policies < 1:
             raise InputError(f"a comparison needs at least 1 policy, not {self.policies}")
+        check_seeds(self.seeds)
         path = self.out or Path("runs") / f"compare-{self.robot}"
         if self.robot not in GROUNDS:
             raise UnknownNameError("robot to compare grounds with", self.robot, GROUNDS)

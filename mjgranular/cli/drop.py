@@ -15,9 +15,8 @@ from mjgranular.cli.console import err, out, print_json, progress_bar, show_erro
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.errors import GranularError, GranularWarning, InputError, MissingExtraError
-from mjgranular.experiment.drop import Drop, DropResult, load, run_drop, surface_drawn
+from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop, surface_drawn
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
-from mjgranular.relief.memory import as_memory
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"
@@ -131,7 +130,7 @@ def film(folder: ResultFolder, result: DropResult, camera: str) -> list[Granular
             motion,
             surface_drawn(result.drop),
             result.prints,
-            as_memory(result.drop.memory),
+            memory_of(result.drop, model),
         ),
     )
 

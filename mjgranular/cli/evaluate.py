@@ -16,7 +16,7 @@ from mjgranular.cli.console import out, print_json, progress_bar
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.learn import environments
-from mjgranular.learn.evaluate import FIRST_SEED, Score, evaluate, parse_variant
+from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, evaluate, parse_variant
 
 _SPEED = "x_velocity"
 _VALID = "sand/valid"
@@ -58,6 +58,7 @@ class EvaluateCommand:
         """Runs the command."""
         if not self.policies:
             raise InputError("evaluate needs a run, a policy or, with --agent, an environment")
+        check_seeds(self.seeds)
         for variant in self.on:
             parse_variant(variant)
         if self.gait and self.agent != "gait":

@@ -21,11 +21,15 @@ from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop, wr
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
+from mjgranular.prints import Prints
+from mjgranular.relief.memory import as_memory
+from mjgranular.sand.prepare import fitted
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
 
 FIGURES = ("motion.png", "forces.png")
+PROFILE = "prints.png"
 VIDEO = "impact.mp4"
 
 
@@ -71,15 +75,17 @@ class ImpactCommand(LinkOptions):
             self._show(self._drop(impact))
             return 0
         film = self._film(impact.link) if self.video else None
-        names = (*RUN_FILES, *FIGURES, VIDEO)
+        names = (*RUN_FILES, *FIGURES, PROFILE, VIDEO)
         with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
             result = self._drop(impact)
             write_impact(folder, result)
             self._show(result)
             problems = draw_impact(folder, result.trajectory, result.summary())
+            if result.prints is not None:
+                problems += draw_profile(folder, impact, result.prints, result.summary())
             if film is not None:
                 problems += film_impact(
-                    folder, VIDEO, impact.link, result.trajectory, result.summary(), film
+                    folder, VIDEO, impact, result.trajectory, result.summary(), film, result.prints
                 )
         if not self.json:
             out.print(f"written to {self.out}", highlight=False, markup=False)
@@ -255,16 +261,40 @@ def draw_impact(
     return []
 
 
+def draw_profile(
+    folder: ResultFolder, impact: Impact, prints: Prints, summary: dict[str, Any]
+) -> list[GranularError]:
+    """Draws the sand as the run has left it; returns what kept it from doing so."""
+    from mjgranular.picture.figures import draw_prints
+
+    memory = as_memory(fitted(impact.link.model(impact.timestep), impact.described).memory)
+    assert memory is not None
+    places, heights = prints.profile(memory)
+    try:
+        folder.write(PROFILE, lambda path: draw_prints(path, places, heights, title=title(summary)))
+    except MissingExtraError as error:
+        return [error]
+    return []
+
+
 def film_impact(
     folder: ResultFolder,
     name: str,
-    link: Link,
+    impact: Impact,
     trajectory: Trajectory,
     summary: dict[str, Any],
     film: Film,
+    prints: Prints | None = None,
 ) -> list[GranularError]:
     """Films a drop; returns what kept it from doing so."""
     from mjgranular.picture.video import frames_of_run
 
     stop = release_to_stop(summary)
-    return write_film(folder, name, film, lambda: frames_of_run(film, link, trajectory, stop=stop))
+    return write_film(
+        folder,
+        name,
+        film,
+        lambda: frames_of_run(
+            film, impact.link, trajectory, stop=stop, prints=prints, sand=impact.described
+        ),
+    )

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular.cli.console import err, out, print_json, show_error
-from mjgranular.cli.options import LawOptions, record_of
+from mjgranular.cli.options import LawOptions, given_options, record_of
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
@@ -107,6 +107,10 @@ class IntrudeCommand(LawOptions):
         if self.model is not None and given:
             raise InputError(
                 f"the intruder is a shape or of a model: leave --model or --{min(given)} away"
+            )
+        if self.distance is not None and given_options(self, "depth"):
+            raise InputError(
+                "--depth and --distance both say where the path ends: leave one of the two away"
             )
         own = {name: getattr(Intrusion, name) for name in shape}
         return record_of(Intrusion, self, **{**own, **given})

@@ -114,6 +114,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         show_error(one_line(f"{place(Path(os.fsdecode(error.filename)))}: {error.strerror}"))
         return 2
+    except Exception as error:
+        gym = sys.modules.get("gymnasium")
+        if gym is None or not isinstance(error, gym.error.DependencyNotInstalled):
+            raise
+        show_error(one_line(str(error)))  # of an environment that draws itself
+        return 2
 
 
 def _is_text(argument: str) -> bool:

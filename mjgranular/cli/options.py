@@ -14,6 +14,7 @@ from mjgranular.errors import UnknownNameError
 from mjgranular.experiment import Impact
 from mjgranular.law import Law, laws, register_law
 from mjgranular.own import import_own
+from mjgranular.shape.rods import CHOOSE
 
 T = TypeVar("T")
 _DEGREES = {"slope", "uphill", "tilt", "direction"}  # options that records have in radians
@@ -35,6 +36,25 @@ def record_of(kind: type[T], command: object, **others: Any) -> T:
     return kind(**{**given, **angles, **others})
 
 
+def given_options(command: object, *names: str) -> list[str]:
+    """Names of the options of a command that were given another value than their default.
+
+    Args:
+        command: a dataclass.
+        names: of the options that are meant.
+    """
+    return [
+        field.name
+        for field in fields(command)  # pyright: ignore[reportArgumentType]
+        if field.name in names and getattr(command, field.name) != field.default
+    ]
+
+
+def option(name: str) -> str:
+    """A field as it is typed."""
+    return f"--{name.replace('_', '-')}"
+
+
 _ADVICE = re.compile(
     r"(?<![\w.-])(bodies|geoms|groups|instead_of|resolution|scheme|memory)="
     r"(\[[^\]]*\]|'[^']*'|[\w.]+)"
@@ -54,16 +74,18 @@ def in_options(command: object, text: str) -> str:
         text: of the message.
     """
 
-    def option(found: re.Match[str]) -> str:
+    def typed(found: re.Match[str]) -> str:
         name, value = found.groups()
         if not hasattr(command, name):
             return found[0]
         names = [quoted or plain for quoted, plain in _NAMES.findall(value)]
         words = "NAME" if value == "[...]" else shlex.join(names)
-        return f"--{name.replace('_', '-')} {words}"
+        return f"{option(name)} {words}"
 
+    if not hasattr(command, "geoms"):
+        text = text.replace(f"{CHOOSE}; or ", "")
     return (
-        text if "(--" in text else _ADVICE.sub(option, text)
+        text if "(--" in text else _ADVICE.sub(typed, text)
     )  # where it says both there is no need
 
 
@@ -115,6 +137,9 @@ class LinkOptions:
     """Time step of the simulation [s]."""
     duration: Annotated[float, tyro.conf.arg(metavar="S")] = 2.0
     """Simulated time after which the run ends at the latest [s]."""
+    memory: Annotated[str | None, tyro.conf.arg(metavar="CELL")] = None
+    """Let the sand remember what has been pressed down, on cells of this side [m], or as in
+    "cell=0.005 extent=1". Default: it closes behind what has passed."""
 
     def impact(
         self, *, speed: float, angle_deg: float, until: str = "stop", body: str = "link"
@@ -145,7 +170,8 @@ class ChoiceOptions(LawOptions):
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Bodies that meet the sand, by name or number. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Geoms that meet the sand, by name or number, visual or not; `all` is all that collide."""
+    """Geoms that meet the sand, by name or number, visual or not; `all` is all that collide. What
+    --bodies, --geoms and --groups name is taken together."""
     groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
     """Geom groups whose collision geoms meet the sand; of a group of visual ones, all."""
 

@@ -15,16 +15,16 @@ from mjgranular.cli.drop import FILM
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.impact import VIDEO, film_impact
 from mjgranular.errors import GranularError, GranularWarning, InputError, OutputError
-from mjgranular.experiment.drop import load, surface_drawn
+from mjgranular.experiment.drop import load, memory_of, surface_drawn
 from mjgranular.experiment.folder import (
     ResultFolder,
     prints_of,
     read_drop,
     read_impact,
+    read_prints,
     saved_command,
 )
 from mjgranular.models import Chain
-from mjgranular.relief.memory import as_memory
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
@@ -124,8 +124,9 @@ class RenderCommand:
         """How to film a drop of the link."""
         impact, summary, trajectory = read_impact(self.run_folder)
         film.check(impact.link)
+        prints = read_prints(self.run_folder)
         return lambda folder, name: film_impact(
-            folder, name, impact.link, trajectory, summary, film
+            folder, name, impact, trajectory, summary, film, prints
         )
 
     def _model(self, film: Film) -> Draw:
@@ -145,7 +146,7 @@ class RenderCommand:
             )
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
         count, pictures = frames_of_model(
-            film, model, motion, surface_drawn(drop), prints_of(arrays), as_memory(drop.memory)
+            film, model, motion, surface_drawn(drop), prints_of(arrays), memory_of(drop, model)
         )
         return lambda folder, name: write_film(folder, name, film, lambda: (count, pictures))
 

@@ -15,10 +15,11 @@ from rich.text import Text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
 from mjgranular.cli.impact import release_to_stop, title
 from mjgranular.cli.options import law_named
-from mjgranular.errors import MissingExtraError
+from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import CASES, Impact, ImpactResult, Sweep, reproduce, run_sweep
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.paper import PaperCase, comparison
+from mjgranular.pool import Workers
 from mjgranular.signals import Stopped
 
 _SWEEPS = {
@@ -48,6 +49,9 @@ class ReproduceCommand:
 
     def run(self) -> int:
         """Runs the command."""
+        Workers(count=self.workers)  # which checks itself
+        if self.workers is not None and self.out is None:
+            raise InputError("--workers is for Figs. 5 and 9 in the folder of --out: add --out DIR")
         base = Impact(timestep=self.timestep, scheme=self.scheme, law=law_named(self.law))
         if self.out is None:
             self._show(self._reproduce(base))

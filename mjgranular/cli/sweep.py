@@ -14,8 +14,8 @@ from rich.text import Text
 from mjgranular.cli import study
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
 from mjgranular.cli.engines import EngineOptions, check_resumed
-from mjgranular.cli.options import LinkOptions
-from mjgranular.cli.vary import read_experiment, read_vary
+from mjgranular.cli.options import LinkOptions, given_options, option
+from mjgranular.cli.vary import read_experiment, read_vary, refuse_fixed
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import Impact, Study, Sweep, SweepResult, run_sweep
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
@@ -85,6 +85,12 @@ class SweepCommand(LinkOptions, EngineOptions):
                 parquet=self.table == "parquet",
             )
         self._only("of", "sample", "seed", "method", "table", wants="is for --vary")
+        other = "angle" if self.over == "speed" else "speed"
+        self._only(
+            self.over,
+            wants=f"is fixed, and this sweep goes over the {self.over}, from --first to --last: "
+            f"leave it away, or say --over {other}",
+        )
         sweep = self._sweep()
         journal = sweep.journal(self.out)
         if self.out is None:
@@ -116,23 +122,22 @@ class SweepCommand(LinkOptions, EngineOptions):
         Raises:
             InputError: one of them is given; says what it wants beside it.
         """
-        for field in fields(self):
-            if field.name in names and getattr(self, field.name) != field.default:
-                raise InputError(f"--{field.name.replace('_', '-')} {wants}")
+        for name in given_options(self, *names):
+            raise InputError(f"{option(name)} {wants}")
 
     def _study(self) -> Study:
         self._only("over", "first", "last", "points", wants="is for a sweep without --vary")
         if self.sample is None:
             self._only("seed", "method", wants="is for --sample")
+        varied = read_vary(self.vary)
         if self.of is not None:
             inside = (*(field.name for field in fields(LinkOptions)), "speed", "angle")
             self._only(*inside, wants="belongs inside the quotes of --of, with its command")
-            experiment = read_experiment(self.of)
+            experiment = read_experiment(self.of, varied)
         else:
+            refuse_fixed(self, varied)
             experiment = self._impact()
-        return Study(
-            experiment, read_vary(self.vary), sample=self.sample, seed=self.seed, method=self.method
-        )
+        return Study(experiment, varied, sample=self.sample, seed=self.seed, method=self.method)
 
     def _impact(self) -> Impact:
         return self.impact(

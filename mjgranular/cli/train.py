@@ -87,6 +87,11 @@ class TrainCommand:
         settings = change(self._settings(self.environment), self.set)
         if self.total_steps is not None:
             settings = replace(settings, total_steps=self.total_steps)
+        if "render_mode" in settings.environment:
+            raise InputError(
+                "nothing is drawn while a policy is trained: leave environment.render_mode away; "
+                "mjgranular render films the run"
+            )
         if self.processes:
             settings = replace(settings, processes=True)
         seed = 0 if self.seed is None else self.seed

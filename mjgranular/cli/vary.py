@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Union
 
 import numpy as np
@@ -14,7 +13,7 @@ from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.numbers import number_rules, whole_number
-from mjgranular.cli.options import law_named, record_of
+from mjgranular.cli.options import given_options, law_named, option, record_of
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment import Between, Drop
 from mjgranular.experiment.chain_impact import chain_length
@@ -94,12 +93,33 @@ def _value(name: str, text: str) -> Value:
     return math.radians(number) if name in ANGLES else number
 
 
-def read_experiment(text: str) -> Experiment:
+def refuse_fixed(command: object, varied: Iterable[str]) -> None:
+    """Refuses an option that fixes what is varied.
+
+    Args:
+        command: with the options.
+        varied: names of what is varied.
+
+    Raises:
+        InputError: names the option.
+    """
+    for name in given_options(command, *varied):
+        raise InputError(
+            f"{name} is varied, and {option(name)} {shown(getattr(command, name))} fixes it: leave "
+            "one of the two away"
+        )
+
+
+def read_experiment(text: str, varied: Iterable[str] = ()) -> Experiment:
     """The experiment of a command in one text, such as "drop block.xml --slope 15".
+
+    Args:
+        text: the command.
+        varied: names of what is varied.
 
     Raises:
         UnknownNameError: no command of an experiment.
-        InputError: options of output within it, or a body that is a chain.
+        InputError: options of output within it or of what is varied, or a body that is a chain.
     """
     words = split_words(text)
     if not words or words[0] not in _COMMANDS:
@@ -111,11 +131,9 @@ def read_experiment(text: str) -> Experiment:
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
         registry=number_rules(),
     )
-    for field in fields(command):
-        if field.name in _OUTPUTS and getattr(command, field.name) != field.default:
-            raise InputError(
-                f"--{field.name} is of the sweep and not of each of its runs: not within --of"
-            )
+    for name in given_options(command, *_OUTPUTS):
+        raise InputError(f"--{name} is of the sweep and not of each of its runs: not within --of")
+    refuse_fixed(command, varied)
     if isinstance(command, DropCommand):
         return record_of(Drop, command)
     if isinstance(command, IntrudeCommand):

@@ -23,6 +23,7 @@ from mjgranular.experiment.ground import (
 )
 from mjgranular.experiment.scenery import place_sun
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
+from mjgranular.sand.prepare import fitted
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class ViewCommand(SandOptions):
                 return spec.compile()
             make_ready(spec, drop)
             bare = spec.compile()
-            add_sand(spec, drop.sand, draw=("surface", *self.draw))
+            add_sand(spec, fitted(bare, drop.sand), draw=("surface", *self.draw))
             if not self.keep_floor:
                 refuse_floors(bare, drop.sand)
             elif drop.instead_of:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,13 +14,14 @@ import mujoco
 import tyro
 
 from mjgranular.cli.console import err, progress_bar
-from mjgranular.cli.options import SandOptions, law_named, record_of
+from mjgranular.cli.options import SandOptions, given_options, law_named, option, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import GranularWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read
 from mjgranular.law import laws
 from mjgranular.sand import Sand, SandSpec
 from mjgranular.sand.material import medium_for
+from mjgranular.sand.prepare import fitted
 from mjgranular.scheme import get_scheme
 from mjgranular.surface import Bed, HeightField, Plane
 
@@ -76,6 +77,7 @@ class WarmCommand(SandOptions):
 
     def _works(self) -> Iterator[_Work]:
         """What is to be compiled, in words, and what compiles it."""
+        self._check_options()
         if self.model is not None:
             if self.env:
                 raise InputError("name a MODEL.xml or --env ID, not both")
@@ -102,6 +104,24 @@ class WarmCommand(SandOptions):
                     yield what, partial(_step, spec, sand)
                     yield f"{what}, inside mj_step", partial(_step_within, spec, sand, own=False)
 
+    def _check_options(self) -> None:
+        """Refuses options that would be left aside without a word."""
+        of_sand = {field.name for field in fields(SandOptions)}
+        if self.model is not None:
+            for name in given_options(self, "over"):
+                raise InputError(
+                    f"{option(name)} is for laws without a model: over {self.model.name} the sand "
+                    "is a plane, --bed GEOM or --height-field GEOM"
+                )
+        elif self.env:
+            for name in given_options(self, "over", *of_sand):
+                raise InputError(
+                    f"{option(name)} goes with a MODEL.xml: an environment has its own sand"
+                )
+        else:
+            for name in given_options(self, *(of_sand - {"law", "medium", "scheme"})):
+                raise InputError(f"{option(name)} is of a model: name a MODEL.xml too")
+
 
 def _read(drop: Drop) -> mujoco.MjSpec:
     with loading(drop.title):
@@ -116,7 +136,7 @@ def _step(spec: mujoco.MjSpec, sand: SandSpec) -> None:
 def _step_within(spec: mujoco.MjSpec, sand: SandSpec, *, own: bool) -> None:
     within = spec.copy()
     if not own:
-        add_sand(within, sand)
+        add_sand(within, fitted(spec.copy().compile(), sand))
     with loading(within.modelname):
         model = within.compile()
         mujoco.mj_step(model, mujoco.MjData(model))

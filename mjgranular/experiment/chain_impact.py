@@ -55,6 +55,7 @@ def chain_drop(impact: Impact, count: int) -> Drop:
         medium=impact.medium,
         law=impact.law,
         scheme=impact.scheme,
+        memory=None if impact.memory is None else str(impact.memory),
         duration=impact.duration,
         timestep=impact.timestep,
         state=tuple(map(float, [*qpos, *qvel])),

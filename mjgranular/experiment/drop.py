@@ -39,7 +39,9 @@ from mjgranular.given import is_finite, kind_of
 from mjgranular.models import Chain
 from mjgranular.prints import Prints, PrintsRecorder
 from mjgranular.reading import check_regular, place
+from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.sand import Sand
+from mjgranular.sand.prepare import fitted
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
 from mjgranular.saved import checked_fields, is_text
@@ -83,6 +85,11 @@ class Drop(PlainSand):
         super().__post_init__()
         if isinstance(self.model, str):
             object.__setattr__(self, "model", Path(self.model))
+        if not isinstance(self.model, (Path, Chain)):
+            raise InputError(
+                f"a drop is of an MJCF file, Drop('robot.xml'), not of {kind_of(self.model)}: for "
+                "a model that is there already use Sand and sand.step(data)"
+            )
         if self.height is not None and not (is_finite(self.height) and self.height >= 0):
             raise InputError(
                 f"the height must be finite and not negative, not {shown(self.height)} m"
@@ -291,8 +298,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         spec = read(drop)
         make_ready(spec, drop)
         xml = spec.to_xml()
-        if surface_drawn(drop) is not None:
-            show_prints(spec, drop.sand)
+        show_prints(spec, drop.sand)
         model = spec.compile()
         hide_replaced(model, drop.sand)
         place_sun(model)
@@ -348,6 +354,11 @@ def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
             "rest: it runs with implicitfast"
         )
     add_scenery(spec, drop.surface)
+
+
+def memory_of(drop: Drop, model: mujoco.MjModel) -> Memory | None:
+    """How the sand of a run remembers, on its model; None for sand that does not."""
+    return as_memory(fitted(model, drop.sand).memory)
 
 
 def surface_drawn(drop: Drop) -> Surface | None:

@@ -15,6 +15,8 @@ from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Recorder, Trajectory
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.given import kind_of
+from mjgranular.prints import PrintsRecorder
+from mjgranular.sand.report import BodyReport
 
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
@@ -23,6 +25,9 @@ _ENERGY_MARGIN = 0.05
 # drawn conditions still miss 0.1 % of the stopping time (the worst 1.7 %); up to 1024 steps miss as
 # many. What is left is the creep of the explicit scheme.
 _MOST_AVERAGED = 32
+_LOOKED_AT = (
+    0.4  # of which it is looked at prints as often as over a whole run [s]: each ms; chosen
+)
 _PROGRESS_STEPS = 5000  # between two calls of `progress`
 
 
@@ -105,6 +110,11 @@ class _Run:
         self.stop: Stop | None = None
         self.rest: Rest | None = None
         self.steps = 0
+        self.felt: dict[float, BodyReport] = {}  # at samples, of sand that remembers
+        self.prints = None
+        if self.sand.memory is not None:
+            self.prints = PrintsRecorder(self.sand, self.data, _LOOKED_AT)
+            self.prints.look(0.0)
         self.before_stop = Recorder(7)
         self.after_stop = Recorder(7)
         # Energy is counted from the least that the link can have in reach: a drop by its length.
@@ -133,9 +143,12 @@ class _Run:
         before: tuple[float, ...] | None = None
         sinking = False  # T has moved down since it touched the sand
         position, velocity = qpos.tolist(), qvel.tolist()
+        prints = self.prints
         for index in range(total):
             step(data)
             self.steps = index + 1
+            if prints is not None:
+                prints.look(self.steps * timestep)
             if self.stop is None:
                 # T at the time of `position`, which lies between the two velocities.
                 after = qvel.tolist()
@@ -171,6 +184,8 @@ class _Run:
             if progress is not None and index % _PROGRESS_STEPS == 0:
                 progress(self.steps * timestep)
         self.check_energy()
+        if prints is not None:
+            prints.look(self.steps * timestep, last=True)
         rows = np.vstack([self.before_stop.rows(), self.after_stop.rows()])
         rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
         return ImpactResult(
@@ -179,13 +194,17 @@ class _Run:
             touchdown=self.touchdown,
             stop=self.stop,
             rest=self.rest,
-            trajectory=Trajectory.from_states(rows, link, self.sand, point),
+            trajectory=Trajectory.from_states(rows, link, self.sand, point, self.felt),
             steps=self.steps,
+            prints=None if prints is None else prints.prints(),
         )
 
     def sample(self, recorder: Recorder) -> None:
         """Takes a sample of the state."""
-        recorder.take(self.steps * self.impact.timestep, self.data.qpos, self.data.qvel)
+        t = self.steps * self.impact.timestep
+        recorder.take(t, self.data.qpos, self.data.qvel)
+        if self.prints is not None:
+            self.felt[t] = self.sand.report(self.data)["link"]
 
     def locate_stop(
         self, index: int, part: float, before: tuple[float, ...], now: tuple[float, ...]

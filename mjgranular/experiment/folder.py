@@ -179,7 +179,7 @@ def write_impact(folder: ResultFolder, result: ImpactResult) -> None:
     with folder.published():
         folder.write_config("impact", {**asdict(result.impact), "law": result.law})
         folder.write(_CSV, result.trajectory.write_csv)
-        folder.write(_NPZ, result.trajectory.write_npz)
+        folder.write(_NPZ, lambda path: result.trajectory.write_npz(path, result.prints))
         folder.write_json(SUMMARY, result.summary())
 
 
@@ -308,6 +308,19 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
         raise OutputError(
             f"{path} holds no saved impact ({error}); make one with mjgranular impact --out {path}"
         ) from None
+
+
+def read_prints(path: Path) -> Prints | None:
+    """Reads the prints of an impact that was written before; None for sand that did not remember.
+
+    Raises:
+        OutputError: they are damaged.
+    """
+    try:
+        file = files.current(path, _NPZ)
+        return prints_of(read_arrays(file, Prints.names())) if Prints.are_in(file) else None
+    except (GranularError, ValueError, KeyError, TypeError) as error:
+        raise OutputError(f"{path} holds no saved impact ({_NPZ} is damaged: {error})") from None
 
 
 def _check_summary(summary: dict[str, Any], end: float, file: Path) -> None:

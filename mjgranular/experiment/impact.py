@@ -17,7 +17,9 @@ from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
-from mjgranular.sand import Sand
+from mjgranular.prints import Prints
+from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.sand import Sand, SandSpec
 from mjgranular.scheme import get_scheme
 from mjgranular.scheme.explicit import largest_step
 
@@ -44,6 +46,8 @@ class Impact:
         until: "stop" ends the run when T stops, "rest" when the whole link does.
         duration: the run ends after this time at the latest [s].
         body: what falls: the link, or another shape of that length and diameter.
+        memory: side of a cell [m], or words such as "cell=0.005 extent=1", for sand that remembers;
+            None for sand that closes behind what has passed.
     """
 
     speed: float = 10.0
@@ -61,6 +65,7 @@ class Impact:
     until: Until = "stop"
     duration: float = 2.0
     body: Shape = "link"
+    memory: str | float | None = None
 
     def __post_init__(self) -> None:
         for name in ("speed", "angle", "tangential_speed", "angular_velocity", "height"):
@@ -95,6 +100,12 @@ class Impact:
         if not isinstance(self.law, str | None) or not isinstance(self.medium, str):
             what = self.medium if isinstance(self.law, str | None) else self.law
             raise InputError(f"medium and law of an impact are names, not {kind_of(what)}")
+        if isinstance(self.memory, Memory):
+            raise InputError(
+                "memory of an impact is in plain values: the side of a cell [m], or words such as "
+                "'cell=0.005 extent=1'"
+            )
+        as_memory(self.memory)
         _ = self.link
         medium = get_medium(self.medium)
         get_law(self.law, medium)
@@ -107,7 +118,18 @@ class Impact:
 
     def sand(self, model: mujoco.MjModel) -> Sand:
         """The sand, on the link's model."""
-        return Sand(model, medium=self.medium, law=self.law, scheme=self.scheme, bodies="link")
+        return Sand(model, self.described)
+
+    @property
+    def described(self) -> SandSpec:
+        """The sand, as one record."""
+        return SandSpec(
+            medium=self.medium,
+            law=self.law,
+            scheme=self.scheme,
+            bodies="link",
+            memory=self.memory,
+        )
 
     def largest_step(self) -> float:
         """The largest time step that is sure not to make the drag overshoot [s].
@@ -176,6 +198,7 @@ class ImpactResult:
         rest: when the link came to rest; None if it did not, or was not waited for.
         trajectory: the samples.
         steps: number of steps taken.
+        prints: what the sand remembered; None for sand that does not.
     """
 
     impact: Impact
@@ -185,6 +208,7 @@ class ImpactResult:
     rest: Rest | None
     trajectory: Trajectory
     steps: int
+    prints: Prints | None = None
 
     def summary(self) -> dict[str, Any]:
         """The result in plain numbers, SI units; angles in degrees where the name says so."""

@@ -10,9 +10,11 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import loading
 from mjgranular.experiment.slips import warn_of_slips
+from mjgranular.experiment.trajectory import degrees
+from mjgranular.given import check_count, check_kind, is_finite
 from mjgranular.sand import Sand
 from mjgranular.scheme import Explicit
 
@@ -65,11 +67,18 @@ class Intrusion:
         if self.intruder not in get_args(Intruder):
             raise UnknownNameError("intruder", self.intruder, get_args(Intruder))
         for name, value in (("size", self.size), ("speed", self.speed)):
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, not {value}")
+            if not (is_finite(value) and value > 0):
+                raise InputError(f"the {name} must be positive and finite, not {shown(value)}")
         for name in ("tilt", "direction", "start", "depth"):
-            if not math.isfinite(getattr(self, name)):
-                raise InputError(f"the {name} must be finite, not {getattr(self, name)}")
+            if not is_finite(getattr(self, name)):
+                raise InputError(f"the {name} must be finite, not {shown(getattr(self, name))}")
+        for name in ("tilt", "direction"):
+            if not abs(getattr(self, name)) <= math.pi:
+                raise InputError(
+                    f"the {name} must be within 180 degrees (pi = 3.1416 rad) either way, not "
+                    f"{degrees(getattr(self, name)):g} degrees ({getattr(self, name):.4g} rad)"
+                )
+        check_count("points", self.points)
         if self.points < 2:
             raise InputError(f"a path needs at least 2 points, not {self.points}")
         if self.geom is not None and self.model is None:
@@ -145,6 +154,7 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         InputError: the model cannot be read.
         UnknownNameError: a name that does not exist.
     """
+    check_kind(intrusion, Intrusion, "run_intrusion")
     warn_of_slips(
         lengths={"the depth at the end": intrusion.depth, "the path": intrusion.distance},
         speed=intrusion.speed,

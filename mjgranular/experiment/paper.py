@@ -9,6 +9,7 @@ from typing import Any
 
 from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact, ImpactResult
+from mjgranular.given import check_kind
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ def reproduce(
         base: time step, scheme and law; speed and angle are the cases'.
         progress: called with the number of cases done.
     """
+    check_kind(base, Impact, "reproduce")
     results = []
     for done, case in enumerate(CASES, start=1):
         impact = replace(base, speed=case.speed, angle=math.radians(case.angle_deg))

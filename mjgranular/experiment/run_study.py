@@ -16,6 +16,7 @@ from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.intrusion import run_intrusion
 from mjgranular.experiment.rows import Row, row_of
 from mjgranular.experiment.study import Experiment, Study, Value, column_of, value_in_table
+from mjgranular.given import check_kind
 from mjgranular.pool import Failure, Journal, Workers, map_tasks
 from mjgranular.pool.workers import Engine
 
@@ -98,6 +99,9 @@ def run_study(
     Raises:
         InputError: the first experiment cannot be set up, or the engine cannot be used.
     """
+    check_kind(study, Study, "run_study", "Study(experiment, {'speed': [1.0, 2.0]})")
+    if journal is not None:
+        check_kind(journal, Journal, "run_study", "journal_of(study, folder), begun")
     on = Workers(engine, workers, chunk, address)
     baggage = pack(study)
     if journal is None:
@@ -126,6 +130,7 @@ def run_study(
 
 def journal_of(study: Study, folder: Path | None) -> Journal:
     """The rows of a study that a folder keeps; None for a file that is soon gone."""
+    check_kind(study, Study, "journal_of")
     # The contents, so that an edited model is another study.
     asked = {**study.config(), "files": pack(study).digest()}
     return Journal(folder, asked, len(study), _is_row)

@@ -19,7 +19,7 @@ from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.intrusion import Intrusion
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.extras import need
-from mjgranular.given import is_finite, kind_of
+from mjgranular.given import check_count, is_finite, kind_of
 from mjgranular.law import law_in
 from mjgranular.medium import get_medium
 
@@ -93,14 +93,19 @@ class Study:
                 f"a study is of an Impact, a Drop or an Intrusion, not of "
                 f"{kind_of(self.experiment)}"
             )
+        if not isinstance(self.vary, Mapping):
+            raise InputError(
+                f"what is varied is a table, {{'speed': [1.0, 2.0]}}, not {kind_of(self.vary)}"
+            )
         if not self.vary:
             raise InputError("a study varies something, such as speed=(1.0, 2.0)")
         if self.method not in get_args(Method):
             raise UnknownNameError("way to draw a sample", self.method, get_args(Method))
+        if self.sample is not None:
+            check_count("sample", self.sample)
+        check_count("seed", self.seed, least=0)
         if self.sample is not None and not 1 <= self.sample <= _MOST:
             raise InputError(f"a sample has 1 to {_MOST} points, not {self.sample}")
-        if self.seed < 0:
-            raise InputError(f"a seed is 0 or more, not {self.seed}")
         for name, values in self.vary.items():
             self._check_values(name, values)
         if len(self) > _MOST:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -10,12 +9,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from mjgranular.errors import InputError, OutputError
+from mjgranular.errors import InputError, OutputError, shown
 from mjgranular.experiment.baggage import Baggage, pack, unpack
 from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.study import Study
 from mjgranular.experiment.trajectory import degrees
+from mjgranular.given import check_count, check_kind, is_finite
 from mjgranular.pool import Journal, Workers, map_tasks
 from mjgranular.pool.workers import Engine
 from mjgranular.saved import number
@@ -44,10 +44,14 @@ class Sweep:
     def __post_init__(self) -> None:
         if self.over not in get_args(Over):
             raise InputError(f"a sweep is over {' or '.join(get_args(Over))}, not {self.over!r}")
+        check_kind(self.impact, Impact, "a sweep")
+        check_count("points", self.points)
         if self.points < 2:
             raise InputError(f"a sweep needs at least 2 points, not {self.points}")
-        if not (math.isfinite(self.first) and math.isfinite(self.last)):
-            raise InputError(f"a sweep's range must be finite, not {self.first} to {self.last}")
+        if not (is_finite(self.first) and is_finite(self.last)):
+            raise InputError(
+                f"a sweep's range must be finite, not {shown(self.first)} to {shown(self.last)}"
+            )
         if self.first == self.last:
             raise InputError(f"a sweep's range is empty: from {self.first} to {self.last}")
         self.impacts()  # each of them checks itself
@@ -113,6 +117,7 @@ def run_sweep(
     Raises:
         InputError: fewer than one worker, or an engine that cannot be used.
     """
+    check_kind(sweep, Sweep, "run_sweep")
     on = Workers(engine, workers, chunk, address)
     impacts = sweep.impacts()
     if journal is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -13,7 +14,9 @@ import numpy as np
 from mjgranular.errors import OutputError
 from mjgranular.files import whole
 from mjgranular.models import Link
+from mjgranular.prints import Prints
 from mjgranular.sand import Sand
+from mjgranular.sand.report import BodyReport
 from mjgranular.saved import read_arrays
 
 _KEEP = 4096  # samples kept at most of each phase; chosen, not measured
@@ -115,7 +118,12 @@ class Trajectory:
 
     @classmethod
     def from_states(
-        cls, rows: np.ndarray, link: Link, sand: Sand, point: tuple[float, float] | None = None
+        cls,
+        rows: np.ndarray,
+        link: Link,
+        sand: Sand,
+        point: tuple[float, float] | None = None,
+        felt: Mapping[float, BodyReport] | None = None,
     ) -> Trajectory:
         """Works out what follows from samples of the state.
 
@@ -124,6 +132,7 @@ class Trajectory:
             link: the link.
             sand: the sand on its model.
             point: T in the body's frame; None for the link's lower pole.
+            felt: reports at the times of the samples, for sand that was another then.
         """
         data = mujoco.MjData(sand.model)
         gravity = float(np.linalg.norm(sand.model.opt.gravity))
@@ -132,7 +141,7 @@ class Trajectory:
             data.time = row[0]
             data.qpos[:] = row[1:4]
             data.qvel[:] = row[4:7]
-            body = sand.report(data)["link"]
+            body = felt[row[0]] if felt else sand.report(data)["link"]
             kinetic = link.mass * (row[4] ** 2 + row[5] ** 2) + link.inertia * row[6] ** 2
             out[:] = (
                 *link.tip(data.qpos, data.qvel, point),
@@ -159,10 +168,12 @@ class Trajectory:
             writer.writerow([f"{f.name} [{UNITS[f.name]}]" for f in fields(self)])
             writer.writerows([[repr(float(v)) for v in row] for row in self.table()])
 
-    def write_npz(self, path: Path) -> None:
-        """Writes the samples as arrays by name."""
+    def write_npz(self, path: Path, prints: Prints | None = None) -> None:
+        """Writes the samples as arrays by name, and prints beside them."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
+        arrays |= {} if prints is None else prints.arrays()
         with whole(path) as part, part.open("wb") as file:
-            np.savez_compressed(file, **{f.name: getattr(self, f.name) for f in fields(self)})
+            np.savez_compressed(file, **arrays)
 
     @classmethod
     def read_npz(cls, path: Path) -> Trajectory:

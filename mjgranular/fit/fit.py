@@ -20,6 +20,7 @@ from mjgranular.fit.result import Curve, FitResult
 from mjgranular.fit.run import Run
 from mjgranular.fit.telling import TANGLED, WIDE, Information, further_tests, trades_off
 from mjgranular.fit.trial import Trial
+from mjgranular.given import check_kind
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 
@@ -62,6 +63,13 @@ class Fit:
     hold_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if isinstance(self.runs, Run | str | Path) or isinstance(self.free, str):
+            raise InputError(
+                "runs and free are each several, [run, ...] and ['strength', ...]; read_fit reads "
+                "them from a file"
+            )
+        for run in self.runs:
+            check_kind(run, Run, "a fit")
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
@@ -107,6 +115,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
         UnstableError: the law, as it starts, makes a run leave reason.
         MissingExtraError: SciPy is not installed.
     """
+    check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
     optimize = need("scipy.optimize", extra="fit", purpose="Fitting")
     special = need("scipy.special", extra="fit", purpose="Fitting")
     trials = {run.name: _TRIALS[run.kind](run) for run in fit.runs}

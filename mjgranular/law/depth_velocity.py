@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
@@ -122,7 +122,7 @@ class DepthVelocityLaw(Law):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):
                 raise InputError(
-                    f"DepthVelocityLaw: {key} must be finite and not negative, not {value}"
+                    f"DepthVelocityLaw: {key} must be finite and not negative, not {shown(value)}"
                 )
 
     @classmethod

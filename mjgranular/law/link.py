@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.given import is_finite
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, constants_of, register_law
@@ -58,7 +58,8 @@ class _LinkForm(Law):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):
                 raise InputError(
-                    f"{type(self).__name__}: {key} must be finite and not negative, not {value}"
+                    f"{type(self).__name__}: {key} must be finite and not negative, not "
+                    f"{shown(value)}"
                 )
 
     @classmethod

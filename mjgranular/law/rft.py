@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.given import check_switch, is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot, vector
@@ -83,7 +83,8 @@ class RftLaw(Law):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):
                 raise InputError(
-                    f"{type(self).__name__}: {key} must be finite and not negative, not {value}"
+                    f"{type(self).__name__}: {key} must be finite and not negative, not "
+                    f"{shown(value)}"
                 )
 
     def elements(

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import exponential, logarithm
@@ -189,11 +189,13 @@ class Rft2dLaw(RftLaw):
         self.check_options()
         for key in FOURIER_KEYS:
             if not is_finite(getattr(self, key)):
-                raise InputError(f"Rft2dLaw: {key} must be finite, not {getattr(self, key)}")
+                raise InputError(f"Rft2dLaw: {key} must be finite, not {shown(getattr(self, key))}")
         for key in ("density", "scale"):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):
-                raise InputError(f"Rft2dLaw: {key} must be finite and not negative, not {value}")
+                raise InputError(
+                    f"Rft2dLaw: {key} must be finite and not negative, not {shown(value)}"
+                )
 
         if (self.inertia > 0 or self.added > 0) and self.density == 0:
             raise InputError("Rft2dLaw: inertia of sand needs the bulk density [kg/m^3]")

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, shown
 from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
@@ -209,7 +209,8 @@ class Rft3dLaw(RftLaw):
             value = getattr(self, key)
             if not (is_finite(value) and low <= value <= high):
                 raise InputError(
-                    f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not {value}"
+                    f"Rft3dLaw: {key} must be finite and from {low:g} to {high:g}, not "
+                    f"{shown(value)}"
                 )
 
     @classmethod

@@ -104,6 +104,17 @@ class Score:
         }
 
 
+def check_seeds(seeds: int) -> None:
+    """Refuses fewer episodes than an interval needs.
+
+    Raises:
+        InputError: says how many it needs.
+    """
+    check_count("seeds", seeds)
+    if seeds < LEAST_SEEDS:
+        raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
+
+
 def evaluate(
     agent: str,
     make_agent: Callable[[Any], Agent],
@@ -135,10 +146,8 @@ def evaluate(
             "make_agent is a function that is given the environments and gives who acts in them, "
             f"lambda env: policy for example, not {kind_of(make_agent)}"
         )
-    check_count("seeds", seeds)
+    check_seeds(seeds)
     check_count("first_seed", first_seed, least=0)
-    if seeds < LEAST_SEEDS:
-        raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
     episodes = run_episodes(
         env_id,
         {**arguments, **parse_variant(variant)},

@@ -115,6 +115,25 @@ def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
     )
 
 
+def draw_prints(path: Path, x: np.ndarray, height: np.ndarray, *, title: str = "") -> None:
+    """The surface of sand that remembers, cut along the plane of motion.
+
+    Args:
+        path: of the picture.
+        x: along the surface [m], shape (n,).
+        height: of the sand over the surface as it was [m], shape (n,).
+        title: above the figure.
+    """
+    figure, context = figure_of_size(6.4, 3.2)
+    axes = figure.subplots()
+    axes.axhline(0, color=_GREY, linewidth=0.8)
+    axes.plot(x * 1e3, height * 1e3, color=_OCHRE, marker=".", markersize=3)
+    axes.set_xlabel("along the surface, $x$ [mm]")
+    axes.set_ylabel("height of the sand [mm]")
+    figure.suptitle(plain(title))
+    save_figure(figure, context, path)
+
+
 def draw_drop(
     path: Path,
     t: np.ndarray,

@@ -6,19 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.errors import InputError
-from mjgranular.experiment.drop import DropResult, load, surface_drawn
+from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.experiment.drop import DropResult, load, memory_of, surface_drawn
 from mjgranular.experiment.impact import ImpactResult
 from mjgranular.extras import need
 from mjgranular.given import kind_of
 from mjgranular.picture.video import Film, Motion, frames_of_model, frames_of_run
-from mjgranular.relief.memory import as_memory
 
 _PURPOSE = "Showing a film"
 
 
 def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
     """Plays a film; see `mjgranular.show`."""
+    if not isinstance(fps, int) or not 1 <= fps <= 240:
+        raise InputError(f"a film has 1 to 240 frames a second, a whole number, not {kind_of(fps)}")
     mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
     ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
@@ -31,15 +32,19 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
         model, _ = load(film.drop)
         motion = Motion(film.t, film.qpos, film.point, film.force)
-        surface, memory = surface_drawn(film.drop), as_memory(film.drop.memory)
+        surface, memory = surface_drawn(film.drop), memory_of(film.drop, model)
         return list(frames_of_model(options, model, motion, surface, film.prints, memory)[1])
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)
         stop = None if film.stop is None else (film.touchdown or 0.0) + film.stop.time
-        return list(frames_of_run(options, film.impact.link, film.trajectory, stop=stop)[1])
+        impact, run, prints = film.impact, film.trajectory, film.prints
+        drawn = frames_of_run(
+            options, impact.link, run, stop=stop, prints=prints, sand=impact.described
+        )
+        return list(drawn[1])
     try:
         pictures = [np.asarray(picture) for picture in film]
-    except TypeError:
+    except (TypeError, ValueError, UnknownNameError):  # nothing of which there are several
         pictures = []
     if not pictures or any(p.ndim != 3 or p.shape != pictures[0].shape for p in pictures):
         raise InputError(

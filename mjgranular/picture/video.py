@@ -11,14 +11,19 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular.engine import show_prints
 from mjgranular.errors import InputError, RenderError, UnknownNameError
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
 from mjgranular.files import whole
-from mjgranular.look import TILE, PlaneLook, boxes_of, moving_geoms
+from mjgranular.look import NOT_SHOWN, TILE, PlaneLook, boxes_of, moving_geoms
 from mjgranular.models import Link
 from mjgranular.prints import Cover, Prints, Replay
+from mjgranular.prints.cover import Region
 from mjgranular.relief import Memory
+from mjgranular.relief.memory import as_memory
+from mjgranular.sand import SandSpec
+from mjgranular.sand.prepare import fitted
 from mjgranular.surface import Plane, Surface
 
 _ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
@@ -100,7 +105,13 @@ def _frames(film: Film, end: float, stop: float | None) -> list[_Frame]:
 
 
 def frames_of_run(
-    film: Film, link: Link, trajectory: Trajectory, *, stop: float | None
+    film: Film,
+    link: Link,
+    trajectory: Trajectory,
+    *,
+    stop: float | None,
+    prints: Prints | None = None,
+    sand: SandSpec | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
     """The pictures of a run, one by one.
 
@@ -109,6 +120,8 @@ def frames_of_run(
         link: the link.
         trajectory: the run.
         stop: time of the stop since release [s], None if there was none.
+        prints: what the sand remembered; None for sand that does not.
+        sand: that did.
 
     Returns:
         Their number, and the pictures, shape (height, width, 3), uint8.
@@ -119,13 +132,24 @@ def frames_of_run(
     """
     film.check(link)
     frames = _frames(film, float(trajectory.t[-1]), stop)
-    return len(frames), _draw(film, link, trajectory, frames)
+    spec = link.spec()
+    if prints is not None and sand is not None:
+        show_prints(spec, sand)
+    model = spec.compile()
+    memory = None if sand is None else as_memory(fitted(model, sand).memory)
+    covered = None if prints is None or memory is None else (prints, memory)
+    return len(frames), _draw(film, link, model, trajectory, frames, covered)
 
 
 def _draw(
-    film: Film, link: Link, trajectory: Trajectory, frames: list[_Frame]
+    film: Film,
+    link: Link,
+    model: mujoco.MjModel,
+    trajectory: Trajectory,
+    frames: list[_Frame],
+    covered: tuple[Prints, Memory] | None,
 ) -> Iterator[np.ndarray]:
-    model = link.model(1e-3)
+    ground = _Ground(model, None, View(np.zeros(3), link.reach), covered)
     data = mujoco.MjData(model)
     force = np.hypot(trajectory.F_x, trajectory.F_y)
     # The greatest force is an arrow of seven tenths of a link's length.
@@ -143,7 +167,9 @@ def _draw(
                 data.qpos[:] = at["x"], at["z"], at["q"]
                 mujoco.mj_kinematics(model, data)
                 mujoco.mj_camlight(model, data)
+                ground.lay(frame.time, data.body("link").xpos)
                 renderer.update_scene(data, camera=film.camera)
+                ground.show(renderer.scene)
                 # Before the link, towards the viewer, lest the link hide it.
                 tail = np.array([at["x_E"], -0.8 * link.diameter, -at["y_E"]])
                 tip = tail + scale * np.array([at["F_x"], 0.0, -at["F_y"]])
@@ -331,9 +357,10 @@ class _Ground:
     ) -> None:
         self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
         self._cover = None
-        if surface is not None and covered is not None:
+        if covered is not None:
             unit = 2 * view.radius if isinstance(surface, Plane) else TILE
-            self._cover = Cover(model, surface, covered[1], unit=unit)
+            region = _cut_open(model) if surface is None else None
+            self._cover = Cover(model, surface or Plane(), covered[1], unit=unit, region=region)
             self._replay, self._prints = Replay(*covered), covered[0]
             return
         if isinstance(surface, Plane):
@@ -361,6 +388,14 @@ class _Ground:
             for geom in scene.geoms[: scene.ngeom]:
                 if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._geoms:
                     geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+
+
+def _cut_open(model: mujoco.MjModel) -> Region:
+    """The box of sand behind a link or a chain, which its prints are drawn in the place of."""
+    bed = model.geom("bed")
+    bed.group = NOT_SHOWN
+    low, high = bed.pos - bed.size, bed.pos + bed.size
+    return Region((low[0], low[1]), (high[0], high[1]), low[2])
 
 
 def _renderer(model: mujoco.MjModel, film: Film) -> Any:

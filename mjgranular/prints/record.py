@@ -53,6 +53,19 @@ class Prints:
         last = min(int(last), len(self.t) - 1)
         return bool(first <= last and self.end[last] > (self.end[first - 1] if first else 0))
 
+    def profile(self, memory: Memory) -> tuple[np.ndarray, np.ndarray]:
+        """Places along the first axis of the sand and heights there in the end [m], where any are.
+
+        Args:
+            memory: of the sand.
+        """
+        along = {int(i): 0.0 for i in self.node[:, 0]}
+        for (i, j), height in zip(self.node.tolist(), self.height.tolist(), strict=True):
+            if j == 0:
+                along[i] = height
+        nodes = np.array(sorted(along), dtype=float)
+        return memory.cell * nodes, np.array([along[int(i)] for i in nodes])
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays by their names in a file."""
         return {f"prints_{name}": value for name, value in vars(self).items()}

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from mjgranular.errors import warn_user
+from mjgranular.errors import InputError, warn_user
+from mjgranular.relief.footprint import Footprint, spread_of
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import frame_of
 from mjgranular.shape.sizes import geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Surface
+
+_PLACES = frozenset(("center", "point", "geom", "body", "slot"))
+"""Fields of elements that say where they are, and nothing of how large."""
 
 _SEVERAL = 4
 """Cells to the width of what is to be told apart. Chosen."""
@@ -59,6 +64,70 @@ def warn_of_cells(
                 f"{cells} are too large for the bed {surface.geom!r}, which is {1e3 * side:.3g} mm "
                 f"wide: no print fits in; take cells of {1e3 * side / (5 * _SEVERAL):.2g} mm"
             )
+
+
+def refuse_blind(
+    model: mujoco.MjModel,
+    elements: np.ndarray,
+    reads: Sequence[str],
+    footprint: Footprint,
+    memory: Memory,
+    law: str,
+) -> None:
+    """Refuses a law that looks for sand in the middle of bodies, and cannot know where they end.
+
+    Their skin presses the sand down; in the middle there is none any more, so that the body would
+    sink without end.
+
+    Args:
+        model: the model.
+        elements: of the law.
+        reads: names of what its kernels read of them.
+        footprint: the skin of the bodies.
+        memory: of the sand.
+        law: name of the law.
+
+    Raises:
+        InputError: names the geom, and how far inside its skin the law looks.
+    """
+    if not _PLACES.issuperset(reads):
+        return
+    points = footprint.points[:, :3].transpose(0, 2, 1)  # tile by tile
+    feet = list(dict.fromkeys(elements["geom"].tolist()))
+    for element in elements:
+        row = feet.index(int(element["geom"]))
+        first = int(footprint.feet["end"][row - 1]) if row else 0
+        skin = points[first : int(footprint.feet["end"][row])].reshape(-1, 3)
+        place = element["center" if "center" in reads else "point"]
+        inside = float(np.linalg.norm(skin - place, axis=1).min())
+        if inside > memory.cell:
+            raise InputError(
+                f"the law {law!r} looks for sand in the middle of geom "
+                f"{geom_name(model, int(element['geom']))}, {1e3 * inside:.3g} mm inside the skin "
+                "that presses it down under memory, and the body would sink without end: have the "
+                "law look where the body ends (docs/architecture.md), or leave memory out"
+            )
+
+
+def warn_of_spread(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> None:
+    """Warns of bodies that are farther apart than what is remembered.
+
+    Args:
+        model: the model.
+        geoms: ids of those that meet the sand.
+        memory: its memory.
+
+    Warns:
+        GranularWarning: names both lengths.
+    """
+    spread, side = spread_of(model, geoms), memory.size * memory.cell
+    if spread > side * (1 + 1e-9):
+        needed = math.ceil(10 * spread) / 10
+        warn_user(
+            f"what meets the sand reaches over {spread:.3g} m, with the model as it stands, and a "
+            f"square of {side:.3g} m is remembered, wrapped around: one writes over the prints of "
+            f"another; say memory='cell={memory.cell:g} extent={needed:g}', or with larger cells"
+        )
 
 
 def warn_of_buried(

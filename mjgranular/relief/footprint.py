@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.lanes import aligned
-from mjgranular.relief.memory import Memory
+from mjgranular.relief.memory import WINDOW, Memory
 from mjgranular.shape import facets_from_model
-from mjgranular.shape.sizes import check_count, geom_width
+from mjgranular.shape.sizes import check_count, geom_width, half_extents
 
 POINT_DTYPE = np.dtype(
     [
@@ -36,6 +36,8 @@ LANES = 8
 
 TILE = 6 * LANES
 """Numbers of a tile: each of a point's and a normal's for all points in turn."""
+
+_BESIDE = 0.5  # what is remembered beyond the bodies themselves, both sides together [m]; chosen
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,32 @@ def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory)
     if memory.surroundings is not None:
         return memory.surroundings
     return max(geom_width(model, geom) for geom in geoms) + 4 * memory.cell
+
+
+def fitting(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> Memory:
+    """A memory that reaches as far as a model needs, unless it says itself how far it reaches.
+
+    It needs room for the surroundings of its widest geom, and for all that meets the sand, where
+    the model stands as it is (qpos0), with a quarter of a metre on each side.
+
+    Args:
+        model: the model.
+        geoms: ids of those that meet the sand.
+        memory: its memory.
+    """
+    needed = WINDOW * surroundings_of(model, geoms, memory), spread_of(model, geoms) + _BESIDE
+    return memory.reaching(max(needed))
+
+
+def spread_of(model: mujoco.MjModel, geoms: Sequence[int]) -> float:
+    """How far apart geoms reach along x or y, where the model stands as it is (qpos0) [m]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    half = np.stack([half_extents(model, geom) for geom in geoms])
+    reach = (np.abs(axes) @ half[:, :, None])[:, :2, 0]
+    place = data.geom_xpos[geoms][:, :2]
+    return float(((place + reach).max(axis=0) - (place - reach).min(axis=0)).max())
 
 
 def footprint_of(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, replace
+from numbers import Real
 from typing import Any
 
 from mjgranular.errors import InputError, shown
@@ -17,18 +18,26 @@ REPOSE = math.radians(32)
 MOST_CELLS = 2000
 """Along a side. Chosen: 100 MB for each simulation."""
 
+EXTENT = 2.0
+"""Side of the square that is remembered where a model asks for no more [m]. Chosen."""
+
+_BULKING = (0.5, 2.0)
+"""Chosen: the densest and the loosest packing of spheres differ by a factor of 1.4."""
+
 _MULTIPLE = 20  # of cells along a side, so that blocks of several sizes fill it
-_WINDOW = 5  # blocks along a side that a mean may look at
+WINDOW = 5
+"""Blocks along a side that a mean may look at."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Memory:
     """Memory of a surface: heights on a grid of square cells, part of the simulation's state.
 
     Attributes:
         cell: side of a cell [m]; several to the width of a foot.
         extent: side of the square that is remembered [m], rounded up to a multiple of 20 cells. The
-            grid is wrapped around: who walks farther writes over what lies this far behind.
+            grid is wrapped around: who walks farther writes over what lies this far behind. None
+            for 2 m or, where the model is known, as much more as its bodies need.
         surroundings: how far around a place the sand counts for its level [m]: the mean is that of
             a square of four times this. None for the width of the widest geom and four cells.
         repose: angle of repose [rad]; steeper slopes flow down.
@@ -39,7 +48,8 @@ class Memory:
     """
 
     cell: float = 0.01
-    extent: float = 2.0
+    _: KW_ONLY
+    extent: float | None = None
     surroundings: float | None = None
     repose: float = REPOSE
     bulking: float = 1.0
@@ -53,26 +63,50 @@ class Memory:
             ("bulking", math.inf),
         ):
             value = getattr(self, name)
-            if name == "surroundings" and value is None:
+            if name in ("extent", "surroundings") and value is None:
                 continue
-            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            is_number = isinstance(value, Real) and not isinstance(value, bool)
             if not is_number or not 0.0 < value < high:
                 end = "" if math.isinf(high) else f" and below {high:.4g} rad"
-                raise InputError(
-                    f"the memory's {name} must be a number above 0{end}, not {shown(value)}"
+                slip = (
+                    f": {value:g} degrees are {math.radians(value):.4g}"
+                    if is_number and end
+                    else ""
                 )
-        if not self.extent / self.cell <= MOST_CELLS:
-            count = self.extent / self.cell
+                raise InputError(
+                    f"the memory's {name} must be a number above 0{end}, not {shown(value)}{slip}"
+                )
+        low, high = _BULKING
+        if not low <= self.bulking <= high:
             raise InputError(
-                f"a memory of {self.extent:g} m in cells of {self.cell:g} m has {count:.3g} cells "
-                f"along a side, and {8.0 * 3 * count * count:.3g} bytes for each simulation; at "
-                f"most {MOST_CELLS} are kept: cells of {self.extent / MOST_CELLS:.2g} m would fit"
+                "the memory's bulking, the volume that moved sand takes in parts of what it took "
+                f"before, must be from {low:g} to {high:g}, not {self.bulking:g}: a fifth more is "
+                "1.2"
             )
+        if not self.side / self.cell <= MOST_CELLS:
+            count = self.side / self.cell
+            raise InputError(
+                f"a memory of {self.side:g} m in cells of {self.cell:g} m has {count:.3g} cells "
+                f"along a side, and {8.0 * 3 * count * count:.3g} bytes for each simulation; at "
+                f"most {MOST_CELLS} are kept: cells of {self.side / MOST_CELLS:.2g} m would fit"
+            )
+
+    @property
+    def side(self) -> float:
+        """Side of the square that is remembered [m], before it is rounded up."""
+        return EXTENT if self.extent is None else self.extent
+
+    def reaching(self, length: float) -> Memory:
+        """This one, but if no extent was given, with one of at least that length [m]."""
+        if self.extent is not None or length <= EXTENT:
+            return self
+        upward = math.ceil(10 * length - 1e-9) / 10  # to a number that is read easily
+        return replace(self, extent=min(upward, MOST_CELLS * self.cell))
 
     @property
     def size(self) -> int:
         """Number of cells along a side."""
-        return _MULTIPLE * max(math.ceil(self.extent / (_MULTIPLE * self.cell) - 1e-9), 1)
+        return _MULTIPLE * max(math.ceil(self.side / (_MULTIPLE * self.cell) - 1e-9), 1)
 
     @property
     def state_size(self) -> int:
@@ -87,12 +121,14 @@ class Memory:
         """
         size = self.size
         # A quarter of the cells at most: so many have room in the state.
-        for count in range(size // 4, _WINDOW - 1, -1):
+        for count in range(size // 4, WINDOW - 1, -1):
             if size % count == 0 and size // count * self.cell >= surroundings * (1 - 1e-9):
                 return count
+        needed = math.ceil(10 * WINDOW * surroundings - 1e-9) / 10
         raise InputError(
             f"a memory of {size * self.cell:g} m is too small for surroundings of "
-            f"{surroundings:.3g} m: it needs an extent of at least {_WINDOW * surroundings:.3g} m"
+            f"{surroundings:.3g} m (the widest geom and four cells): say memory="
+            f"'cell={self.cell:g} extent={needed:g}'"
         )
 
 
@@ -113,7 +149,7 @@ def as_memory(memory: Any) -> Memory | None:
         return Memory()
     if isinstance(memory, Memory):
         return memory
-    if isinstance(memory, (int, float)):
+    if isinstance(memory, Real):
         return Memory(cell=float(memory))
     if isinstance(memory, str):
         words = split_words(memory)

@@ -12,8 +12,8 @@ from mjgranular.kernel.compiled import program_address
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
-from mjgranular.relief.advice import warn_of_buried, warn_of_cells
-from mjgranular.relief.footprint import Footprint, footprint_of, surroundings_of
+from mjgranular.relief.advice import refuse_blind, warn_of_buried, warn_of_cells, warn_of_spread
+from mjgranular.relief.footprint import Footprint, fitting, footprint_of, surroundings_of
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.relief import Relief
 from mjgranular.relief.update import update_program
@@ -21,7 +21,7 @@ from mjgranular.sand.cost import warn_of_cost
 from mjgranular.sand.material import elements_of, material_of
 from mjgranular.sand.points import warn_of_points
 from mjgranular.sand.ranges import warn_of_ranges
-from mjgranular.sand.spec import SandSpec
+from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Implicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.scheme.scheme import STEP, SchemeChoice
@@ -103,7 +103,10 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     scheme.check(model)
     memory, footprint = as_memory(spec.memory), None
     if memory is not None:
+        # Within `mj_step` its size has been settled before there was a model (`fitted`).
+        memory = memory if within else fitting(model, geoms, memory)
         warn_of_cells(model, geoms, surface, memory)
+        warn_of_spread(model, geoms, memory)
         warn_of_buried(model, geoms, surface, memory)
         surface = Relief(surface, memory, surroundings_of(model, geoms, memory))
         footprint = footprint_of(model, geoms, elements, memory.cell)
@@ -114,6 +117,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scene["surface"]["feet"] = footprint.feet.ctypes.data
         scene["surface"]["foot_count"] = len(footprint.feet)
     kernel = _kernel_of(law, surface)
+    if memory is not None and footprint is not None:
+        refuse_blind(model, elements, kernel.element._fields, footprint, memory, law.name)
     program = scheme.program(kernel, scene.dtype)
     what = f"law {law.name}, scheme {scheme.name}, {type(surface).__name__}"
     return PreparedSand(
@@ -148,6 +153,22 @@ def _kernel_of(law: Law, surface: Surface) -> LawKernel:
             f"the law {law.name!r} cannot be used with memory ({error}): its `kernel` has to ask "
             "for surface.probe_kernel() in place of type(surface).probe"
         ) from error
+
+
+def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
+    """A sand whose memory, if it has one, reaches as far as a model needs.
+
+    `Sand` sees to this itself. Inside `mj_step` the state has its size before there is a model, so
+    whoever has one hands `add_sand` what this gives.
+
+    Args:
+        model: the model, perhaps without the sand.
+        spec: the sand.
+    """
+    memory = as_memory(spec.memory)
+    if memory is None:
+        return spec
+    return combined(spec, {"memory": fitting(model, geoms_in_sand(model, spec), memory)})
 
 
 def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:

@@ -10,6 +10,9 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.shape.sizes import check_count, check_resolution, check_size, geom_name
 
+CHOOSE = "choose them with geoms=[...] or bodies=[...]"
+"""Advice, which the command line has in words of its own."""
+
 ROD_DTYPE = np.dtype(
     [
         ("geom", np.int64),
@@ -54,7 +57,7 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
             shape = mujoco.mjtGeom(kind).name.removeprefix("mjGEOM_").lower()
             raise InputError(
                 f"geom {geom_name(model, geom)} is a {shape}: the link law acts on slender bodies, "
-                "capsules and cylinders; choose them with geoms=[...] or bodies=[...]"
+                f"capsules and cylinders; {CHOOSE}"
             )
         check_size(model, geom)
         radius, half = model.geom_size[geom][:2]

@@ -158,7 +158,10 @@ def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int:
         raise InputError(f"the model has no {kind} number {name}: they go from 0 to {count - 1}")
     known = [name_of(model, kind, i) for i in range(count)]
     theirs = [name for name in known if name and not name.startswith("mjgranular_")]
-    raise UnknownNameError(f"{kind} of the model", name, theirs)
+    other = "geom" if kind == "body" else "body"
+    is_other = mujoco.mj_name2id(model, _OBJECTS[other], name) >= 0
+    hint = f"there is a {other} of that name" if is_other else ""
+    raise UnknownNameError(f"{kind} of the model", name, theirs, hint)
 
 
 def _of_body(model: mujoco.MjModel, body: int) -> list[int]:
