@@ -30,7 +30,7 @@ from mjgranular.experiment.ground import (
     refuse_contradiction,
     refuse_floors,
 )
-from mjgranular.experiment.scenery import add_scenery, place_sun
+from mjgranular.experiment.scenery import add_cut_prints, add_scenery, place_sun
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
@@ -298,7 +298,10 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         spec = read(drop)
         make_ready(spec, drop)
         xml = spec.to_xml()
-        show_prints(spec, drop.sand)
+        if isinstance(drop.model, Chain):
+            add_cut_prints(spec, as_memory(drop.memory))
+        else:
+            show_prints(spec, drop.sand)
         model = spec.compile()
         hide_replaced(model, drop.sand)
         place_sun(model)

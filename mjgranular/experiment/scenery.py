@@ -6,6 +6,9 @@ import mujoco
 import numpy as np
 
 from mjgranular.look import add_material, paint, radius_of
+from mjgranular.prints import add_skin
+from mjgranular.prints.skin import BLOCK, lines_of
+from mjgranular.relief import Memory
 from mjgranular.surface import Bed, HeightField, Surface
 
 _SUN = "mjgranular_sun"
@@ -63,6 +66,38 @@ def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
     material = add_material(spec)
     if isinstance(surface, Bed | HeightField) and (bed := spec.geom(surface.geom)):
         paint(bed, material)
+
+
+def add_cut_prints(spec: mujoco.MjSpec, memory: Memory | None) -> None:
+    """Adds what prints are drawn with to a link's or a chain's model, whose bed is cut open.
+
+    Of the bed no more is left than what is drawn with prints; the rest becomes boxes beside it.
+
+    Args:
+        spec: the model to be.
+        memory: of the sand; None for sand that has no prints.
+    """
+    if memory is None:
+        return
+    bed = spec.geom("bed")
+    add_skin(spec, memory, bed.material, thickness=2 * float(bed.size[2]))
+    reach = (lines_of(memory) - 4 * BLOCK - 1) * memory.cell / 2
+    front, back = bed.pos[1] - bed.size[1], bed.pos[1] + bed.size[1]
+    end, wide = float(bed.size[0]), min(reach, float(bed.size[0]))
+    deep = min(front + 2 * reach, back)
+    beside = [((-end, -wide), (front, back)), ((wide, end), (front, back))]
+    for (left, right), (near, far) in (*beside, ((-wide, wide), (deep, back))):
+        if right - left > 1e-6 and far - near > 1e-6:
+            spec.worldbody.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[(left + right) / 2, (near + far) / 2, bed.pos[2]],
+                size=[(right - left) / 2, (far - near) / 2, bed.size[2]],
+                material=bed.material,
+                contype=0,
+                conaffinity=0,
+                group=bed.group,
+            )
+    bed.size[:2], bed.pos[1] = (wide, (deep - front) / 2), (front + deep) / 2
 
 
 def place_sun(model: mujoco.MjModel) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular.engine import show_prints
 from mjgranular.errors import InputError, RenderError, UnknownNameError
+from mjgranular.experiment.scenery import add_cut_prints
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.extras import need
 from mjgranular.files import whole
@@ -134,7 +134,7 @@ def frames_of_run(
     frames = _frames(film, float(trajectory.t[-1]), stop)
     spec = link.spec()
     if prints is not None and sand is not None:
-        show_prints(spec, sand)
+        add_cut_prints(spec, as_memory(sand.memory))
     model = spec.compile()
     memory = None if sand is None else as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
@@ -359,7 +359,9 @@ class _Ground:
         self._cover = None
         if covered is not None:
             unit = 2 * view.radius if isinstance(surface, Plane) else TILE
-            region = _cut_open(model) if surface is None else None
+            region = None
+            if surface is None:
+                region, unit = _cut_open(model)
             self._cover = Cover(model, surface or Plane(), covered[1], unit=unit, region=region)
             self._replay, self._prints = Replay(*covered), covered[0]
             return
@@ -390,12 +392,17 @@ class _Ground:
                     geom.category = mujoco.mjtCatBit.mjCAT_DECOR
 
 
-def _cut_open(model: mujoco.MjModel) -> Region:
-    """The box of sand behind a link or a chain, which its prints are drawn in the place of."""
+def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
+    """The box of sand behind a link or a chain, which is drawn with prints in its place.
+
+    Returns:
+        The box, and the edge of the picture of grains on it [m].
+    """
     bed = model.geom("bed")
     bed.group = NOT_SHOWN
     low, high = bed.pos - bed.size, bed.pos + bed.size
-    return Region((low[0], low[1]), (high[0], high[1]), low[2])
+    grains = 2 / float(model.mat_texrepeat[bed.matid.item(), 0])  # of a box MuJoCo counts halves
+    return Region((low[0], low[1]), (high[0], high[1]), low[2]), grains
 
 
 def _renderer(model: mujoco.MjModel, film: Film) -> Any:

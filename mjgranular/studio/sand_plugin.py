@@ -20,7 +20,7 @@ from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
 from mjgranular.experiment.ground import hide_replaced
 from mjgranular.experiment.scenery import add_scenery, place_sun
-from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.prepare import fitted, geoms_in_sand
 from mjgranular.sand.spec import combined
 from mjgranular.surface.floors import find_floors
 
@@ -38,6 +38,8 @@ class SandWanted(messages.Event):
         law: in words, as `SandSpec` has it; None for the medium's own.
         height: of the surface [m].
         slope: of the surface [rad].
+        memory: side of the cells on which the sand remembers what has been pressed down [m]; 0 for
+            sand that closes behind what has passed.
         on: whether there is to be any.
     """
 
@@ -45,6 +47,7 @@ class SandWanted(messages.Event):
     law: str | None = None
     height: float = 0.0
     slope: float = 0.0
+    memory: float = 0.0
     on: bool = True
 
 
@@ -78,8 +81,11 @@ def sandy(path: Path, wanted: SandWanted) -> tuple[mujoco.MjModel, str]:
     if any(one.plugin_name == NAME for one in spec.plugins):
         return spec.compile(), "the model has sand of its own"
     surface = Plane(height=wanted.height, slope=wanted.slope)
-    sand = SandSpec(medium=wanted.medium, law=wanted.law, surface=surface)
+    sand = SandSpec(
+        medium=wanted.medium, law=wanted.law, surface=surface, memory=wanted.memory or None
+    )
     bare = spec.copy().compile()
+    sand = fitted(bare, sand)
     floors = find_floors(bare, geoms_in_sand(bare, sand), surface)
     sand = combined(sand, {"instead_of": floors or None})
     add_scenery(spec, surface)
@@ -147,6 +153,7 @@ class SandPanel(plugin.ViewerPlugin):
         self._medium = 0
         self._law = ""
         self._height, self._slope = 0.0, 0.0  # [m], [degrees]
+        self._memory, self._cell = False, 0.01  # [m]
         self._on = True
         self._felt = SandFelt("no model")
 
@@ -162,6 +169,7 @@ class SandPanel(plugin.ViewerPlugin):
             law=self._law.strip() or None,
             height=self._height,
             slope=math.radians(self._slope),
+            memory=self._cell if self._memory else 0.0,
             on=self._on,
         )
 
@@ -174,6 +182,8 @@ class SandPanel(plugin.ViewerPlugin):
             _, self._law = imgui.InputText("law", self._law)
             _, self._height = imgui.InputFloat("height [m]", self._height, 0.01, 0.1)
             _, self._slope = imgui.InputFloat("slope [degrees]", self._slope, 1.0, 5.0)
+            _, self._memory = imgui.Checkbox("memory", self._memory)
+            _, self._cell = imgui.InputFloat("cell [m]", self._cell, 0.001, 0.01)
             if imgui.Button("Load with this sand"):
                 self.viewer.send_to_sim(self.wanted())
             imgui.SeparatorText("now")
