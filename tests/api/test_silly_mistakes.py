@@ -14,8 +14,18 @@ import mjgranular as mg
 from mjgranular.engine import relief_of, rne_post_constraint, tune
 from mjgranular.engine.readings import SandReadings
 from mjgranular.errors import GranularError, MissedStepWarning
-from mjgranular.experiment import Impact, run_impact
+from mjgranular.experiment import (
+    Impact,
+    Study,
+    Sweep,
+    reproduce,
+    run_impact,
+    run_study,
+    run_sweep,
+)
 from mjgranular.experiment.drop import Drop, run_drop
+from mjgranular.experiment.intrusion import Intrusion, run_intrusion
+from mjgranular.fit import Fit, run_fit
 from mjgranular.medium.file import read_medium
 from mjgranular.models import Link, model_path
 from mjgranular.relief.heights import heights_of
@@ -31,6 +41,10 @@ BLOCK = """
   </worldbody>
 </mujoco>
 """
+
+NAMES = BLOCK.replace('body name="block"', 'body name="torso"').replace(
+    'geom name="block"', 'geom name="foot"'
+)
 
 
 def made(config: str) -> mujoco.MjModel:
@@ -621,6 +635,84 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
         "no environment 'mjgranular/LinkDorp-v0' ... did you mean mjgranular/LinkDrop-v0?",
+    ),
+    "bulking in percent": (
+        lambda: mg.Memory(bulking=20),
+        "must be from 0.5 to 2, not 20: a fifth more is 1.2",
+    ),
+    "repose in degrees": (lambda: mg.Memory(repose=32), "32 degrees are 0.5585"),
+    "memory that is too small": (
+        lambda: sand(memory=mg.Memory(0.02, extent=0.4)),
+        "say memory='cell=0.02 extent=",
+    ),
+    "way of drawing that there is not": (
+        lambda: on_sand("Hopper-v5", render_mode="humann"),
+        "render_mode must be None or one of human, rgb_array, ... not 'humann'",
+    ),
+    "geom of a body's name": (
+        lambda: mg.Sand(mujoco.MjModel.from_xml_string(NAMES), geoms="torso"),
+        "no geom of the model 'torso' ... (there is a body of that name)",
+    ),
+    "body of a geom's name": (
+        lambda: mg.Sand(mujoco.MjModel.from_xml_string(NAMES), bodies="foot"),
+        "no body of the model 'foot' ... (there is a geom of that name)",
+    ),
+    "pairs for what is varied": (
+        lambda: Study(Impact(), [("speed", [1.0])]),  # pyright: ignore[reportArgumentType]
+        "what is varied is a table, {'speed': [1.0, 2.0]}, not a list",
+    ),
+    "half a sample": (
+        lambda: Study(Impact(), {"speed": [1.0]}, sample=2.5),  # pyright: ignore[reportArgumentType]
+        "sample must be a whole number, not 2.5",
+    ),
+    "drop for a study": (
+        lambda: run_study(Impact()),  # pyright: ignore[reportArgumentType]
+        "run_study takes a Study, not an Impact; use Study(experiment, {'speed'",
+    ),
+    "folder for a journal": (
+        lambda: run_study(Study(Impact(), {"speed": [1.0]}), journal="out"),  # pyright: ignore[reportArgumentType]
+        "run_study takes a Journal, not 'out'; use journal_of(study, folder), begun",
+    ),
+    "drop for a sweep": (lambda: run_sweep(Impact()), "run_sweep takes a Sweep, not an Impact"),  # pyright: ignore[reportArgumentType]
+    "speed for a sweep's drop": (lambda: Sweep(impact=2.0), "a sweep takes an Impact, not 2.0"),  # pyright: ignore[reportArgumentType]
+    "text for a sweep's end": (lambda: Sweep(last="10"), "a sweep's range must be finite, not"),  # pyright: ignore[reportArgumentType]
+    "time step for the paper": (lambda: reproduce(1e-6), "reproduce takes an Impact, not 1e-06"),  # pyright: ignore[reportArgumentType]
+    "path for an intrusion": (
+        lambda: run_intrusion("plate"),  # pyright: ignore[reportArgumentType]
+        "run_intrusion takes an Intrusion, not 'plate'",
+    ),
+    "tilt in degrees": (lambda: Intrusion(tilt=30), "must be within 180 degrees (pi = 3.1416 rad)"),
+    "text for an intruder's size": (
+        lambda: Intrusion(size="0.04"),  # pyright: ignore[reportArgumentType]
+        "the size must be positive and finite, not '0.04'",
+    ),
+    "model for a drop": (
+        lambda: Drop(MODEL),  # pyright: ignore[reportArgumentType]
+        "a drop is of an MJCF file, Drop('robot.xml'), not of a MjModel ... use Sand",
+    ),
+    "memory of an impact": (
+        lambda: Impact(memory=mg.Memory()),  # pyright: ignore[reportArgumentType]
+        "memory of an impact is in plain values: the side of a cell [m], or words",
+    ),
+    "path for a fit": (
+        lambda: run_fit("runs.yaml"),  # pyright: ignore[reportArgumentType]
+        "run_fit takes a Fit, not 'runs.yaml'; use read_fit('runs.yaml', free=[...])",
+    ),
+    "path for runs": (
+        lambda: Fit(runs="runs.yaml", medium="play_sand", free=("strength",)),  # pyright: ignore[reportArgumentType]
+        "runs and free are each several",
+    ),
+    "report for a film": (
+        lambda: mg.show(sand().report(mujoco.MjData(MODEL))),
+        "show takes pictures of one size, ... not a Report",
+    ),
+    "film that stands still": (
+        lambda: mg.show([np.zeros((4, 4, 3), np.uint8)], fps=0),
+        "a film has 1 to 240 frames a second, a whole number, not 0",
+    ),
+    "text for a density": (
+        lambda: mg.Rft3dLaw("1500", 0.4, 0.4),  # pyright: ignore[reportArgumentType]
+        "density must be finite and from 0 to inf, not '1500'",
     ),
 }
 

@@ -13,13 +13,13 @@ import pytest
 from mjgranular import Memory
 from mjgranular.cli import main
 from mjgranular.engine import relief_of
-from mjgranular.envs import SandEnv, SandVectorEnv
+from mjgranular.envs import SandEnv, SandVectorEnv, on_sand
 from mjgranular.envs.ids import id_of
 from mjgranular.learn.evaluate import parse_variant
 
 pytest.importorskip("mujoco.batch", reason="a MuJoCo without batches")
 
-MEMORY = Memory(cell=0.02, extent=3.0)  # the Ant needs 2.9 m
+MEMORY = Memory(cell=0.02, extent=3.0)
 ROBOTS = ["Hexapod", pytest.param("Hopper", marks=pytest.mark.slow)]
 ROBOTS += [pytest.param("Ant", marks=pytest.mark.slow)]
 
@@ -118,3 +118,14 @@ def test_state_of_an_environment_is_saved_and_restored() -> None:
     mujoco.mj_setState(env.model, env.data, saved, kind)
     for action, expected in zip(actions, first, strict=True):
         np.testing.assert_array_equal(env.step(action)[0], expected)
+
+
+@pytest.mark.parametrize("robot", ["Ant-v5", "HalfCheetah-v5", "Hopper-v5"])
+def test_a_memory_is_as_large_as_the_robot_needs(robot: str) -> None:
+    """Without a word of how far it is to reach: room for the torso's surroundings, and for all."""
+    env = on_sand(robot, memory=0.02)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    model = env.unwrapped.model
+    reach = {"Ant-v5": 2.9, "HalfCheetah-v5": 2.2, "Hopper-v5": 2.0}[robot]
+    assert model.npluginstate == Memory(0.02, extent=reach).state_size

@@ -480,7 +480,9 @@ def test_memory_is_given_as_what_one_has_at_hand() -> None:
     plain = Pushed()
     with pytest.raises(InputError, match="has no memory: make it with"):
         plain.sand.relief(plain.data)
-    with pytest.raises(InputError, match=r"too small for surroundings of 0.14 m.*at least 0.7 m"):
+    with pytest.raises(
+        InputError, match=r"too small for surroundings of 0.14 m.*cell=0.01 extent=0.7'"
+    ):
         Pushed(memory=memory(extent=0.5))
     with pytest.warns(GranularWarning, match=r"cells of 60 mm are larger than .* 50 mm"):
         Pushed(BALL, memory=memory(cell=0.06, extent=3.0))

@@ -240,6 +240,30 @@ warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
 warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
 warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
 warm --over dune | invalid choice 'dune' for argument '--over'. Expected one of
+warm block.xml --over bed | --over is for laws without a model: over block.xml the sand is a plane
+warm --bodies block | --bodies is of a model: name a MODEL.xml too
+warm --bed tray | --bed is of a model: name a MODEL.xml too
+warm --env mjgranular/Hexapod-v0 --law rft3d | --law goes with a MODEL.xml: an environment has its
+sweep --speed 3 | --speed is fixed, and this sweep goes over the speed, from --first to
+sweep --over speed --speed 3 | leave it away, or say --over angle
+sweep --over angle --angle 30 | --angle is fixed, ... leave it away, or say --over speed
+sweep --vary speed=1:3:3 --speed 2 | speed is varied, and --speed 2.0 fixes it: leave one of the
+sweep --vary angle=10:30:3 --angle 20 | angle is varied, and --angle 20.0 fixes it
+sweep --vary height=1:3:3 --height 2 | height is varied, and --height 2.0 fixes it
+sweep --of "drop block.xml --velocity 3" --vary velocity=1,2 | --velocity 3.0 fixes it: leave one
+reproduce --workers -1 | a run needs at least 1 worker, not -1
+reproduce --workers 3 | --workers is for Figs. 5 and 9 in the folder of --out: add --out
+intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) either way, not 400
+intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 rad)
+intrude --depth 0.05 --distance 0.2 | --depth and --distance both say where the path ends
+impact --body sphere | capsules and cylinders; take a medium whose own law takes every shape
+impact --memory 1cm | memory, the side of a cell, must be a number, not '1cm'
+drop block.xml --memory "cell=0.01 bulking=20" | must be from 0.5 to 2, not 20: a fifth more is 1.2
+drop block.xml --geoms block --bodies blck | no body of the model 'blck' ... did you mean block?
+train CartPole-v1 --set environment.render_mode=human | nothing is drawn while a policy is trained
+compare Hopper --seeds 0 | seeds must be at least 1, not 0
+compare Hopper --seeds 1 | an evaluation needs at least 2 seeds, not 1
+evaluate Hexapod-v0/ppo-0 --seeds 0 | seeds must be at least 1, not 0
 """
 _FRAME = str.maketrans("╭╮╰╯│─", " " * 6)  # around the parser's own messages
 CASES = [tuple(part.strip() for part in line.split("|")) for line in MISTAKES.strip().splitlines()]

@@ -56,6 +56,8 @@ with launch_web.launch(config, plugins=[Stepper(), scene]) as handle:
     said = {"what": felt.what, "carried": felt.force[2] / weight, "depth": felt.depth}
     handle.dispatch(type(panel.wanted())(medium="moon"))
     said["bad"] = [sent[-1].model.nplugin, scene._what]
+    handle.dispatch(type(panel.wanted())(memory=0.02))
+    said["skins"] = handle.model.nskin
     handle.dispatch(type(panel.wanted())(law="rft3d scale=2"))
     said["again"] = [handle.model.nplugin, scene._what]
 Path("said.json").write_text(json.dumps(said))
@@ -105,6 +107,7 @@ def test_the_plugin_puts_sand_under_a_model(tmp_path: Path) -> None:
     plugins, sentence = said["bad"]
     assert plugins == 0
     assert sentence.startswith("no sand: no medium 'moon'; there are: ")
+    assert said["skins"] == 1  # which prints are drawn with
     assert said["again"] == [1, "sand instead of floor"]
 
 
