@@ -10,6 +10,7 @@ import pytest
 
 from mjgranular import Memory, RenderError
 from mjgranular.cli import main
+from mjgranular.prints import Prints
 
 BLOCK = """
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="block">
@@ -55,13 +56,14 @@ def test_an_impact_with_memory(tmp_path: Path) -> None:
     at_the_end = np.interp(run.x[-1], places, heights)
     assert at_the_end == pytest.approx(run.z[-1], abs=0.001)  # the axis at C
 
+    untouched = Prints(prints.t[:1], prints.end[:1] * 0, prints.node[:0], prints.height[:0])
     film = Film(camera="corner", width=320, height=240, seconds=0.1, fps=10, hold=0)
     try:
         with_prints, without = (
             list(frames_of_run(film, impact.link, run, stop=None, prints=p, sand=s)[1])[-1]
-            for p, s in ((prints, impact.described), (None, None))
+            for p, s in ((prints, impact.described), (untouched, impact.described))
         )
     except RenderError as error:
         pytest.skip(str(error))
-    changed = np.abs(with_prints.astype(int) - without.astype(int)).max(axis=2) > 40
-    assert changed.mean() > 0.002  # the furrow
+    changed = np.abs(with_prints.astype(int) - without.astype(int)).max(axis=2) > 10
+    assert changed.mean() > 0.001  # the furrow
