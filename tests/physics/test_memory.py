@@ -7,7 +7,8 @@ import math
 import pickle
 import sys
 import threading
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,6 +28,7 @@ from mjgranular import (
     add_sand,
 )
 from mjgranular.envs.gaits import Tripod
+from mjgranular.kernel.vector import Vector
 from mjgranular.models import Hexapod
 from mjgranular.relief.grid import FORGOTTEN, HEADER, HEAPED, PRESSED, WAITING
 
@@ -511,3 +513,27 @@ def test_prints_on_a_height_field_are_over_the_field() -> None:
                 assert found == pytest.approx(force, rel=1e-6, abs=1e-9)
         is_balanced(pushed.state, 0.01, 100)
         assert pushed.height.min() < -0.015
+
+
+class Middle(NamedTuple):
+    """All that a law of one's own reads of a geom: where its middle is."""
+
+    center: Vector
+
+
+class MiddleLaw(DepthVelocityLaw):
+    """A law that looks for sand there."""
+
+    name = "middle"
+
+    def kernel(self, surface: Any) -> Any:
+        return replace(super().kernel(surface), element=Middle)
+
+
+def test_a_law_that_looks_in_the_middle_of_bodies_is_refused() -> None:
+    """Their skin presses the sand down, and there is none in the middle: they would sink."""
+    law = MiddleLaw(stiffness=100.0)
+    with pytest.raises(
+        InputError, match=r"'middle' looks for sand in the middle .* mm inside the skin"
+    ):
+        Pushed(BALL, law=law, memory=memory())
