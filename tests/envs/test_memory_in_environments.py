@@ -120,6 +120,7 @@ def test_state_of_an_environment_is_saved_and_restored() -> None:
         np.testing.assert_array_equal(env.step(action)[0], expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["Ant-v5", "HalfCheetah-v5", "Hopper-v5"])
 def test_a_memory_is_as_large_as_the_robot_needs(robot: str) -> None:
     """Without a word of how far it is to reach: room for the torso's surroundings, and for all."""

@@ -38,6 +38,7 @@ def test_what_has_no_meaning_is_told(block: str, memory: str, told: str, capsys:
     assert told in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.slow
 def test_an_impact_with_memory(tmp_path: Path) -> None:
     """The print of a run until rest is as deep as the link lies, and its film shows it."""
     pytest.importorskip("matplotlib")
