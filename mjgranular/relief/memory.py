@@ -66,7 +66,7 @@ class Memory:
             if name in ("extent", "surroundings") and value is None:
                 continue
             is_number = isinstance(value, Real) and not isinstance(value, bool)
-            if not is_number or not 0.0 < value < high:
+            if not is_number or not 0.0 < float(value) < high:
                 end = "" if math.isinf(high) else f" and below {high:.4g} rad"
                 slip = (
                     f": {value:g} degrees are {math.radians(value):.4g}"
