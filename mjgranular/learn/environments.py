@@ -37,17 +37,23 @@ def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
 
 
-def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
+def several(
+    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, threads: int | None = None
+) -> Any:
     """Several environments stepped together, a `gymnasium.vector.VectorEnv`.
 
-    Those that have a vector form run in it; others one after another.
+    Those that have a vector form run in it, on so many threads (None: one a core); others one after
+    another.
     """
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
+    more = {"threads": threads} if mode != "sync" and threads is not None else {}
     return _made(
         env_id,
         arguments,
-        lambda given: gym.make_vec(env_id, num_envs=num_envs, vectorization_mode=mode, **given),
+        lambda given: gym.make_vec(
+            env_id, num_envs=num_envs, vectorization_mode=mode, **{**more, **given}
+        ),
     )
 
 
