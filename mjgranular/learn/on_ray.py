@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import logging
+import os
+import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -24,7 +26,7 @@ from mjgranular.pool import Workers
 from mjgranular.pool.on_ray import begin_ray, cores_of
 from mjgranular.pool.versions import versions
 
-PURPOSE = "Training with the engine ray"
+_PURPOSE = "Training with the engine ray"
 
 # Arguments of PPO in Stable-Baselines3, each with the name of its like in RLlib; None for those
 # that our own module and learner know.
@@ -45,17 +47,33 @@ _LIKE = {
 }
 
 
-def check_settings(settings: Settings) -> None:
-    """Refuses settings that nothing on Ray answers to.
+def check_training(settings: Settings, on: Workers | None) -> None:
+    """Refuses a training on Ray that cannot be: settings that nothing there answers to, for one.
 
     Raises:
         InputError: says which, and what goes.
+        MissingExtraError: RLlib is not installed.
     """
+    if on is None or on.engine != "ray":
+        return
+    _check_settings(settings)
+    envs, count = settings.num_envs, on.count
+    if count is not None and envs % count:
+        raise InputError(
+            f"{envs} environments (num_envs) cannot be shared evenly among {count} env runners: "
+            f"{_largest_divisor(envs, count)} can, or --set num_envs={count * -(-envs // count)}"
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of RLlib's, on its own ways
+        need("ray.rllib.algorithms.ppo", extra="ray", purpose=_PURPOSE)
+
+
+def _check_settings(settings: Settings) -> None:
     instead = "train with --engine local"
     if settings.algorithm != "ppo":
         raise InputError(f"--engine ray trains with ppo, not {settings.algorithm}: {instead}")
     if settings.processes:
-        raise InputError("--engine ray has workers of its own: leave processes away")
+        raise InputError("--engine ray has env runners of its own: leave processes away")
     for name, value in settings.arguments.items():
         if name == "normalize_advantage" and value is True:
             continue
@@ -65,20 +83,6 @@ def check_settings(settings: Settings) -> None:
             raise InputError(f"with --engine ray {name} does not fall: give a number, or {instead}")
     if settings.policy.get("squash_output"):
         raise InputError(f"--engine ray has nothing like policy.squash_output: {instead}")
-
-
-def check_runners(settings: Settings, count: int | None) -> None:
-    """Refuses a number of workers that the environments cannot be shared among.
-
-    Raises:
-        InputError: says which can.
-    """
-    envs = settings.num_envs
-    if count is not None and envs % count:
-        raise InputError(
-            f"{envs} environments (num_envs) cannot be shared evenly among {count} env runners: "
-            f"{_largest_divisor(envs, count)} can, or --set num_envs={count * -(-envs // count)}"
-        )
 
 
 def here(run: Run) -> Run:
@@ -117,7 +121,6 @@ def learn(
     """
     from stable_baselines3.common.logger import configure
 
-    need("ray.rllib", extra="ray", purpose=PURPOSE)
     model.set_logger(configure(str(run.path / TENSORBOARD), ["tensorboard"]))
     kept = Keeping(run, progress)
     with _session(on) as cores:
@@ -286,12 +289,32 @@ def _built(run: Run, model: Any, runners: int) -> Any:
         )
         logging.getLogger("ray.rllib").setLevel(logging.ERROR)
         try:
-            algorithm = config.build_algo()
+            with _silent():
+                algorithm = config.build_algo()
         except Exception as error:  # of Ray, of a worker, of anybody's environment
             raise InputError(f"the workers of RLlib cannot begin: {_told(error)}") from None
         algorithm.last = {}
         _leave_no_folder(Path(algorithm.logdir))
         return algorithm
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keeps Ray's library, which no logger reaches, from writing an error where there is none.
+
+    Of every env runner that may be begun again it tells what would happen if this process lost what
+    it holds for as long as it lives.
+    """
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 def _leave_no_folder(folder: Path) -> None:

@@ -1,8 +1,8 @@
 """Environments of one worker, normalised as `VecNormalize` does it, with statistics of many.
 
 Observations are scaled by their running mean and variance, rewards by the variance of the
-discounted return. Each worker goes on from the statistics of all, adds what it sees, and hands over what is
-new in them; whoever collects that joins it by the formulas for means and variances of two samples.
+discounted return. Each worker goes on from the statistics of all, adds what it sees, and hands over
+what is new in them; whoever collects that joins it by the formulas for two samples.
 """
 
 from __future__ import annotations

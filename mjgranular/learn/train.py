@@ -25,7 +25,7 @@ from mjgranular.learn.checkpoint import (
 )
 from mjgranular.learn.keeping import Keeping, refuse_not_finite
 from mjgranular.learn.normalizer import FILE as NORMALIZER
-from mjgranular.learn.on_ray import PURPOSE, check_runners, check_settings, here, learn
+from mjgranular.learn.on_ray import check_training, here, learn
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
@@ -87,10 +87,8 @@ def train(run: Run, *, report: Report | None = None, on: Workers | None = None) 
     torch.set_num_threads(1)
     run.check_environment()
     there = run  # as this process has it
+    check_training(run.settings, on)
     if on is not None and on.engine == "ray":
-        check_settings(run.settings)
-        check_runners(run.settings, on.count)
-        need("ray.rllib", extra="ray", purpose=PURPOSE)
         there = here(run)
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
@@ -138,7 +136,7 @@ def begin_episodes(model: Any, seed: int) -> None:
 
 def _warn_of_versions(run: Run) -> None:
     """Says so where a run goes on with other packages than it was begun with."""
-    now = current_versions()
+    now = current_versions("ray")
     changed = [
         f"{name} {then} (now {now.get(name)})"
         for name, then in run.versions.items()
