@@ -71,13 +71,13 @@ class SweepCommand(LinkOptions, EngineOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        _ = self.on  # which checks itself
+        _ = self.where  # which checks itself
         if self.resume and (self.out is None or self.overwrite):
             raise InputError("--resume goes on with the folder of --out, and overwrites nothing")
         if self.vary:
             return study.run(
                 self._study(),
-                self.on,
+                self.where,
                 place=self.out,
                 overwrite=self.overwrite,
                 resume=self.resume,

@@ -135,10 +135,7 @@ def evaluate(
             "make_agent is a function that is given the environments and gives who acts in them, "
             f"lambda env: policy for example, not {kind_of(make_agent)}"
         )
-    check_count("seeds", seeds)
-    check_count("first_seed", first_seed, least=0)
-    if seeds < LEAST_SEEDS:
-        raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
+    check_seeds(seeds, first_seed)
     episodes = run_episodes(
         env_id,
         {**arguments, **parse_variant(variant)},
@@ -147,6 +144,18 @@ def evaluate(
         progress=progress,
     )
     return Score(agent, env_id, variant, episodes)
+
+
+def check_seeds(seeds: int, first_seed: int) -> None:
+    """Refuses seeds that make no evaluation.
+
+    Raises:
+        InputError: says what would.
+    """
+    check_count("seeds", seeds)
+    check_count("first_seed", first_seed, least=0)
+    if seeds < LEAST_SEEDS:
+        raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
 
 
 def parse_variant(text: str) -> dict[str, Any]:
