@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -38,9 +38,13 @@ class EngineOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BlockEngineOptions(EngineOptions):
+class PlaceOptions:
     """The same for runs that by themselves use all cores of this machine."""
 
+    engine: Literal["local", "ray"] = "local"
+    """Processes of this machine, or Ray: on this machine, or with --address on a cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
+    """Head of a Ray cluster; auto for the one that this machine belongs to."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Number of processes. Default: this one on all cores; on Ray one a core."""
 
@@ -48,7 +52,22 @@ class BlockEngineOptions(EngineOptions):
     def where(self) -> Workers:
         """Where the runs are done."""
         count = 1 if self.engine == "local" and self.workers is None else self.workers
-        return Workers(self.engine, count, self.chunk, self.address)
+        return Workers(self.engine, count, None, self.address)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockEngineOptions(PlaceOptions):
+    """The same for runs in blocks, which go on."""
+
+    chunk: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Blocks that a process is given at a time. Default: about a second's worth."""
+    resume: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Go on with what the folder of --out holds, and refuse to begin anew."""
+
+    @property
+    def where(self) -> Workers:
+        """Where the runs are done."""
+        return replace(super().where, chunk=self.chunk)
 
 
 def check_resumed(journal: Journal, folder: object) -> None:
@@ -106,9 +125,9 @@ def kept(
         journal.close()
 
 
-def tell_interrupted(found: Mapped, size: int, place: Path | None) -> int:
+def tell_interrupted(found: Mapped, place: Path | None) -> int:
     """Says how far a run came that was broken off. Returns the exit status."""
     count = found.journal.count
     where = f", kept in {place}; the same command goes on" if place and count else ""
-    show_error(f"interrupted: {count} of {size} parts are finished{where}")
+    show_error(f"interrupted: {count} of {len(found.journal)} parts are finished{where}")
     return 2 if found.stopped_by is None else 128 + found.stopped_by

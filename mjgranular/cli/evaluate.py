@@ -73,7 +73,7 @@ class EvaluateCommand(BlockEngineOptions):
         with kept(journal, self.out, names, overwrite=self.overwrite, resume=self.resume) as folder:
             scores = self._scores(evaluation, journal)
             if isinstance(scores, Mapped):
-                return tell_interrupted(scores, len(evaluation.blocks()), self.out)
+                return tell_interrupted(scores, self.out)
             if folder is not None:
                 asked = {
                     "policies": list(self.policies),

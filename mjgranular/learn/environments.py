@@ -58,7 +58,12 @@ def several(
 
 
 def for_training(
-    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, processes: bool = False
+    env_id: str,
+    arguments: Mapping[str, Any],
+    *,
+    num_envs: int,
+    processes: bool = False,
+    threads: int | None = None,
 ) -> Any:
     """Several environments as a `VecEnv` of Stable-Baselines3, which reports finished episodes.
 
@@ -67,6 +72,7 @@ def for_training(
         arguments: of the environment.
         num_envs: how many.
         processes: whether each is stepped in a process of its own.
+        threads: of those that step in one batch; None for one a core.
 
     Raises:
         InputError: the arguments are not the environment's, or processes are asked for where
@@ -85,7 +91,10 @@ def for_training(
             lambda given: make_vec_env(env_id, n_envs=num_envs, env_kwargs=given),
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    env = _made(env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **given))
+    more = {} if threads is None else {"threads": threads}
+    env = _made(
+        env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **{**more, **given})
+    )
     return VecMonitor(env)
 
 

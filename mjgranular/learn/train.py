@@ -58,7 +58,13 @@ Report = Callable[[int, float | None], None]
 """Told the steps done and the mean return of the newest episodes (None before the first ends)."""
 
 
-def train(run: Run, *, report: Report | None = None, on: Workers | None = None) -> Training:
+def train(
+    run: Run,
+    *,
+    report: Report | None = None,
+    on: Workers | None = None,
+    threads: int | None = None,
+) -> Training:
     """Trains until `total_steps`, from the newest checkpoint if there is one.
 
     SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one at
@@ -74,6 +80,7 @@ def train(run: Run, *, report: Report | None = None, on: Workers | None = None) 
         on: where environments are stepped: None for this process, which also learns; on Ray as many
             env runners as its count says, to which a run may change with any checkpoint. There
             results depend on their number, and on what comes first.
+        threads: of a batch of environments; None for one a core. Results are the same.
 
     Raises:
         InputError: the environment, the algorithm or its arguments do not go together.
@@ -93,7 +100,7 @@ def train(run: Run, *, report: Report | None = None, on: Workers | None = None) 
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = _environments(there)
+    env = _environments(there, threads)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
@@ -148,7 +155,7 @@ def _warn_of_versions(run: Run) -> None:
         )
 
 
-def _environments(run: Run) -> Any:
+def _environments(run: Run, threads: int | None) -> Any:
     """The run's environments, normalised."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
@@ -159,6 +166,7 @@ def _environments(run: Run) -> Any:
         settings.environment,
         num_envs=settings.num_envs,
         processes=settings.processes,
+        threads=threads,
     )
     if not isinstance(env.observation_space, spaces.Box):
         env.close()
