@@ -14,6 +14,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from mjgranular.cli import main
 from mjgranular.errors import MissingExtraError
+from mjgranular.learn import search
+from mjgranular.learn.blocks import Actor, Evaluation, Job, run_evaluation
 from mjgranular.learn.on_ray import _training, check_training, here
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import begin_run, open_run
@@ -23,6 +25,7 @@ from mjgranular.learn.train import train
 from mjgranular.pool import Workers
 
 ID = "Pendulum-v1"
+CRAWL = "mjgranular/ChainCrawl-v0"
 TINY = ("num_envs=4", "n_steps=64", "batch_size=64", "n_epochs=2", "checkpoint_every=512")
 
 
@@ -225,6 +228,25 @@ def test_what_ray_has_trained_is_a_run_as_any_other(session, tmp_path, monkeypat
         further = train(open_run(run.path).extended(2560))
     assert further.began == done.progress.steps
     assert further.progress.steps >= 2560
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+def test_evaluations_and_searches_are_the_same_to_the_bit(session, monkeypatch):
+    policy = Actor("one", CRAWL, {"frame_skip": 2}, load_policy("ChainCrawl-v0/ppo-0"))
+    draws = Actor("two", ID, {}, "random")
+    evaluation = Evaluation([Job(policy, "max_episode_steps=20"), Job(draws)], 3)
+    expected = run_evaluation(evaluation)
+    short = {"frame_skip": 2, "max_episode_steps": 20}
+    monkeypatch.setattr(search, "AT_ONCE", 4)
+    found = search.search_gaits(CRAWL, short, count=8)
+    assert len(found.gaits) == 16
+    for on in (Workers("local", 2), Workers("ray", 2)):
+        scores = run_evaluation(evaluation, on=on)
+        for mine, theirs in zip(scores, expected, strict=True):
+            assert mine.as_json() == theirs.as_json()
+            assert np.array_equal(mine.episodes.returns, theirs.episodes.returns)
+        assert search.search_gaits(CRAWL, short, count=8, on=on) == found
 
 
 @pytest.mark.slow
