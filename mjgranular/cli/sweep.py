@@ -161,10 +161,7 @@ class SweepCommand(LinkOptions, EngineOptions):
         with progress_bar("dropping links", sweep.points) as progress:
             return run_sweep(
                 sweep,
-                engine=self.engine,
-                workers=self.workers,
-                chunk=self.chunk,
-                address=self.address,
+                workers=self.where,
                 progress=progress,
                 journal=journal,
             )

@@ -40,6 +40,11 @@ class Workers:
                 "--engine ray too"
             )
 
+    @classmethod
+    def of(cls, given: Workers | int | None) -> Workers:
+        """These; a number is that of processes of this machine."""
+        return given if isinstance(given, Workers) else cls(count=given)
+
 
 Chunk = tuple[tuple[int, Any], ...]
 """Tasks with their numbers."""

@@ -29,6 +29,7 @@ from pathlib import Path
 from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.table import write_csv
 from mjgranular.pool import UNFINISHED, Workers, map_tasks
+from mjgranular.pool.workers import Engine
 
 # Cheap, so that everything ends within minutes: what is looked at is who works, not what comes out.
 _LONG = Impact(speed=2.0, timestep=1e-4, scheme="explicit")  # some 4 ms a drop on a core
@@ -43,11 +44,16 @@ def study(drops: int, base: Impact) -> Study:
     return Study(base, {"speed": Between(1.0, 5.0), "angle": Between(0.6, 1.0)}, sample=drops)
 
 
-def table(some: Study, folder: Path | None = None, **how: object) -> tuple[bytes, StudyResult]:
+def table(
+    some: Study,
+    on: Workers,
+    folder: Path | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[bytes, StudyResult]:
     """The bytes of the table, and the result."""
     journal = journal_of(some, folder)
     journal.begin()
-    result = run_study(some, journal=journal, **how)  # pyright: ignore[reportArgumentType]
+    result = run_study(some, workers=on, journal=journal, progress=progress)
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "table.csv"
         write_csv(file, result.columns(), result.rows)
@@ -71,18 +77,19 @@ def children(engine: str) -> list[int]:
 def same(drops: int) -> None:
     """Files of one process, of two, and of Ray with 1, 2 and 4 workers."""
     some = study(drops, _SHORT)
-    expected, _ = table(some, workers=1)
-    for engine, workers in (("local", 2), ("ray", 1), ("ray", 2), ("ray", 4)):
-        found, _ = table(some, engine=engine, workers=workers)
+    expected, _ = table(some, Workers(count=1))
+    ways: tuple[tuple[Engine, int], ...] = (("local", 2), ("ray", 1), ("ray", 2), ("ray", 4))
+    for engine, workers in ways:
+        found, _ = table(some, Workers(engine, workers))
         assert found == expected, (engine, workers)
         told = f"{drops} drops on {engine} with {workers} workers, {len(found)} bytes: equal"
         print(f"same: {told}", flush=True)
 
 
-def kills(engine: str, count: int, draw: random.Random) -> None:
+def kills(engine: Engine, count: int, draw: random.Random) -> None:
     """Ends workers at random moments of several runs, five in each."""
     some = study(_KILLED, _LONG)
-    expected, _ = table(some, workers=1)
+    expected, _ = table(some, Workers(count=1))
     done = 0
     while done < count:
         moments = sorted(draw.sample(range(1, _KILLED - 10), 5))
@@ -108,8 +115,7 @@ def kills(engine: str, count: int, draw: random.Random) -> None:
                 timers[-1].start()
 
         with tempfile.TemporaryDirectory() as folder:
-            how = {"engine": engine, "workers": 2, "chunk": 3, "progress": progress}
-            found, result = table(some, Path(folder), **how)
+            found, result = table(some, Workers(engine, 2, 3), Path(folder), progress)
             for timer in timers:
                 timer.join()
             lines = (Path(folder) / UNFINISHED).read_text().count("\n")
@@ -126,7 +132,7 @@ def node() -> None:
     from ray.cluster_utils import Cluster
 
     some = study(60, _LONG)
-    expected, _ = table(some, workers=1)
+    expected, _ = table(some, Workers(count=1))
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     other = cluster.add_node(num_cpus=1)
     gone = threading.Event()
@@ -137,8 +143,8 @@ def node() -> None:
             cluster.remove_node(other, allow_graceful=False)
 
     try:
-        address = cluster.address
-        found, result = table(some, engine="ray", address=address, chunk=5, progress=progress)
+        on = Workers("ray", chunk=5, address=cluster.address)
+        found, result = table(some, on, progress=progress)
         assert gone.is_set()
         assert result.failed == 0
         assert found == expected
@@ -151,8 +157,9 @@ def node() -> None:
 def resume(count: int, draw: random.Random) -> None:
     """Breaks sweeps off, and goes on with them on the other engine."""
     some = study(60, _SHORT)
-    expected, _ = table(some, workers=1)
-    engines = itertools.cycle(("local", "ray"))
+    expected, _ = table(some, Workers(count=1))
+    both: tuple[Engine, Engine] = ("local", "ray")
+    engines = itertools.cycle(both)
     done, found = 0, b""
     while done < count:
         with tempfile.TemporaryDirectory() as folder:
@@ -166,8 +173,7 @@ def resume(count: int, draw: random.Random) -> None:
                     if finished >= stop:
                         raise KeyboardInterrupt
 
-                how = {"engine": engine, "workers": 2, "chunk": 3, "progress": progress}
-                found, result = table(some, Path(folder), **how)
+                found, result = table(some, Workers(engine, 2, 3), Path(folder), progress)
                 if not result.interrupted or result.finished == len(some):
                     break
                 done += 1
@@ -188,7 +194,7 @@ def _nap(_shared: object, seconds: float) -> dict[str, float]:
 def cost(rounds: int = 3) -> None:
     """Time between the end of a chunk and the beginning of the worker's next, interleaved."""
     for seconds, count in ((1.0, 16), (0.1, 60), (0.0, 400)):
-        least = {"local": 1e9, "ray": 1e9}
+        least: dict[Engine, float] = {"local": 1e9, "ray": 1e9}
         for _ in range(rounds):
             for engine in least:
                 least[engine] = min(least[engine], _between(engine, seconds, count))
@@ -199,12 +205,12 @@ def cost(rounds: int = 3) -> None:
         )
 
 
-def _between(engine: str, seconds: float, count: int) -> float:
+def _between(engine: Engine, seconds: float, count: int) -> float:
     """Mean time that a worker waits for its next chunk [s], of one task each."""
     found = map_tasks(
         _nap,
         [seconds] * count,
-        on=Workers(engine, 2, 1),  # pyright: ignore[reportArgumentType]
+        on=Workers(engine, 2, 1),
     )
     rows = sorted(found.journal.results(), key=lambda row: (row["worker"], row["begin"]))
     gaps = [

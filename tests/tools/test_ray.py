@@ -55,7 +55,7 @@ def expected(tmp_path_factory):
 
 def test_tables_are_the_same_to_the_bit(expected, tmp_path):
     for workers, chunk in ((1, 5), (2, None)):
-        result = run_study(STUDY, engine="ray", workers=workers, chunk=chunk)
+        result = run_study(STUDY, workers=Workers("ray", workers, chunk))
         assert table(result, tmp_path / "table.csv") == expected
     assert ray.is_initialized()  # the session that was there is left as it was
 
@@ -70,14 +70,14 @@ def test_a_sweep_goes_on_on_the_other_engine(expected, tmp_path):
         stopped.append(engine)
         journal = journal_of(STUDY, tmp_path)
         journal.begin()
-        how = {"engine": engine, "workers": 1, "chunk": 2, "journal": journal}
-        result = run_study(STUDY, **how, progress=stop)
+        on = Workers(engine, 1, 2)
+        result = run_study(STUDY, workers=on, journal=journal, progress=stop)
         assert result.interrupted
         assert 0 < result.finished < 24
         journal.close()
     journal = journal_of(STUDY, tmp_path)
     journal.begin()
-    result = run_study(STUDY, engine="ray", journal=journal)
+    result = run_study(STUDY, workers=Workers("ray"), journal=journal)
     assert table(result, tmp_path / "table.csv") == expected
     journal.close()
 
