@@ -84,10 +84,12 @@ class Lost(NamedTuple):
     Attributes:
         key: of the chunk.
         reason: what is known of it.
+        begun: whether it may have been at the chunk; not where it died before it could begin.
     """
 
     key: int
     reason: str
+    begun: bool = True
 
 
 class Pool(Protocol):

@@ -1,6 +1,6 @@
-"""The engine Ray: one session for all, since its start takes seconds.
+"""The engine Ray: one cluster of two nodes for all, since its start takes seconds.
 
-Nodes that go, and twenty workers ended, are in `scripts/attacks/workers.py`.
+Twenty workers ended, and a thousand drops, are in `scripts/attacks/workers.py`.
 """
 
 import operator
@@ -30,17 +30,17 @@ STUDY = Study(
 
 
 @pytest.fixture(scope="module", autouse=True)
-def session():
-    ray.init(
-        num_cpus=2,
-        include_dashboard=False,
-        logging_level="ERROR",
-        log_to_driver=False,
-        address="local",
-        object_store_memory=80 * 2**20,
-    )
-    yield
+def other_node():
+    """The node of the two that this process is not on."""
+    from ray.cluster_utils import Cluster
+
+    each = {"num_cpus": 1, "include_dashboard": False, "object_store_memory": 80 * 2**20}
+    cluster = Cluster(initialize_head=True, head_node_args=each)
+    other = cluster.add_node(**each)
+    ray.init(address=cluster.address, logging_level="ERROR", log_to_driver=False)
+    yield lambda: cluster.remove_node(other, allow_graceful=False)
     ray.shutdown()
+    cluster.shutdown()
 
 
 def table(result, path):
@@ -116,3 +116,18 @@ def test_other_versions_are_refused_before_anything_is_done(monkeypatch):
     with pytest.raises(InputError, match=r"mujoco .* there and 3.0 here"):
         map_tasks(operator.add, [1, 2], shared=1, on=Workers("ray"))
     assert time.monotonic() - before < 60
+
+
+def test_a_node_that_goes_costs_nothing(expected, other_node, tmp_path):
+    """The last of all: of the two nodes one is left."""
+    gone = []
+
+    def go(done):
+        if done > 3 and not gone:
+            gone.append(done)
+            other_node()
+
+    result = run_study(STUDY, workers=Workers("ray", chunk=2), progress=go)
+    assert gone
+    assert result.failed == 0
+    assert table(result, tmp_path / "table.csv") == expected
