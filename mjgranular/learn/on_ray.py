@@ -124,7 +124,7 @@ def learn(
     model.set_logger(configure(str(run.path / TENSORBOARD), ["tensorboard"]))
     kept = Keeping(run, progress)
     with _session(on) as cores:
-        algorithm = _built(run, model, _runners(run.settings, on.count, cores))
+        algorithm = built(run, model, _runners(run.settings, on.count, cores))
         try:
             normalizer = model.get_vec_normalize_env()
             algorithm.statistics = _statistics(normalizer)
@@ -222,7 +222,7 @@ def _largest_divisor(number: int, most: int) -> int:
     return max(k for k in range(1, min(number, most) + 1) if number % k == 0)
 
 
-def _built(run: Run, model: Any, runners: int) -> Any:
+def built(run: Run, model: Any, runners: int) -> Any:
     """The algorithm of RLlib, which writes nothing anywhere."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of RLlib's, on its own ways

@@ -100,14 +100,14 @@ def train(
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = _environments(there, threads)
+    env = environments_of(there, threads=threads)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
-            model, progress = _new_model(there, env), Progress(0, 0.0, [])
+            model, progress = new_model(there, env), Progress(0, 0.0, [])
         else:
             _warn_of_versions(run)
-            model, progress = load_checkpoint(newest, run, env, lambda: _new_model(there, env))
+            model, progress = load_checkpoint(newest, run, env, lambda: new_model(there, env))
             if progress.steps >= run.settings.total_steps:
                 if not has_policy(run, newest):  # the process was killed before that
                     write_policy(run, newest)
@@ -155,8 +155,8 @@ def _warn_of_versions(run: Run) -> None:
         )
 
 
-def _environments(run: Run, threads: int | None) -> Any:
-    """The run's environments, normalised."""
+def environments_of(run: Run, *, threads: int | None = None) -> Any:
+    """The environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -188,7 +188,8 @@ def _environments(run: Run, threads: int | None) -> Any:
     )
 
 
-def _new_model(run: Run, env: Any) -> Any:
+def new_model(run: Run, env: Any) -> Any:
+    """An algorithm of Stable-Baselines3 that has learned nothing yet."""
     settings = run.settings
     try:
         return algorithm_class(settings.algorithm)(

@@ -7,7 +7,8 @@
 `same` compares the files of `mjgranular sweep` from one process with those of Ray with 1, 2 and 4
 workers. `kills` ends worker processes at random moments. `node` takes a machine away from a cluster
 of two. `resume` breaks a sweep off and goes on with it on the other engine, again and again. `cost`
-measures what Ray takes beside what processes take. Needs the extra `ray`, and Linux.
+measures what Ray takes beside what processes take, `sampling` what a step in training does. Needs
+the extras `ray` and `train`, and Linux.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.table import write_csv
@@ -224,6 +226,52 @@ def _between(engine: Engine, seconds: float, count: int) -> float:
     return sum(gaps) / len(gaps)
 
 
+def _sample(runner: Any) -> float:
+    """Samples once on an env runner; the time of its processor that it took [s]."""
+    begin = time.process_time()
+    runner.sample()
+    return time.process_time() - begin
+
+
+def sampling(rounds: int = 8) -> None:
+    """Processor time of a rollout of ChainCrawl, by Stable-Baselines3 and by RLlib, interleaved."""
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from mjgranular.learn import find_settings, on_ray, train
+    from mjgranular.learn.run import begin_run
+
+    class Clock(BaseCallback):
+        def _on_rollout_start(self) -> None:
+            self.begin = time.process_time()
+
+        def _on_rollout_end(self) -> None:
+            least["Stable-Baselines3"] = min(
+                least["Stable-Baselines3"], time.process_time() - self.begin
+            )
+
+        def _on_step(self) -> bool:
+            return True
+
+    least = {"Stable-Baselines3": 1e9, "RLlib": 1e9}
+    env_id = "mjgranular/ChainCrawl-v0"
+    settings = find_settings(env_id)
+    with tempfile.TemporaryDirectory() as folder:
+        run = begin_run(Path(folder) / "run", env_id, settings, seed=0)
+        model = train.new_model(run, train.environments_of(run, threads=1))
+        there = train.new_model(on_ray.here(run), train.environments_of(on_ray.here(run)))
+        algorithm = on_ray.built(run, there, 1)
+        group = algorithm.env_runner_group
+        steps = settings.num_envs * settings.arguments["n_steps"]
+        for _ in range(rounds):
+            model.learn(steps, callback=Clock(), reset_num_timesteps=False)
+            (found,) = group.foreach_env_runner(_sample, local_env_runner=False)
+            least["RLlib"] = min(least["RLlib"], found)
+        algorithm.stop()
+    each = ", ".join(f"{name} {1e6 * value / steps:.0f} us" for name, value in least.items())
+    ratio = least["RLlib"] / least["Stable-Baselines3"]
+    print(f"sampling: a step of {env_id} by {each}; ratio {ratio:.2f}", flush=True)
+
+
 @contextmanager
 def _session() -> Iterator[None]:
     """One Ray for a check: its start is no part of any of them."""
@@ -245,7 +293,9 @@ def _session() -> Iterator[None]:
 def main() -> None:
     """Runs what is named, or everything."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", nargs="*", help="same, kills, node, resume, cost; default: all")
+    parser.add_argument(
+        "what", nargs="*", help="same, kills, node, resume, cost, sampling; default: all"
+    )
     parser.add_argument("--engine", choices=("local", "ray"), help="for kills; default: both")
     parser.add_argument("--count", type=int, default=20, help="of kills and of interruptions")
     parser.add_argument("--drops", type=int, default=1000, help="for same")
@@ -259,6 +309,7 @@ def main() -> None:
         "node": node,
         "resume": lambda: resume(given.count, draw),
         "cost": cost,
+        "sampling": sampling,
     }
     for name in given.what or checks:
         with nullcontext() if name == "node" else _session():
