@@ -235,6 +235,7 @@ def _sample(runner: Any) -> float:
 
 def sampling(rounds: int = 8) -> None:
     """Processor time of a rollout of ChainCrawl, by Stable-Baselines3 and by RLlib, interleaved."""
+    import torch
     from stable_baselines3.common.callbacks import BaseCallback
 
     from mjgranular.learn import find_settings, on_ray, train
@@ -255,6 +256,7 @@ def sampling(rounds: int = 8) -> None:
     least = {"Stable-Baselines3": 1e9, "RLlib": 1e9}
     env_id = "mjgranular/ChainCrawl-v0"
     settings = find_settings(env_id)
+    torch.set_num_threads(1)  # as in a training
     with tempfile.TemporaryDirectory() as folder:
         run = begin_run(Path(folder) / "run", env_id, settings, seed=0)
         model = train.new_model(run, train.environments_of(run, threads=1))
