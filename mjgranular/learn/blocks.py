@@ -69,7 +69,7 @@ class _Block(NamedTuple):
 
     job: int
     first_seed: int
-    count: int
+    seeds: int
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def _run_block(shared: tuple[Sequence[Job], int | None], block: _Block) -> dict[
         actor.environment,
         {**actor.arguments, **parse_variant(variant)},
         actor.make,
-        range(block.first_seed, block.first_seed + block.count),
+        range(block.first_seed, block.first_seed + block.seeds),
         threads=threads,
     )
     return {
@@ -185,7 +185,7 @@ def _plain(values: np.ndarray) -> list[str]:
 
 def _episodes(block: _Block, row: Mapping[str, Any]) -> Episodes:
     return Episodes(
-        np.arange(block.first_seed, block.first_seed + block.count),
+        np.arange(block.first_seed, block.first_seed + block.seeds),
         np.array([float(value) for value in row["returns"]]),
         np.array(row["lengths"], dtype=np.int64),
         {name: np.array([float(v) for v in values]) for name, values in row["figures"].items()},

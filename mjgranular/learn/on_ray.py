@@ -293,8 +293,7 @@ def built(run: Run, model: Any, runners: int) -> Any:
                 algorithm = config.build_algo()
         except Exception as error:  # of Ray, of a worker, of anybody's environment
             raise InputError(f"the workers of RLlib cannot begin: {_told(error)}") from None
-        algorithm.last = {}
-        _leave_no_folder(Path(algorithm.logdir))
+        _leave_no_folder(Path(str(algorithm.logdir)))
         return algorithm
 
 

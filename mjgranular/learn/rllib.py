@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -91,7 +92,8 @@ class SandLearner(PPOTorchLearner):
     _too_far = False
 
     def configure_optimizers_for_module(self, module_id: str, config: Any = None) -> None:
-        policy = self.module[module_id].unwrapped().policy
+        module: Any = self.module[module_id].unwrapped()
+        policy = module.policy
         self.register_optimizer(
             module_id=module_id,
             optimizer=policy.optimizer,
@@ -140,17 +142,18 @@ class SandLearner(PPOTorchLearner):
 class SandPPO(PPO):
     """PPO whose workers know the statistics of all."""
 
-    statistics: Statistics | None = None
+    statistics: Statistics
+    """Given by whoever trains, before the first rollout."""
+    last: Mapping[str, Any] = MappingProxyType({})
+    """What the last rollout and the updates from it gave."""
 
     def begin_rollout(self) -> None:
         """Gives the statistics to all workers, and draws noise anew."""
-        self.env_runner_group.foreach_env_runner(
-            partial(_begin_rollout, statistics=self.statistics), local_env_runner=False
-        )
+        self._each(partial(_begin_rollout, statistics=self.statistics))
 
     def take(self) -> list[tuple[Statistics, list[tuple[float, int]]]]:
         """What workers have seen: statistics, and return and length of episodes."""
-        return self.env_runner_group.foreach_env_runner(_take, local_env_runner=False)
+        return self._each(_take)
 
     def restore_env_runners(self, env_runner_group: Any) -> list[int]:
         restored = super().restore_env_runners(env_runner_group)
@@ -167,12 +170,15 @@ class SandPPO(PPO):
         states = model.policy.state_dict(), model.policy.optimizer.state_dict()
         self._learner(partial(_set_weights, states=states))
         # `sync_weights` would do nothing: workers compare counts of updates, and there was none.
-        self.env_runner_group.foreach_env_runner(
-            partial(_set_policy, state=states[0]), local_env_runner=False
-        )
+        self._each(partial(_set_policy, state=states[0]))
+
+    def _each(self, function: Callable[[Any], Any]) -> list[Any]:
+        group: Any = self.env_runner_group
+        return group.foreach_env_runner(function, local_env_runner=False)
 
     def _learner(self, function: Callable[[Any], Any]) -> Any:
-        (found,) = self.learner_group.foreach_learner(function)
+        group: Any = self.learner_group
+        (found,) = group.foreach_learner(function)
         return found.get()
 
 

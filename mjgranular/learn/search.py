@@ -83,10 +83,9 @@ def search_gaits(
     on = on or Workers(count=1)
     blocks = _blocks(gaits)
     alone = on.engine == "local" and on.count == 1
-    told = None
-    if progress is not None:
 
-        def told(done: int) -> None:
+    def told(done: int) -> None:
+        if progress is not None:
             progress(min(done * AT_ONCE, len(gaits)), len(gaits))
 
     found = map_tasks(

@@ -113,7 +113,7 @@ def train(
                     write_policy(run, newest)
                 return Training(progress, None, progress.steps)
         with collected_signals() as received:
-            if there is run:
+            if on is None or there is run:
                 saved = _learn(run, model, progress, report, received)
             else:
                 saved = learn(run, model, progress, on=on, report=report, received=received)

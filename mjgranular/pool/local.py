@@ -113,7 +113,7 @@ class Processes:
         worker.process.join(_PATIENCE)
         code = worker.process.exitcode
         killed = code is not None and code < 0
-        how = f"signal {-code}" if killed else f"status {code}"
+        how = f"signal {-(code or 0)}" if killed else f"status {code}"
         reason = f"its process was ended from outside ({how}), perhaps for lack of memory"
         if not worker.begun:
             self._stillborn += 1

@@ -168,7 +168,7 @@ def test_only_workers_that_may_have_been_at_a_chunk_count_against_it(begun, lost
     deaths = iter(range(5))
 
     class Dying(ThisProcess):
-        def wait(self):
+        def wait(self) -> list[Done | Lost]:
             key, chunk = self._chunks.popleft()
             if next(deaths, None) is not None or lost:
                 return [Lost(key, "it died", begun)]
