@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.learn import environments
-from mjgranular.learn.agents import BASELINES, Agent, make_baseline
+from mjgranular.learn.agents import BASELINES
+from mjgranular.learn.blocks import Actor
 from mjgranular.learn.policies import Policy, load_policy
 from mjgranular.learn.run import Run
-
-
-@dataclass(frozen=True)
-class Actor:
-    """Agent and environment.
-
-    Attributes:
-        name: for people.
-        environment: Gymnasium's id.
-        arguments: of the environment.
-        make: is given the environments and gives the agent.
-    """
-
-    name: str
-    environment: str
-    arguments: Mapping[str, Any]
-    make: Callable[[Any], Agent]
 
 
 def find_actor(
@@ -71,7 +54,7 @@ def find_actor(
             f"{agent} acts in the environment of {what}, whose policy is left alone: without "
             "--agent it is the policy that acts"
         )
-    return Actor(agent, env_id, arguments, lambda env: make_baseline(agent, env_id, env, gait=gait))
+    return Actor(agent, env_id, arguments, agent, gait)
 
 
 def _policy(what: str, policy: Policy, environment: str | None, trust: bool) -> Actor:
@@ -82,7 +65,7 @@ def _policy(what: str, policy: Policy, environment: str | None, trust: bool) -> 
     same = env_id == run.environment
     arguments = dict(run.settings.environment) if same else {}
     environments.find_spec(env_id)
-    return Actor(what, env_id, arguments, lambda env: policy.checked(env_id, env))
+    return Actor(what, env_id, arguments, policy)
 
 
 def _run_of(what: str) -> Run:

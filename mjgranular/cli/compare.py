@@ -10,6 +10,7 @@ import tyro
 from rich.table import Table
 
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
+from mjgranular.cli.engines import PlaceOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
 from mjgranular.experiment.folder import SUMMARY, ResultFolder
 from mjgranular.learn.compare import GROUNDS, Cell, compare
@@ -19,11 +20,12 @@ _FIGURE = "compare.png"
 
 
 @dataclass(frozen=True)
-class CompareCommand:
+class CompareCommand(PlaceOptions):
     """Trains a robot on rigid ground, on sand and on randomised sand; evaluates each on all.
 
     The runs lie in DIR. What is trained already is taken as it is: after an interruption the same
-    command goes on. Prints the mean return for each pair of grounds, and draws it.
+    command goes on. Workers take a run at a time; on a cluster all nodes must have DIR at the same
+    path. Prints the mean return for each pair of grounds, and draws it.
     """
 
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="Hopper|Hexapod")]
@@ -43,6 +45,7 @@ class CompareCommand:
 
     def run(self) -> int:
         """Runs the command."""
+        _ = self.where  # which checks itself
         if self.policies < 1:
             raise InputError(f"a comparison needs at least 1 policy, not {self.policies}")
         check_seeds(self.seeds)
@@ -61,6 +64,7 @@ class CompareCommand:
                 seeds=self.seeds,
                 total_steps=self.total_steps,
                 changes=self.set,
+                on=self.where,
                 report=lambda what, done: show(done, what),
             )
         if isinstance(cells, int):

@@ -67,10 +67,7 @@ def run(
             with progress_bar("running", len(study)) as progress:
                 result = run_study(
                     study,
-                    engine=on.engine,
-                    workers=on.count,
-                    chunk=on.chunk,
-                    address=on.address,
+                    workers=on,
                     journal=journal,
                     progress=progress,
                 )

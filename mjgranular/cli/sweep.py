@@ -71,13 +71,13 @@ class SweepCommand(LinkOptions, EngineOptions):
 
     def run(self) -> int:
         """Runs the command."""
-        _ = self.on  # which checks itself
+        _ = self.where  # which checks itself
         if self.resume and (self.out is None or self.overwrite):
             raise InputError("--resume goes on with the folder of --out, and overwrites nothing")
         if self.vary:
             return study.run(
                 self._study(),
-                self.on,
+                self.where,
                 place=self.out,
                 overwrite=self.overwrite,
                 resume=self.resume,
@@ -166,10 +166,7 @@ class SweepCommand(LinkOptions, EngineOptions):
         with progress_bar("dropping links", sweep.points) as progress:
             return run_sweep(
                 sweep,
-                engine=self.engine,
-                workers=self.workers,
-                chunk=self.chunk,
-                address=self.address,
+                workers=self.where,
                 progress=progress,
                 journal=journal,
             )

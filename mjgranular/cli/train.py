@@ -6,7 +6,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -14,9 +14,11 @@ from mjgranular.cli.console import err, out, print_json, progress_bar, show_erro
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
+from mjgranular.learn.on_ray import check_training
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.settings import Settings, change, find_settings
 from mjgranular.learn.train import Training, train
+from mjgranular.pool import Workers
 
 _REFRESH = 0.2  # [s]
 _FIGURE = "curve.png"
@@ -24,7 +26,7 @@ _FIGURE = "curve.png"
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3.
+    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3, or on Ray with PPO of RLlib.
 
     ENV is an id of Gymnasium's: `mjgranular envs` lists ours; any other goes too, `my_module:My-v0`
     for your own. Each has its settings in a file; --set changes them one by one. Ctrl-C or SIGTERM
@@ -48,6 +50,13 @@ class TrainCommand:
     """Settings to read in place of the environment's own."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
+    engine: Literal["local", "ray"] = "local"
+    """Step environments here, or by RLlib's env runners: on this machine, or with --address on a
+    cluster. A run may change with every --resume."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
+    """Head of a Ray cluster; auto for the one that this machine belongs to."""
+    env_runners: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """With --engine ray: processes that share num_envs evenly. Default: at most one a core."""
     processes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Step each environment in a process of its own: for your own, which are no batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -57,8 +66,16 @@ class TrainCommand:
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object at the end."""
 
+    @property
+    def on(self) -> Workers:
+        """Where environments are stepped."""
+        if self.env_runners is not None and self.engine != "ray":
+            raise InputError("--env-runners is for --engine ray")
+        return Workers(self.engine, self.env_runners, None, self.address)
+
     def run(self) -> int:
         """Runs the command."""
+        _ = self.on  # which checks itself
         run = self._begun() if self.resume is None else self._resumed(self.resume)
         with run.locked():
             if self.resume is not None:
@@ -99,7 +116,8 @@ class TrainCommand:
         path = self.out or Path("runs") / f"{short}-{settings.algorithm}-{seed}"
         # A mistake in the arguments of the environment is found before a folder is made.
         environments.one(self.environment, settings.environment).close()
-        return begin_run(path, self.environment, settings, seed=seed)
+        check_training(settings, self.on)
+        return begin_run(path, self.environment, settings, seed=seed, engine=self.engine)
 
     def _settings(self, environment: str) -> Settings:
         algorithm = None if self.algorithm is None else self.algorithm.lower()
@@ -137,7 +155,7 @@ class TrainCommand:
                     reached = "" if newest is None else f", return {newest:.4g}"
                     show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
 
-            return train(run, report=report)
+            return train(run, report=report, on=self.on)
 
     def _tell(self, run: Run, training: Training) -> int:
         progress = training.progress

@@ -18,7 +18,6 @@ from mjgranular.experiment.rows import Row, row_of
 from mjgranular.experiment.study import Experiment, Study, Value, column_of, value_in_table
 from mjgranular.given import check_kind
 from mjgranular.pool import Failure, Journal, Workers, map_tasks
-from mjgranular.pool.workers import Engine
 
 
 @dataclass(frozen=True)
@@ -75,10 +74,7 @@ class StudyResult:
 def run_study(
     study: Study,
     *,
-    engine: Engine = "local",
-    workers: int | None = None,
-    chunk: int | None = None,
-    address: str | None = None,
+    workers: Workers | int | None = None,
     journal: Journal | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> StudyResult:
@@ -89,10 +85,8 @@ def run_study(
 
     Args:
         study: the experiments.
-        engine: "local", processes of this machine, or "ray".
-        workers: how many run at once; None for one a core. 1 on this machine is this process.
-        chunk: experiments that a worker is given at a time; None for about a second's worth.
-        address: of a Ray cluster, HOST:PORT or "auto"; None for a Ray on this machine.
+        workers: where they run, such as `pool.Workers("ray")`; or how many processes of this
+            machine at once, None for one a core. 1 is this process.
         journal: `journal_of` the study, begun; None for one that is gone with the result.
         progress: called with the number of experiments done.
 
@@ -102,7 +96,6 @@ def run_study(
     check_kind(study, Study, "run_study", "Study(experiment, {'speed': [1.0, 2.0]})")
     if journal is not None:
         check_kind(journal, Journal, "run_study", "journal_of(study, folder), begun")
-    on = Workers(engine, workers, chunk, address)
     baggage = pack(study)
     if journal is None:
         journal = journal_of(study, None)
@@ -113,7 +106,7 @@ def run_study(
         _row,
         study,  # pyright: ignore[reportArgumentType] - what is asked of a sequence, it has
         shared=(study.experiment, baggage),
-        on=on,
+        on=Workers.of(workers),
         journal=journal,
         progress=progress,
     )

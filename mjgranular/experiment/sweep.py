@@ -17,7 +17,6 @@ from mjgranular.experiment.study import Study
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.given import check_count, check_kind, is_finite
 from mjgranular.pool import Journal, Workers, map_tasks
-from mjgranular.pool.workers import Engine
 from mjgranular.saved import number
 
 Over = Literal["speed", "angle"]
@@ -90,10 +89,7 @@ class SweepResult:
 def run_sweep(
     sweep: Sweep,
     *,
-    engine: Engine = "local",
-    workers: int | None = None,
-    chunk: int | None = None,
-    address: str | None = None,
+    workers: Workers | int | None = None,
     progress: Callable[[int], None] | None = None,
     finished: Mapping[int, dict[str, Any]] | None = None,
     keep: Callable[[int, dict[str, Any]], None] | None = None,
@@ -105,10 +101,8 @@ def run_sweep(
 
     Args:
         sweep: the drops.
-        engine: "local", processes of this machine, or "ray".
-        workers: number of processes; None for one a core. 1 runs them in this process.
-        chunk: drops that a process is given at a time; None for about a second's worth.
-        address: of a Ray cluster, HOST:PORT or "auto"; None for a Ray on this machine.
+        workers: where they run, such as `pool.Workers("ray")`; or the number of processes, None
+            for one a core. 1 runs them in this process.
         progress: called with the number of drops done.
         finished: summaries of drops that need not be run again, by their number in the sweep.
         keep: called with number and summary of each drop as soon as it is done.
@@ -118,7 +112,6 @@ def run_sweep(
         InputError: fewer than one worker, or an engine that cannot be used.
     """
     check_kind(sweep, Sweep, "run_sweep")
-    on = Workers(engine, workers, chunk, address)
     impacts = sweep.impacts()
     if journal is None:
         journal = sweep.journal(None)
@@ -129,7 +122,7 @@ def run_sweep(
         _drop,
         impacts,
         shared=pack(Study(sweep.impact, {sweep.over: values})),
-        on=on,
+        on=Workers.of(workers),
         journal=journal,
         progress=progress,
         answered=keep,

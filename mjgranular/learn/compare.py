@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.errors import OutputError, UnknownNameError
+from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.experiment.folder import CONFIG
-from mjgranular.learn.evaluate import Mean, evaluate, mean_of
+from mjgranular.learn.blocks import Actor, Evaluation, Job, run_evaluation
+from mjgranular.learn.evaluate import FIRST_SEED, Mean, Score, check_seeds, mean_of
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import train
+from mjgranular.pool import Mapped, Workers, map_tasks
 
 
 @dataclass(frozen=True)
@@ -91,11 +95,12 @@ def compare(
     seeds: int = 10,
     total_steps: int | None = None,
     changes: Sequence[str] = (),
+    on: Workers | None = None,
     report: Report | None = None,
 ) -> list[Cell] | int:
     """Trains what is not trained yet, and evaluates everything on everything.
 
-    The folder must be locked by the caller.
+    The folder must be locked by the caller. Numbers are the same wherever the work is done.
 
     Args:
         robot: one of `GROUNDS`.
@@ -104,6 +109,8 @@ def compare(
         seeds: episodes for each policy and ground.
         total_steps: of each training; None for that of the settings.
         changes: of the settings, as for `settings.change`; the same for all grounds.
+        on: where runs are trained and evaluated; None for this process, on all cores. All nodes of
+            a cluster must have the folder at the same path.
         report: told what is being done.
 
     Returns:
@@ -116,25 +123,44 @@ def compare(
     """
     if robot not in GROUNDS:
         raise UnknownNameError("robot to compare grounds with", robot, GROUNDS)
+    check_seeds(seeds, FIRST_SEED)
     grounds = GROUNDS[robot]
     runs: dict[str, list[Run]] = {name: [] for name in grounds}
     for seed in range(policies):
         for name, ground in grounds.items():
             path = folder / f"{name.replace(' ', '-')}-{seed}"
-            run = _run(path, robot, ground, seed, total_steps, changes)
-            runs[name].append(run)
-            stopped_by = _train(run, f"{robot} on {name}, seed {seed}", report)
-            if stopped_by is not None:
-                return stopped_by
-    cells = []
-    for name in grounds:
-        for other, ground in grounds.items():
-            if report is not None:
-                report(f"evaluating {name} on {other}", len(cells) / len(grounds) ** 2)
-            arguments = runs[other][0].settings.environment
-            on = Ground(ground.environment, arguments)
-            cells.append(Cell(name, other, _return_on(runs[name], on, seeds)))
-    return cells
+            runs[name].append(_run(path, robot, ground, seed, total_steps, changes))
+    on = on or Workers(count=1)
+    in_turn = [run for some in zip(*runs.values(), strict=True) for run in some]
+    stopped_by = _train_all(in_turn, on, report)
+    if stopped_by is not None:
+        return stopped_by
+    # Each policy in the order of the table: trained on, evaluated on.
+    pairs = [(name, other) for name in grounds for other in grounds]
+    jobs = [
+        Job(
+            Actor(
+                run.name,
+                grounds[other].environment,
+                runs[other][0].settings.environment,
+                load_policy(run.path),
+            )
+        )
+        for name, other in pairs
+        for run in runs[name]
+    ]
+    total = len(jobs) * seeds
+    scores = run_evaluation(
+        Evaluation(jobs, seeds),
+        on=on,
+        progress=None if report is None else lambda done: report("evaluating", done / total),
+    )
+    if isinstance(scores, Mapped):
+        return scores.stopped_by or signal.SIGINT
+    return [
+        Cell(name, other, _mean([score.episodes.returns for score in some]))
+        for (name, other), some in zip(pairs, _groups(scores, policies), strict=True)
+    ]
 
 
 def _run(
@@ -160,6 +186,47 @@ def _run(
     return run
 
 
+def _train_all(runs: Sequence[Run], on: Workers, report: Report | None) -> int | None:
+    """Trains runs that are not finished yet. Returns the signal that stopped it, if one did."""
+    if on.engine == "local" and on.count == 1:
+        for run in runs:
+            stopped_by = _train(run, f"training {run.path.name}", report)
+            if stopped_by is not None:
+                return stopped_by
+        return None
+    found = map_tasks(
+        _train_there,
+        [str(run.path.resolve()) for run in runs],
+        on=replace(on, chunk=1),
+        progress=None if report is None else lambda done: report("training", done / len(runs)),
+    )
+    if found.interrupted:
+        return found.stopped_by or signal.SIGINT
+    if found.failures:
+        failure = found.failures[0]
+        raise InputError(f"{runs[failure.index].path}: {failure.reason}")
+    return None
+
+
+def _train_there(_shared: None, path: str) -> bool:
+    """Trains a run, in whatever process.
+
+    Raises:
+        InputError: its folder is not there.
+    """
+    folder = Path(path)
+    if not (folder / CONFIG).exists():
+        raise InputError(
+            f"it is not on {socket.gethostname()}: compare trains in the folder of --out, which "
+            "all nodes must have at the same path"
+        )
+    run = replace(open_run(folder), trusted=True)
+    with run.locked():
+        if train(run, threads=1).stopped_by is not None:
+            raise InputError("its training was stopped from outside; the same command goes on")
+    return True
+
+
 def _train(run: Run, title: str, report: Report | None) -> int | None:
     with run.locked():
 
@@ -170,17 +237,10 @@ def _train(run: Run, title: str, report: Report | None) -> int | None:
         return train(run, report=tell).stopped_by
 
 
-def _return_on(runs: Sequence[Run], ground: Ground, seeds: int) -> Mean:
-    returns = []
-    for run in runs:
-        policy = load_policy(run.path)
-        score = evaluate(
-            run.name,
-            lambda env, policy=policy: policy.checked(ground.environment, env),
-            ground.environment,
-            ground.arguments,
-            seeds=seeds,
-        )
-        returns.append(score.episodes.returns)
+def _groups(scores: Sequence[Score], size: int) -> list[Sequence[Score]]:
+    return [scores[first : first + size] for first in range(0, len(scores), size)]
+
+
+def _mean(returns: Sequence[np.ndarray]) -> Mean:
     means = [float(np.mean(values)) for values in returns]
     return mean_of(means) if len(means) > 1 else mean_of(returns[0])

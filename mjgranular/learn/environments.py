@@ -37,22 +37,33 @@ def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
 
 
-def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
+def several(
+    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, threads: int | None = None
+) -> Any:
     """Several environments stepped together, a `gymnasium.vector.VectorEnv`.
 
-    Those that have a vector form run in it; others one after another.
+    Those that have a vector form run in it, on so many threads (None: one a core); others one after
+    another.
     """
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
+    more = {"threads": threads} if mode != "sync" and threads is not None else {}
     return _made(
         env_id,
         arguments,
-        lambda given: gym.make_vec(env_id, num_envs=num_envs, vectorization_mode=mode, **given),
+        lambda given: gym.make_vec(
+            env_id, num_envs=num_envs, vectorization_mode=mode, **{**more, **given}
+        ),
     )
 
 
 def for_training(
-    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, processes: bool = False
+    env_id: str,
+    arguments: Mapping[str, Any],
+    *,
+    num_envs: int,
+    processes: bool = False,
+    threads: int | None = None,
 ) -> Any:
     """Several environments as a `VecEnv` of Stable-Baselines3, which reports finished episodes.
 
@@ -61,6 +72,7 @@ def for_training(
         arguments: of the environment.
         num_envs: how many.
         processes: whether each is stepped in a process of its own.
+        threads: of those that step in one batch; None for one a core.
 
     Raises:
         InputError: the arguments are not the environment's, or processes are asked for where
@@ -79,7 +91,10 @@ def for_training(
             lambda given: make_vec_env(env_id, n_envs=num_envs, env_kwargs=given),
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    env = _made(env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **given))
+    more = {} if threads is None else {"threads": threads}
+    env = _made(
+        env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **{**more, **given})
+    )
     return VecMonitor(env)
 
 

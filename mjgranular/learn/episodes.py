@@ -12,7 +12,8 @@ from mjgranular.errors import InputError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 
-_AT_ONCE = 64
+AT_ONCE = 64
+"""Episodes that are stepped together."""
 LONGEST = 10_000
 """Steps after which an episode is ended that has no limit of its own."""
 
@@ -41,6 +42,7 @@ def run_episodes(
     seeds: Sequence[int],
     *,
     progress: Callable[[int], None] | None = None,
+    threads: int | None = None,
 ) -> Episodes:
     """Runs one episode for each seed.
 
@@ -50,19 +52,25 @@ def run_episodes(
         make_agent: is given the environments and gives who acts in them.
         seeds: of the environments' resets.
         progress: called with the number of episodes done.
+        threads: of a batch of ours; None for one a core.
     """
     if not seeds:
         raise InputError("at least one seed is needed")
     parts = []
-    for first in range(0, len(seeds), _AT_ONCE):
-        some = list(seeds[first : first + _AT_ONCE])
-        env = environments.several(env_id, arguments, num_envs=len(some))
+    for first in range(0, len(seeds), AT_ONCE):
+        some = list(seeds[first : first + AT_ONCE])
+        env = environments.several(env_id, arguments, num_envs=len(some), threads=threads)
         try:
             parts.append(
                 _run(env, make_agent(env), some, lambda n, f=first: progress and progress(f + n))
             )
         finally:
             env.close()
+    return joined(parts)
+
+
+def joined(parts: Sequence[Episodes]) -> Episodes:
+    """Episodes one after the other, with the figures that all have."""
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
     return Episodes(
         np.concatenate([part.seeds for part in parts]),

@@ -104,17 +104,6 @@ class Score:
         }
 
 
-def check_seeds(seeds: int) -> None:
-    """Refuses fewer episodes than an interval needs.
-
-    Raises:
-        InputError: says how many it needs.
-    """
-    check_count("seeds", seeds)
-    if seeds < LEAST_SEEDS:
-        raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
-
-
 def evaluate(
     agent: str,
     make_agent: Callable[[Any], Agent],
@@ -146,8 +135,7 @@ def evaluate(
             "make_agent is a function that is given the environments and gives who acts in them, "
             f"lambda env: policy for example, not {kind_of(make_agent)}"
         )
-    check_seeds(seeds)
-    check_count("first_seed", first_seed, least=0)
+    check_seeds(seeds, first_seed)
     episodes = run_episodes(
         env_id,
         {**arguments, **parse_variant(variant)},
@@ -156,6 +144,18 @@ def evaluate(
         progress=progress,
     )
     return Score(agent, env_id, variant, episodes)
+
+
+def check_seeds(seeds: int, first_seed: int = FIRST_SEED) -> None:
+    """Refuses seeds that make no evaluation.
+
+    Raises:
+        InputError: says what would.
+    """
+    check_count("seeds", seeds)
+    check_count("first_seed", first_seed, least=0)
+    if seeds < LEAST_SEEDS:
+        raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
 
 
 def parse_variant(text: str) -> dict[str, Any]:

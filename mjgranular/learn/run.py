@@ -156,8 +156,17 @@ class Run:
         )
 
 
-def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: int) -> Run:
+def begin_run(
+    path: Path | str, environment: str, settings: Settings, *, seed: int, engine: str = "local"
+) -> Run:
     """Makes the folder of a new run. Of two processes that try at once one is refused.
+
+    Args:
+        path: the folder.
+        environment: Gymnasium's id.
+        settings: resolved.
+        seed: all random numbers follow from it.
+        engine: that it is trained with, whose version is noted too.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written to.
@@ -167,7 +176,8 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
         raise InputError(f"a seed is a whole number from 0 to {2**31 - 1}, not {seed}")
     if not is_text(environment):
         raise InputError(f"an environment has a name that can be printed, not {environment!r}")
-    run = Run(path, environment, settings, seed, current_versions(), trusted=True)
+    packages = ("ray",) if engine == "ray" else ()
+    run = Run(path, environment, settings, seed, current_versions(*packages), trusted=True)
     started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
     if path.exists() and not path.is_dir():
         raise OutputError(f"cannot write to {path}: it is not a folder")
@@ -189,9 +199,9 @@ def _held(path: Path) -> OutputError:
     )
 
 
-def current_versions() -> dict[str, Any]:
-    """Versions of the packages that a training depends on."""
-    return versions(*_PACKAGES)
+def current_versions(*further: str) -> dict[str, Any]:
+    """Versions of the packages that a training depends on, and of `further`."""
+    return versions(*_PACKAGES, *further)
 
 
 def open_run(path: Path, *, trust: bool = False) -> Run:

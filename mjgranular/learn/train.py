@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 import signal
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular import files
-from mjgranular.errors import InputError, UnstableError, warn_user
+from mjgranular.errors import InputError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.extras import need
 from mjgranular.learn import environments
@@ -22,10 +21,11 @@ from mjgranular.learn.checkpoint import (
     Progress,
     has_policy,
     load_checkpoint,
-    save_checkpoint,
     write_policy,
 )
+from mjgranular.learn.keeping import Keeping, refuse_not_finite
 from mjgranular.learn.normalizer import FILE as NORMALIZER
+from mjgranular.learn.on_ray import check_training, here, learn
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
@@ -33,12 +33,10 @@ from mjgranular.learn.run import (
     TENSORBOARD,
     Run,
     current_versions,
-    curve_text,
 )
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
 from mjgranular.learn.weights import policy_arguments
-
-_ROWS_PER_CHECKPOINT = 5  # of the learning curve
+from mjgranular.pool import Workers
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,13 @@ Report = Callable[[int, float | None], None]
 """Told the steps done and the mean return of the newest episodes (None before the first ends)."""
 
 
-def train(run: Run, *, report: Report | None = None) -> Training:
+def train(
+    run: Run,
+    *,
+    report: Report | None = None,
+    on: Workers | None = None,
+    threads: int | None = None,
+) -> Training:
     """Trains until `total_steps`, from the newest checkpoint if there is one.
 
     SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one at
@@ -72,7 +76,11 @@ def train(run: Run, *, report: Report | None = None) -> Training:
 
     Args:
         run: what to train.
-        report: called at every step of the environments.
+        report: called at every step of the environments; on Ray after each rollout.
+        on: where environments are stepped: None for this process, which also learns; on Ray as many
+            env runners as its count says, to which a run may change with any checkpoint. There
+            results depend on their number, and on what comes first.
+        threads: of a batch of environments; None for one a core. Results are the same.
 
     Raises:
         InputError: the environment, the algorithm or its arguments do not go together.
@@ -85,22 +93,36 @@ def train(run: Run, *, report: Report | None = None) -> Training:
     # Networks of this size are quicker on one thread; the other cores step environments.
     torch.set_num_threads(1)
     run.check_environment()
+    there = run  # as this process has it
+    check_training(run.settings, on)
+    if on is not None and on.engine == "ray":
+        there = here(run)
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = _environments(run)
+    env = environments_of(there, threads=threads)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
-            model, progress = _new_model(run, env), Progress(0, 0.0, [])
+            model, progress = new_model(there, env), Progress(0, 0.0, [])
         else:
             _warn_of_versions(run)
-            model, progress = load_checkpoint(newest, run, env, lambda: _new_model(run, env))
+            model, progress = load_checkpoint(newest, run, env, lambda: new_model(there, env))
             if progress.steps >= run.settings.total_steps:
                 if not has_policy(run, newest):  # the process was killed before that
                     write_policy(run, newest)
                 return Training(progress, None, progress.steps)
-        return _learn(run, model, progress, report)
+        with collected_signals() as received:
+            if on is None or there is run:
+                saved = _learn(run, model, progress, report, received)
+            else:
+                saved = learn(run, model, progress, on=on, report=report, received=received)
+        # Of a signal after the last step nothing is left to be stopped.
+        finished = saved.steps >= run.settings.total_steps
+        stopped_by = received[0] if received and not finished else None
+        if stopped_by is None:
+            write_policy(run, run.checkpoint_folder(saved.steps))
+        return Training(saved, stopped_by, progress.steps)
     finally:
         env.close()
 
@@ -121,7 +143,7 @@ def begin_episodes(model: Any, seed: int) -> None:
 
 def _warn_of_versions(run: Run) -> None:
     """Says so where a run goes on with other packages than it was begun with."""
-    now = current_versions()
+    now = current_versions("ray")
     changed = [
         f"{name} {then} (now {now.get(name)})"
         for name, then in run.versions.items()
@@ -133,8 +155,8 @@ def _warn_of_versions(run: Run) -> None:
         )
 
 
-def _environments(run: Run) -> Any:
-    """The run's environments, normalised."""
+def environments_of(run: Run, *, threads: int | None = None) -> Any:
+    """The environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -144,6 +166,7 @@ def _environments(run: Run) -> Any:
         settings.environment,
         num_envs=settings.num_envs,
         processes=settings.processes,
+        threads=threads,
     )
     if not isinstance(env.observation_space, spaces.Box):
         env.close()
@@ -165,7 +188,8 @@ def _environments(run: Run) -> Any:
     )
 
 
-def _new_model(run: Run, env: Any) -> Any:
+def new_model(run: Run, env: Any) -> Any:
+    """An algorithm of Stable-Baselines3 that has learned nothing yet."""
     settings = run.settings
     try:
         return algorithm_class(settings.algorithm)(
@@ -202,65 +226,45 @@ class _StoppedError(Exception):
     """Leaves the algorithm's loop."""
 
 
-def _learn(run: Run, model: Any, progress: Progress, report: Report | None) -> Training:
+def _learn(
+    run: Run, model: Any, progress: Progress, report: Report | None, received: list[int]
+) -> Progress:
     from stable_baselines3.common.logger import configure
 
     model.set_logger(configure(str(run.path / TENSORBOARD), ["tensorboard"]))
-    # Rows after the checkpoint that is gone on from belong to what was lost.
-    files.write_text(run.path / CURVE, curve_text(progress.curve))
-    keeper = _keeper(run, progress, report)
+    keeper = _keeper(run, progress, report, received)
     begin_episodes(model, run.seed)
-    with _signals() as received:
-        keeper.received = received
-        try:
-            model.learn(
-                run.settings.total_steps - progress.steps,
-                callback=keeper,
-                reset_num_timesteps=False,
-            )
-        except _StoppedError:
-            model.num_timesteps = keeper.rollout_start
-        except ValueError:
-            _refuse_not_finite(model, run)  # that is how the algorithm notices it
-            raise
-        saved = keeper.save()
+    try:
+        model.learn(
+            run.settings.total_steps - progress.steps,
+            callback=keeper,
+            reset_num_timesteps=False,
+        )
+    except _StoppedError:
+        model.num_timesteps = keeper.rollout_start
+    except ValueError:
+        refuse_not_finite(model, run)  # that is how the algorithm notices it
+        raise
+    saved = keeper.save()
     model.logger.close()
-    # Of a signal after the last step nothing is left to be stopped.
-    finished = saved.steps >= run.settings.total_steps
-    stopped_by = received[0] if received and not finished else None
-    if stopped_by is None:
-        write_policy(run, run.checkpoint_folder(saved.steps))
-    return Training(saved, stopped_by, progress.steps)
+    return saved
 
 
-def _keeper(run: Run, progress: Progress, report: Report | None) -> Any:
+def _keeper(run: Run, progress: Progress, report: Report | None, received: Sequence[int]) -> Any:
     """The callback that keeps the curve and the checkpoints."""
     # Its base class comes with an optional package: hence a class within a function.
     from stable_baselines3.common.callbacks import BaseCallback
 
-    every = run.settings.checkpoint_every
-    row_every = max(1, every // _ROWS_PER_CHECKPOINT)
-
     class Keeper(BaseCallback):
         def __init__(self) -> None:
             super().__init__()
-            self.received: list[int] = []
             self.rollout_start = progress.steps
-            self.curve = list(progress.curve)
-            self.began = time.monotonic()
-            self.next_checkpoint = (progress.steps // every + 1) * every
-            self.next_row = (progress.steps // row_every + 1) * row_every
-            self.ended: list[dict[str, float]] = []  # episodes since the last row
-            self.newest: float | None = None
+            self.kept = Keeping(run, progress)
 
         def _on_rollout_start(self) -> None:
             self.rollout_start = self.num_timesteps
             self._stop_if_asked()
-            if self.num_timesteps >= self.next_row:
-                self.next_row = (self.num_timesteps // row_every + 1) * row_every
-                self._add_row()
-            if self.num_timesteps >= self.next_checkpoint:
-                self.next_checkpoint = (self.num_timesteps // every + 1) * every
+            if self.kept.is_due(self.num_timesteps):
                 self.save()
                 begin_episodes(self.model, run.seed)
                 policy: Any = self.model.policy
@@ -268,60 +272,27 @@ def _keeper(run: Run, progress: Progress, report: Report | None) -> Any:
                     policy.reset_noise(self.training_env.num_envs)
 
         def _on_step(self) -> bool:
-            self.ended += [info["episode"] for info in self.locals["infos"] if "episode" in info]
-            if self.ended:
-                newest = self.ended[-20:]
-                self.newest = float(np.mean([episode["r"] for episode in newest]))
+            for info in self.locals["infos"]:
+                if "episode" in info:
+                    self.kept.end_episode(info["episode"]["r"], info["episode"]["l"])
             if report is not None:
-                report(self.num_timesteps, self.newest)
+                report(self.num_timesteps, self.kept.newest)
             self._stop_if_asked()
             return True
 
         def _stop_if_asked(self) -> None:
-            if self.received:
+            if received:
                 raise _StoppedError
-
-        def _add_row(self) -> None:
-            if self.ended:
-                returns = [float(episode["r"]) for episode in self.ended]
-                lengths = [float(episode["l"]) for episode in self.ended]
-                row = (
-                    self.num_timesteps,
-                    round(self.seconds(), 3),
-                    len(returns),
-                    float(np.mean(returns)),
-                    float(np.mean(lengths)),
-                )
-                self.curve.append(row)
-                self.ended = []
-                files.write_text(run.path / CURVE, curve_text(self.curve))
-
-        def seconds(self) -> float:
-            """Spent in training, this sitting and those before it [s]."""
-            return progress.seconds + time.monotonic() - self.began
 
         def save(self) -> Progress:
             """Writes a checkpoint."""
-            _refuse_not_finite(self.model, run)
-            self._add_row()
-            reached = Progress(self.model.num_timesteps, self.seconds(), tuple(self.curve))
-            save_checkpoint(run, self.model, reached)
-            return reached
+            return self.kept.save(self.model)
 
     return Keeper()
 
 
-def _refuse_not_finite(model: Any, run: Run) -> None:
-    torch = need("torch", extra="train", purpose="Training a policy")
-    if not all(bool(torch.isfinite(p).all()) for p in model.policy.parameters()):
-        raise UnstableError(
-            f"{run.name}: the policy's numbers are not finite after {model.num_timesteps} steps; "
-            "the checkpoints before are whole: begin a new run with a smaller learning_rate"
-        )
-
-
 @contextmanager
-def _signals() -> Iterator[list[int]]:
+def collected_signals() -> Iterator[list[int]]:
     """Collects SIGTERM and SIGINT; the second one acts at once, as ever."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():

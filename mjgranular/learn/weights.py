@@ -121,6 +121,17 @@ def policy_arguments(settings: Settings) -> dict[str, Any]:
     return {"net_arch": list(settings.net), "activation_fn": activation, **settings.policy}
 
 
+def new_policy(settings: Settings, observation_space: Any, action_space: Any) -> Any:
+    """A fresh policy of Stable-Baselines3 as the settings describe it, a `BasePolicy`."""
+    sb3 = need("stable_baselines3", extra="train", purpose=_PURPOSE)
+    arguments = policy_arguments(settings)
+    if settings.algorithm != "td3":
+        arguments["use_sde"] = bool(settings.arguments.get("use_sde", False))
+    return getattr(sb3, settings.algorithm).MlpPolicy(
+        observation_space, action_space, lambda _: 0.0, **arguments
+    )
+
+
 def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
     """The policy that the settings describe, with these weights: a `BasePolicy`.
 
@@ -132,15 +143,9 @@ def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
     Raises:
         OutputError: weights and settings do not go together.
     """
-    sb3 = need("stable_baselines3", extra="train", purpose=_PURPOSE)
     check_size(settings, weights, file)
-    arguments = policy_arguments(settings)
-    if settings.algorithm != "td3":
-        arguments["use_sde"] = bool(settings.arguments.get("use_sde", False))
     try:
-        policy = getattr(sb3, settings.algorithm).MlpPolicy(
-            weights.observation_space, weights.action_space, lambda _: 0.0, **arguments
-        )
+        policy = new_policy(settings, weights.observation_space, weights.action_space)
         policy.load_state_dict(weights.parameters["policy"])
     except Exception as error:  # settings may be anything
         raise OutputError(

@@ -57,6 +57,12 @@ class Journal:
     def __del__(self) -> None:
         self.close()
 
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __bool__(self) -> bool:
+        return True  # also one of no tasks
+
     def __contains__(self, index: int) -> bool:
         return self._places[index] != _NONE
 

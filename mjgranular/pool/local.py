@@ -17,7 +17,9 @@ from mjgranular.errors import InputError
 from mjgranular.pool.chunk import Function, run_chunk
 from mjgranular.pool.workers import Chunk, Done, Lost
 
-_STILLBORN = 3  # workers that end before they have begun, until none of them is taken to be able to
+# Workers that end before they have begun, one after the other, until none is taken to be able to.
+_STILLBORN = 3  # by themselves
+_KILLED = 10  # from outside; chosen
 _PATIENCE = 5.0  # [s] for a process to end by itself; chosen
 
 
@@ -109,16 +111,20 @@ class Processes:
         self._workers.remove(worker)
         worker.line.close()
         worker.process.join(_PATIENCE)
-        self._stillborn += not worker.begun
-        if self._stillborn == _STILLBORN:
-            raise InputError(
-                "the worker processes end before they begin: a script needs "
-                'if __name__ == "__main__": around what it does, or 1 worker'
-            )
         code = worker.process.exitcode
-        how = f"signal {-code}" if code is not None and code < 0 else f"status {code}"
+        killed = code is not None and code < 0
+        how = f"signal {-(code or 0)}" if killed else f"status {code}"
         reason = f"its process was ended from outside ({how}), perhaps for lack of memory"
-        return [] if worker.key is None else [Lost(worker.key, reason)]
+        if not worker.begun:
+            self._stillborn += 1
+            if self._stillborn >= _STILLBORN and not killed:
+                raise InputError(
+                    "the worker processes end before they begin: a script needs "
+                    'if __name__ == "__main__": around what it does, or 1 worker'
+                )
+            if self._stillborn >= _KILLED:
+                raise InputError(f"no worker can begin: {reason}")
+        return [] if worker.key is None else [Lost(worker.key, reason, worker.begun)]
 
     def _start(self) -> _Worker:
         ours, theirs = self._context.Pipe()

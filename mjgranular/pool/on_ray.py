@@ -31,6 +31,48 @@ class _Refused(NamedTuple):
     reason: str
 
 
+def begin_ray(workers: Workers) -> tuple[Any, bool]:
+    """Begins a session of Ray, or finds the one that this process has.
+
+    Args:
+        workers: where; how many cores a Ray on this machine is told of.
+
+    Returns:
+        The module, and whether the session was begun now, so that it is for the caller to end.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+        InputError: no cluster answers at the address, or it is one of another version of Ray.
+    """
+    ray = need("ray", extra="ray", purpose="The engine ray")
+    if ray.is_initialized():
+        return ray, False
+    common: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
+    if workers.address is None:
+        common |= {
+            "num_cpus": workers.count or os.cpu_count(),
+            "object_store_memory": _STORE,
+            "include_dashboard": False,
+            "address": "local",  # whatever RAY_ADDRESS says
+        }
+    else:
+        _check_answers(workers.address)
+        common["address"] = workers.address
+    try:
+        with _signals_kept():
+            ray.init(**common)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        said = " ".join(str(error).split())
+        where = f"the cluster at {workers.address}" if workers.address else "this machine"
+        raise InputError(f"Ray cannot be used on {where}: {said}") from None
+    return ray, True
+
+
+def cores_of(ray: Any) -> int:
+    """Cores of all nodes of the session."""
+    return max(1, int(ray.cluster_resources().get("CPU", 1)))
+
+
 class RayPool:
     """Tasks of Ray.
 
@@ -48,11 +90,8 @@ class RayPool:
     """
 
     def __init__(self, function: Function, shared: Any, workers: Workers) -> None:
-        self._ray = need("ray", extra="ray", purpose="The engine ray")
-        self._mine = not self._ray.is_initialized()
-        if self._mine:
-            self._begin(workers)
-        cores = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        self._ray, self._mine = begin_ray(workers)
+        cores = cores_of(self._ray)
         self.count = min(workers.count or cores, cores)
         # Ray itself holds back what is more than its cores; we, what is more than we were told.
         self.slots = self.count if self.count < cores else _AHEAD * cores
@@ -60,26 +99,6 @@ class RayPool:
         # How often a chunk is begun is not for Ray to say: see `tasks`.
         self._run = self._ray.remote(num_cpus=1, max_retries=0)(_run)
         self._under_way: dict[Any, int] = {}
-
-    def _begin(self, workers: Workers) -> None:
-        common: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
-        if workers.address is None:
-            common |= {
-                "num_cpus": workers.count or os.cpu_count(),
-                "object_store_memory": _STORE,
-                "include_dashboard": False,
-                "address": "local",  # whatever RAY_ADDRESS says
-            }
-        else:
-            _check_answers(workers.address)
-            common["address"] = workers.address
-        try:
-            with _signals_kept():
-                self._ray.init(**common)
-        except (ConnectionError, RuntimeError, ValueError) as error:
-            said = " ".join(str(error).split())
-            where = f"the cluster at {workers.address}" if workers.address else "this machine"
-            raise InputError(f"Ray cannot be used on {where}: {said}") from None
 
     def submit(self, key: int, chunk: Chunk) -> None:
         self._under_way[self._run.remote(self._work, chunk)] = key

@@ -186,6 +186,7 @@ class _Run:
 
     def _take(self, batch: _Batch, found: Done | Lost) -> None:
         if isinstance(found, Lost):
+            batch.tries -= not found.begun
             self._lose(batch, found.reason)
         else:
             each = found.seconds / len(found.answers)

@@ -40,6 +40,11 @@ class Workers:
                 "--engine ray too"
             )
 
+    @classmethod
+    def of(cls, given: Workers | int | None) -> Workers:
+        """These; a number is that of processes of this machine."""
+        return given if isinstance(given, Workers) else cls(count=given)
+
 
 Chunk = tuple[tuple[int, Any], ...]
 """Tasks with their numbers."""
@@ -79,10 +84,12 @@ class Lost(NamedTuple):
     Attributes:
         key: of the chunk.
         reason: what is known of it.
+        begun: whether it may have been at the chunk; not where it died before it could begin.
     """
 
     key: int
     reason: str
+    begun: bool = True
 
 
 class Pool(Protocol):

@@ -48,7 +48,7 @@ from mjgranular.learn import train as _training  # noqa: F401  its imports are n
 from mjgranular.learn.checkpoint import load_checkpoint
 from mjgranular.learn.policies import last_return, load_policy
 from mjgranular.learn.run import begin_run, open_run
-from mjgranular.learn.train import _environments, _new_model, train
+from mjgranular.learn.train import environments_of, new_model, train
 from mjgranular.picture.video import Film, frames_of_run
 
 SECONDS = 5.0
@@ -133,11 +133,11 @@ def read_everything(kind: str, folder: Path) -> None:
     def resume() -> None:
         run = open_run(folder)
         run.check_environment()
-        env = _environments(run)
+        env = environments_of(run)
         try:
             newest = run.newest_checkpoint()
             if newest is not None:
-                load_checkpoint(newest, run, env, lambda: _new_model(run, env))
+                load_checkpoint(newest, run, env, lambda: new_model(run, env))
         finally:
             env.close()
 

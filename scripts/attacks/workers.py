@@ -7,7 +7,8 @@
 `same` compares the files of `mjgranular sweep` from one process with those of Ray with 1, 2 and 4
 workers. `kills` ends worker processes at random moments. `node` takes a machine away from a cluster
 of two. `resume` breaks a sweep off and goes on with it on the other engine, again and again. `cost`
-measures what Ray takes beside what processes take. Needs the extra `ray`, and Linux.
+measures what Ray takes beside what processes take, `sampling` what a step in training does. Needs
+the extras `ray` and `train`, and Linux.
 """
 
 from __future__ import annotations
@@ -25,14 +26,17 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.table import write_csv
 from mjgranular.pool import UNFINISHED, Workers, map_tasks
+from mjgranular.pool.workers import Engine
 
-_LONG = Impact(speed=2.0, timestep=1e-5)  # some 30 ms a drop
+# Cheap, so that everything ends within minutes: what is looked at is who works, not what comes out.
+_LONG = Impact(speed=2.0, timestep=1e-4, scheme="explicit")  # some 4 ms a drop on a core
+_SHORT = Impact(speed=2.0, timestep=2e-4, duration=0.02, scheme="explicit")  # 2 ms
 _KILLED = 60  # drops of a run in which workers are killed
-_SHORT = Impact(speed=2.0, timestep=1e-4)
 
 
 def study(drops: int, base: Impact) -> Study:
@@ -42,11 +46,16 @@ def study(drops: int, base: Impact) -> Study:
     return Study(base, {"speed": Between(1.0, 5.0), "angle": Between(0.6, 1.0)}, sample=drops)
 
 
-def table(some: Study, folder: Path | None = None, **how: object) -> tuple[bytes, StudyResult]:
+def table(
+    some: Study,
+    on: Workers,
+    folder: Path | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[bytes, StudyResult]:
     """The bytes of the table, and the result."""
     journal = journal_of(some, folder)
     journal.begin()
-    result = run_study(some, journal=journal, **how)  # pyright: ignore[reportArgumentType]
+    result = run_study(some, workers=on, journal=journal, progress=progress)
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "table.csv"
         write_csv(file, result.columns(), result.rows)
@@ -70,21 +79,25 @@ def children(engine: str) -> list[int]:
 def same(drops: int) -> None:
     """Files of one process, of two, and of Ray with 1, 2 and 4 workers."""
     some = study(drops, _SHORT)
-    expected, _ = table(some, workers=1)
-    for engine, workers in (("local", 2), ("ray", 1), ("ray", 2), ("ray", 4)):
-        found, _ = table(some, engine=engine, workers=workers)
+    expected, _ = table(some, Workers(count=1))
+    ways: tuple[tuple[Engine, int], ...] = (("local", 2), ("ray", 1), ("ray", 2), ("ray", 4))
+    for engine, workers in ways:
+        found, _ = table(some, Workers(engine, workers))
         assert found == expected, (engine, workers)
         told = f"{drops} drops on {engine} with {workers} workers, {len(found)} bytes: equal"
         print(f"same: {told}", flush=True)
 
 
-def kills(engine: str, count: int, draw: random.Random) -> None:
-    """Ends workers at random moments of several runs, five in each."""
+def kills(engine: Engine, count: int, draw: random.Random) -> None:
+    """Ends workers at random moments of several runs, two in each.
+
+    Three that hit one chunk are its end, and it would be right to say so.
+    """
     some = study(_KILLED, _LONG)
-    expected, _ = table(some, workers=1)
+    expected, _ = table(some, Workers(count=1))
     done = 0
     while done < count:
-        moments = sorted(draw.sample(range(1, _KILLED - 10), 5))
+        moments = sorted(draw.sample(range(1, _KILLED - 10), 2))
         timers: list[threading.Timer] = []
         ended: list[int] = []
 
@@ -107,8 +120,7 @@ def kills(engine: str, count: int, draw: random.Random) -> None:
                 timers[-1].start()
 
         with tempfile.TemporaryDirectory() as folder:
-            how = {"engine": engine, "workers": 2, "chunk": 3, "progress": progress}
-            found, result = table(some, Path(folder), **how)
+            found, result = table(some, Workers(engine, 2, 3), Path(folder), progress)
             for timer in timers:
                 timer.join()
             lines = (Path(folder) / UNFINISHED).read_text().count("\n")
@@ -125,7 +137,7 @@ def node() -> None:
     from ray.cluster_utils import Cluster
 
     some = study(60, _LONG)
-    expected, _ = table(some, workers=1)
+    expected, _ = table(some, Workers(count=1))
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     other = cluster.add_node(num_cpus=1)
     gone = threading.Event()
@@ -136,8 +148,8 @@ def node() -> None:
             cluster.remove_node(other, allow_graceful=False)
 
     try:
-        address = cluster.address
-        found, result = table(some, engine="ray", address=address, chunk=5, progress=progress)
+        on = Workers("ray", chunk=5, address=cluster.address)
+        found, result = table(some, on, progress=progress)
         assert gone.is_set()
         assert result.failed == 0
         assert found == expected
@@ -150,8 +162,9 @@ def node() -> None:
 def resume(count: int, draw: random.Random) -> None:
     """Breaks sweeps off, and goes on with them on the other engine."""
     some = study(60, _SHORT)
-    expected, _ = table(some, workers=1)
-    engines = itertools.cycle(("local", "ray"))
+    expected, _ = table(some, Workers(count=1))
+    both: tuple[Engine, Engine] = ("local", "ray")
+    engines = itertools.cycle(both)
     done, found = 0, b""
     while done < count:
         with tempfile.TemporaryDirectory() as folder:
@@ -165,8 +178,7 @@ def resume(count: int, draw: random.Random) -> None:
                     if finished >= stop:
                         raise KeyboardInterrupt
 
-                how = {"engine": engine, "workers": 2, "chunk": 3, "progress": progress}
-                found, result = table(some, Path(folder), **how)
+                found, result = table(some, Workers(engine, 2, 3), Path(folder), progress)
                 if not result.interrupted or result.finished == len(some):
                     break
                 done += 1
@@ -187,7 +199,7 @@ def _nap(_shared: object, seconds: float) -> dict[str, float]:
 def cost(rounds: int = 3) -> None:
     """Time between the end of a chunk and the beginning of the worker's next, interleaved."""
     for seconds, count in ((1.0, 16), (0.1, 60), (0.0, 400)):
-        least = {"local": 1e9, "ray": 1e9}
+        least: dict[Engine, float] = {"local": 1e9, "ray": 1e9}
         for _ in range(rounds):
             for engine in least:
                 least[engine] = min(least[engine], _between(engine, seconds, count))
@@ -198,12 +210,12 @@ def cost(rounds: int = 3) -> None:
         )
 
 
-def _between(engine: str, seconds: float, count: int) -> float:
+def _between(engine: Engine, seconds: float, count: int) -> float:
     """Mean time that a worker waits for its next chunk [s], of one task each."""
     found = map_tasks(
         _nap,
         [seconds] * count,
-        on=Workers(engine, 2, 1),  # pyright: ignore[reportArgumentType]
+        on=Workers(engine, 2, 1),
     )
     rows = sorted(found.journal.results(), key=lambda row: (row["worker"], row["begin"]))
     gaps = [
@@ -212,6 +224,54 @@ def _between(engine: str, seconds: float, count: int) -> float:
         if before["worker"] == after["worker"]
     ]
     return sum(gaps) / len(gaps)
+
+
+def _sample(runner: Any) -> float:
+    """Samples once on an env runner; the time of its processor that it took [s]."""
+    begin = time.process_time()
+    runner.sample()
+    return time.process_time() - begin
+
+
+def sampling(rounds: int = 8) -> None:
+    """Processor time of a rollout of ChainCrawl, by Stable-Baselines3 and by RLlib, interleaved."""
+    import torch
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    from mjgranular.learn import find_settings, on_ray, train
+    from mjgranular.learn.run import begin_run
+
+    class Clock(BaseCallback):
+        def _on_rollout_start(self) -> None:
+            self.begin = time.process_time()
+
+        def _on_rollout_end(self) -> None:
+            least["Stable-Baselines3"] = min(
+                least["Stable-Baselines3"], time.process_time() - self.begin
+            )
+
+        def _on_step(self) -> bool:
+            return True
+
+    least = {"Stable-Baselines3": 1e9, "RLlib": 1e9}
+    env_id = "mjgranular/ChainCrawl-v0"
+    settings = find_settings(env_id)
+    torch.set_num_threads(1)  # as in a training
+    with tempfile.TemporaryDirectory() as folder:
+        run = begin_run(Path(folder) / "run", env_id, settings, seed=0)
+        model = train.new_model(run, train.environments_of(run, threads=1))
+        there = train.new_model(on_ray.here(run), train.environments_of(on_ray.here(run)))
+        algorithm = on_ray.built(run, there, 1)
+        group = algorithm.env_runner_group
+        steps = settings.num_envs * settings.arguments["n_steps"]
+        for _ in range(rounds):
+            model.learn(steps, callback=Clock(), reset_num_timesteps=False)
+            (found,) = group.foreach_env_runner(_sample, local_env_runner=False)
+            least["RLlib"] = min(least["RLlib"], found)
+        algorithm.stop()
+    each = ", ".join(f"{name} {1e6 * value / steps:.0f} us" for name, value in least.items())
+    ratio = least["RLlib"] / least["Stable-Baselines3"]
+    print(f"sampling: a step of {env_id} by {each}; ratio {ratio:.2f}", flush=True)
 
 
 @contextmanager
@@ -235,7 +295,9 @@ def _session() -> Iterator[None]:
 def main() -> None:
     """Runs what is named, or everything."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", nargs="*", help="same, kills, node, resume, cost; default: all")
+    parser.add_argument(
+        "what", nargs="*", help="same, kills, node, resume, cost, sampling; default: all"
+    )
     parser.add_argument("--engine", choices=("local", "ray"), help="for kills; default: both")
     parser.add_argument("--count", type=int, default=20, help="of kills and of interruptions")
     parser.add_argument("--drops", type=int, default=1000, help="for same")
@@ -249,6 +311,7 @@ def main() -> None:
         "node": node,
         "resume": lambda: resume(given.count, draw),
         "cost": cost,
+        "sampling": sampling,
     }
     for name in given.what or checks:
         with nullcontext() if name == "node" else _session():

@@ -17,6 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from mjgranular import files
 from mjgranular.cli import main
+from mjgranular.cli.agents import find_actor
 from mjgranular.errors import (
     GranularWarning,
     InputError,
@@ -26,6 +27,7 @@ from mjgranular.errors import (
 )
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Random, Zero
+from mjgranular.learn.blocks import Evaluation, Job
 from mjgranular.learn.episodes import run_episodes
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
 from mjgranular.learn.normalizer import (
@@ -498,6 +500,33 @@ def test_evaluate_prints_means_and_writes_them(trained, tmp_path, capfd):
     assert ID in capfd.readouterr().out
 
 
+def test_an_evaluation_goes_on_and_that_of_another_policy_does_not(trained, tmp_path, capfd):
+    command = ["evaluate", str(trained.path), "--on", "g=5.0", "--seeds", "2", "--json"]
+    kept = [*command, "--out", str(tmp_path / "scores"), "--resume"]
+    assert main(kept) == 2
+    assert "nothing to go on with" in capfd.readouterr().err
+    assert main([*command, "--resume"]) == 2
+    assert "--resume goes on with the folder of --out" in capfd.readouterr().err
+    actor = find_actor(str(trained.path))
+    evaluation = Evaluation([Job(actor), Job(actor, "g=5.0")], 2)
+    (tmp_path / "scores").mkdir()
+    journal = evaluation.journal(tmp_path / "scores")
+    journal.keep([(1, {"returns": ["-1.0", "-2.0"], "lengths": [200, 200], "figures": {}})])
+    journal.close()
+    assert main([*kept, "--first-seed", "5"]) == 2
+    assert "begun with another first_seed" in capfd.readouterr().err
+    assert main(kept) == 0
+    captured = capfd.readouterr()
+    assert "1 parts are finished" in captured.err
+    first, second = json.loads(captured.out)
+    assert second["return"]["values"] == [-1.0, -2.0]  # not computed again
+    alone = evaluate("", actor.make, ID, {}, seeds=2)
+    assert first["return"]["values"] == list(alone.returned.values)
+    names = {file.name for file in (tmp_path / "scores").iterdir()}
+    assert names >= {"config.json", "summary.json"}
+    assert "unfinished.jsonl" not in names
+
+
 def test_a_policy_for_another_environment_is_refused(trained, capfd):
     assert main(["evaluate", str(trained.path), "--env", "Swimmer-v5"]) == 2
     said = capfd.readouterr().err
@@ -612,7 +641,7 @@ def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
     small = ["num_envs=2", "n_steps=32", "batch_size=64", "n_epochs=1", "checkpoint_every=1000"]
     command = ["compare", "Hopper", "--policies", "1", "--seeds", "2", "--total-steps", "64"]
     command += ["--json", "--out", str(tmp_path), "--set", *small]
-    assert main(command) == 0
+    assert main([*command, "--workers", "2"]) == 0
     cells = json.loads(capfd.readouterr().out)
     grounds = ["rigid", "sand", "randomised sand"]
     assert [(cell["trained_on"], cell["on"]) for cell in cells] == [
@@ -623,6 +652,9 @@ def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
     assert main(command) == 0
     assert json.loads(capfd.readouterr().out) == cells
     assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("policy.zip")}
+    shutil.rmtree(tmp_path / "rigid-0")  # what a worker has trained this process trains alike
+    assert main(command) == 0
+    assert json.loads(capfd.readouterr().out) == cells
     assert main([*command, "gamma=0.5"]) == 2
     assert "other settings" in capfd.readouterr().err
     assert main(["compare", "Snake"]) == 2

@@ -14,8 +14,12 @@ import pytest
 from mjgranular.cli import main
 from mjgranular.errors import InputError, MissingExtraError, OutputError, UnknownNameError
 from mjgranular.pool import UNFINISHED, Journal, Workers, map_tasks
+from mjgranular.pool import tasks as handing
+from mjgranular.pool.chunk import run_chunk
+from mjgranular.pool.local import ThisProcess
 from mjgranular.pool.on_ray import RayPool, _run
 from mjgranular.pool.versions import mismatch, versions
+from mjgranular.pool.workers import Done, Lost
 
 HERE = Workers(count=1)
 
@@ -156,6 +160,24 @@ def test_a_worker_that_dies_costs_nothing_but_a_task_that_kills_does():
     assert "tried 3 times" in mapped.failures[0].reason
     assert results(mapped) == [0, 1, 3]
     assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize(("begun", "lost"), [(False, 0), (True, 3)])
+def test_only_workers_that_may_have_been_at_a_chunk_count_against_it(begun, lost, monkeypatch):
+    """Five workers die, before or after they have begun; three that had are the end of a task."""
+    deaths = iter(range(5))
+
+    class Dying(ThisProcess):
+        def wait(self) -> list[Done | Lost]:
+            key, chunk = self._chunks.popleft()
+            if next(deaths, None) is not None or lost:
+                return [Lost(key, "it died", begun)]
+            return [Done(key, *run_chunk(operator.add, 1, chunk))]
+
+    monkeypatch.setattr(handing, "ThisProcess", Dying)
+    mapped = map_tasks(operator.add, [1, 2, 3], shared=1, on=Workers(count=1, chunk=3))
+    assert mapped.lost == lost
+    assert results(mapped) == ([] if lost else [2, 3, 4])
 
 
 # Ray, as far as it needs none

@@ -1,6 +1,6 @@
-"""The engine Ray: one session for all, since its start takes seconds.
+"""The engine Ray: one cluster of two nodes for all, since its start takes seconds.
 
-Nodes that go, and twenty workers ended, are in `scripts/attacks/workers.py`.
+Twenty workers ended, and a thousand drops, are in `scripts/attacks/workers.py`.
 """
 
 import operator
@@ -30,17 +30,17 @@ STUDY = Study(
 
 
 @pytest.fixture(scope="module", autouse=True)
-def session():
-    ray.init(
-        num_cpus=2,
-        include_dashboard=False,
-        logging_level="ERROR",
-        log_to_driver=False,
-        address="local",
-        object_store_memory=80 * 2**20,
-    )
-    yield
+def other_node():
+    """The node of the two that this process is not on."""
+    from ray.cluster_utils import Cluster
+
+    each = {"num_cpus": 1, "include_dashboard": False, "object_store_memory": 80 * 2**20}
+    cluster = Cluster(initialize_head=True, head_node_args=each)
+    other = cluster.add_node(**each)
+    ray.init(address=cluster.address, logging_level="ERROR", log_to_driver=False)
+    yield lambda: cluster.remove_node(other, allow_graceful=False)
     ray.shutdown()
+    cluster.shutdown()
 
 
 def table(result, path):
@@ -55,7 +55,7 @@ def expected(tmp_path_factory):
 
 def test_tables_are_the_same_to_the_bit(expected, tmp_path):
     for workers, chunk in ((1, 5), (2, None)):
-        result = run_study(STUDY, engine="ray", workers=workers, chunk=chunk)
+        result = run_study(STUDY, workers=Workers("ray", workers, chunk))
         assert table(result, tmp_path / "table.csv") == expected
     assert ray.is_initialized()  # the session that was there is left as it was
 
@@ -70,14 +70,14 @@ def test_a_sweep_goes_on_on_the_other_engine(expected, tmp_path):
         stopped.append(engine)
         journal = journal_of(STUDY, tmp_path)
         journal.begin()
-        how = {"engine": engine, "workers": 1, "chunk": 2, "journal": journal}
-        result = run_study(STUDY, **how, progress=stop)
+        on = Workers(engine, 1, 2)
+        result = run_study(STUDY, workers=on, journal=journal, progress=stop)
         assert result.interrupted
         assert 0 < result.finished < 24
         journal.close()
     journal = journal_of(STUDY, tmp_path)
     journal.begin()
-    result = run_study(STUDY, engine="ray", journal=journal)
+    result = run_study(STUDY, workers=Workers("ray"), journal=journal)
     assert table(result, tmp_path / "table.csv") == expected
     journal.close()
 
@@ -116,3 +116,18 @@ def test_other_versions_are_refused_before_anything_is_done(monkeypatch):
     with pytest.raises(InputError, match=r"mujoco .* there and 3.0 here"):
         map_tasks(operator.add, [1, 2], shared=1, on=Workers("ray"))
     assert time.monotonic() - before < 60
+
+
+def test_a_node_that_goes_costs_nothing(expected, other_node, tmp_path):
+    """The last of all: of the two nodes one is left."""
+    gone = []
+
+    def go(done):
+        if done > 3 and not gone:
+            gone.append(done)
+            other_node()
+
+    result = run_study(STUDY, workers=Workers("ray", chunk=2), progress=go)
+    assert gone
+    assert result.failed == 0
+    assert table(result, tmp_path / "table.csv") == expected

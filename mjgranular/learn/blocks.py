@@ -1,0 +1,212 @@
+"""Evaluations of many agents on many grounds, in blocks of episodes that workers take.
+
+A block is stepped together, and is the same wherever it is: so are the numbers, to the last bit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.learn.agents import Agent, make_baseline
+from mjgranular.learn.episodes import AT_ONCE, Episodes, joined, run_episodes
+from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, parse_variant
+from mjgranular.learn.policies import Policy
+from mjgranular.pool import Journal, Mapped, Workers, map_tasks
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Agent and environment; can be sent to other processes.
+
+    Attributes:
+        name: for people.
+        environment: Gymnasium's id.
+        arguments: of the environment.
+        who: a policy, or the name of a baseline.
+        gait: parameters of the baseline `gait`, where they differ from its own.
+    """
+
+    name: str
+    environment: str
+    arguments: Mapping[str, Any]
+    who: Policy | str
+    gait: Mapping[str, float] | None = None
+
+    def make(self, env: Any) -> Agent:
+        """Who acts in an environment, or in several."""
+        if isinstance(self.who, str):
+            return make_baseline(self.who, self.environment, env, gait=self.gait)
+        return self.who.checked(self.environment, env)
+
+    def config(self) -> dict[str, Any]:
+        """What its episodes follow from, in plain values."""
+        who = self.who if isinstance(self.who, str) else _digest(self.who)
+        gait = None if self.gait is None else dict(self.gait)
+        return {**vars(self), "arguments": dict(self.arguments), "who": who, "gait": gait}
+
+
+class Job(NamedTuple):
+    """An agent on a variant of its environment.
+
+    Attributes:
+        actor: the agent.
+        variant: `name=value,...`, changes of its environment's arguments; "" for none.
+    """
+
+    actor: Actor
+    variant: str = ""
+
+
+class _Block(NamedTuple):
+    """Episodes that are stepped together: of which job, and their seeds."""
+
+    job: int
+    first_seed: int
+    seeds: int
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What is evaluated.
+
+    Attributes:
+        jobs: agents and where they act.
+        seeds: episodes of each, one a seed.
+        first_seed: the others follow it.
+    """
+
+    jobs: Sequence[Job]
+    seeds: int = 10
+    first_seed: int = FIRST_SEED
+
+    def __post_init__(self) -> None:
+        check_seeds(self.seeds, self.first_seed)
+
+    def blocks(self) -> list[_Block]:
+        """The episodes, job by job."""
+        return [
+            _Block(job, self.first_seed + done, min(AT_ONCE, self.seeds - done))
+            for job in range(len(self.jobs))
+            for done in range(0, self.seeds, AT_ONCE)
+        ]
+
+    def journal(self, folder: Path | None) -> Journal:
+        """The episodes that a folder keeps; None for a file that is soon gone."""
+        asked = {
+            "jobs": [{**job.actor.config(), "variant": job.variant} for job in self.jobs],
+            "seeds": self.seeds,
+            "first_seed": self.first_seed,
+        }
+        return Journal(folder, asked, len(self.blocks()), _is_block)
+
+
+def run_evaluation(
+    evaluation: Evaluation,
+    *,
+    on: Workers | None = None,
+    journal: Journal | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[Score] | Mapped:
+    """Runs all episodes. Numbers are the same wherever that is.
+
+    Args:
+        evaluation: what is evaluated.
+        on: where blocks of episodes are stepped; None for this process, on all cores.
+        journal: `evaluation.journal`, begun; None for one that is gone with the result.
+        progress: called with the number of episodes that are done.
+
+    Returns:
+        A score for each job; where it was interrupted, what was done until then.
+
+    Raises:
+        InputError: a job that cannot be run; says which, and why.
+    """
+    on = on or Workers(count=1)
+    blocks = evaluation.blocks()
+    if journal is None:
+        journal = evaluation.journal(None)
+        journal.begin()
+    alone = on.engine == "local" and on.count == 1
+    found = map_tasks(
+        _run_block,
+        blocks,
+        shared=(tuple(evaluation.jobs), None if alone else 1),
+        on=on,
+        journal=journal,
+        progress=None
+        if progress is None
+        else lambda done: progress(done * evaluation.seeds * len(evaluation.jobs) // len(blocks)),
+    )
+    if found.interrupted:
+        return found
+    for failure in found.failures:
+        job = evaluation.jobs[blocks[failure.index].job]
+        raise InputError(
+            failure.reason if len(evaluation.jobs) == 1 else f"{job.actor.name}: {failure.reason}"
+        )
+    parts: list[list[Episodes]] = [[] for _ in evaluation.jobs]
+    for block, row in zip(blocks, journal.results(), strict=True):
+        parts[block.job].append(_episodes(block, row))
+    return [
+        Score(job.actor.name, job.actor.environment, job.variant, joined(some))
+        for job, some in zip(evaluation.jobs, parts, strict=True)
+    ]
+
+
+def _run_block(shared: tuple[Sequence[Job], int | None], block: _Block) -> dict[str, Any]:
+    """Episodes of one block as plain values, in whatever process."""
+    jobs, threads = shared
+    actor, variant = jobs[block.job]
+    found = run_episodes(
+        actor.environment,
+        {**actor.arguments, **parse_variant(variant)},
+        actor.make,
+        range(block.first_seed, block.first_seed + block.seeds),
+        threads=threads,
+    )
+    return {
+        "returns": _plain(found.returns),
+        "lengths": found.lengths.tolist(),
+        "figures": {name: _plain(values) for name, values in found.figures.items()},
+    }
+
+
+def _plain(values: np.ndarray) -> list[str]:
+    # As texts, which read back the same: JSON has no infinity.
+    return [repr(float(value)) for value in values]
+
+
+def _episodes(block: _Block, row: Mapping[str, Any]) -> Episodes:
+    return Episodes(
+        np.arange(block.first_seed, block.first_seed + block.seeds),
+        np.array([float(value) for value in row["returns"]]),
+        np.array(row["lengths"], dtype=np.int64),
+        {name: np.array([float(v) for v in values]) for name, values in row["figures"].items()},
+    )
+
+
+def _is_block(row: Mapping[str, Any]) -> bool:
+    try:
+        count = len(row["returns"])
+        found = _episodes(_Block(0, 0, count), row)
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
+        return False
+    arrays = [found.returns, found.lengths, *found.figures.values()]
+    return all(array.shape == (count,) for array in arrays)
+
+
+def _digest(policy: Policy) -> str:
+    """Of all its numbers: one that was trained on is another."""
+    digest = hashlib.sha256()
+    for name, value in policy.model.state_dict().items():
+        digest.update(name.encode() + value.numpy().tobytes())
+    if policy.normalizer is not None:
+        digest.update(policy.normalizer.mean.tobytes() + policy.normalizer.variance.tobytes())
+    return digest.hexdigest()
