@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import mujoco
@@ -34,6 +35,12 @@ HEIGHT_FIELD_DTYPE = np.dtype(
 _heights = records(np.dtype(np.float32))
 
 
+@partial(compiled, inline=True)
+def height_of(field, k):
+    """The datum with that number, as a height [m]."""
+    return _heights(field.data, field.rows * field.columns)[k] * field.elevation
+
+
 @compiled
 def height_field_probe(field, point):
     """Depth along the normal of the bilinear surface above or below the point; the normal."""
@@ -43,7 +50,6 @@ def height_field_probe(field, point):
     if not (abs(place.x) <= field.half_x and abs(place.y) <= field.half_y):
         beside = max(abs(place.x) - field.half_x, abs(place.y) - field.half_y)
         return (-beside if beside > 0.0 else math.nan), axes @ vector(0.0, 0.0, 1.0)
-    heights = _heights(field.data, field.rows * field.columns)
     step_x = 2.0 * field.half_x / (field.columns - 1)
     step_y = 2.0 * field.half_y / (field.rows - 1)
     u = (place.x + field.half_x) / step_x
@@ -53,9 +59,9 @@ def height_field_probe(field, point):
     u -= column
     v -= row
     k = row * field.columns + column
-    h00, h10 = heights[k] * field.elevation, heights[k + 1] * field.elevation
+    h00, h10 = height_of(field, k), height_of(field, k + 1)
     k += field.columns
-    h01, h11 = heights[k] * field.elevation, heights[k + 1] * field.elevation
+    h01, h11 = height_of(field, k), height_of(field, k + 1)
     height = (1 - v) * ((1 - u) * h00 + u * h10) + v * ((1 - u) * h01 + u * h11)
     slope_x = ((1 - v) * (h10 - h00) + v * (h11 - h01)) / step_x
     slope_y = ((1 - u) * (h01 - h00) + u * (h11 - h10)) / step_y
