@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 
 from mjgranular.kernel.motion import Motion
+from mjgranular.law.facet_slope import RAMP
 from mjgranular.law.kernel import LawKernel, Level, Pose
 from mjgranular.law.multiplier import TWO_LIMITS
 from mjgranular.warp.translate import struct, struct_of, translated
@@ -38,6 +39,7 @@ Damping = struct("Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.ma
 # A force that is all but perpendicular to the motion has no secant; its power counts as at least
 # this share of |F| |v|. Chosen.
 _LEAST_POWER = 0.02
+TURN = wp.constant(1.0)
 
 _Motion, _Pose, _Level = struct_of(Motion), struct_of(Pose), struct_of(Level)
 
@@ -104,7 +106,12 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
     ceiling = translated(kernel.probe) if has_cull else _no_ceiling
     adds_mass = kernel.added is not None
     added = translated(kernel.added) if adds_mass else _nothing_added
-    damping_of = _two_limits(respond) if kernel.multiplier is TWO_LIMITS else _one_limit(respond)
+    if kernel.multiplier is TWO_LIMITS:
+        damping_of = _two_limits(respond)
+    elif "spread_1" in kernel.samples._fields:
+        damping_of = _facet(respond)
+    else:
+        damping_of = _one_limit(respond)
 
     @wp.kernel(module="unique", enable_backward=False)
     def resist(
@@ -229,6 +236,43 @@ def _one_limit(respond: Any) -> Any:
 
 
 @functools.cache
+def _facet(respond: Any) -> Any:
+    """Makes the function for facets, which a turn of the motion makes lead or not.
+
+    On the ramp over which a face begins to lead, its force changes with the direction of motion by
+    much more than by its secant: as much is added across the motion, where it does nothing to the
+    force at the velocity that is foreseen.
+    """
+
+    @wp.func
+    def damping_of(
+        found: Any, law: Any, g: float, v: wp.vec3, eps: float, strong: float, dense: float
+    ):
+        square = wp.dot(v, v)
+        speed = wp.sqrt(square)
+        u = wp.vec3(0.0, 0.0, -1.0)
+        per_speed = float(0.0)
+        if speed > 0.0:
+            per_speed = 1.0 / speed
+            u = per_speed * v
+        soft = strong * _soft(square, eps)
+        static, by_p, drag, by_v = respond(found, law, g, v, u, eps)
+        c = secant(soft * static + (dense * per_speed) * drag, u)
+        n = found.normal
+        lead = wp.dot(n, u)
+        edge = wp.abs(wp.dot(u, found.spread_1)) + wp.abs(wp.dot(u, found.spread_2))
+        edge = wp.max(edge, RAMP)
+        if wp.abs(lead) < edge and eps > 0.0:
+            toward = wp.normalize(u + (edge - lead) * n)
+            whole, by_p2, drag2, by_v2 = respond(found, law, g, v, toward, eps)
+            across = n - lead * u
+            c += (TURN * soft * wp.length(whole) / (2.0 * edge)) * wp.outer(across, across)
+        return c
+
+    return damping_of
+
+
+@functools.cache
 def _two_limits(respond: Any) -> Any:
     """Makes the function for a law with a limit along the surface's normal and one across."""
 
@@ -310,11 +354,14 @@ def foresee(
     timestep: wp.array(dtype=float),
     qvel: wp.array2d(dtype=float),
     qacc: wp.array2d(dtype=float),
+    share: float,
     foreseen: wp.array2d(dtype=float),
 ):
-    """Velocities that the step ends with at these accelerations."""
+    """Velocities that the step ends with at these accelerations, a share of the way there."""
     world, i = wp.tid()
-    foreseen[world, i] = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
+    found = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
+    before = foreseen[world, i]
+    foreseen[world, i] = before + share * (found - before)
 
 
 @wp.kernel(enable_backward=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -14,6 +15,7 @@ from mjgranular.warp.translate import MATRIX_2X3, struct, struct_of
 _BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2, 3): MATRIX_2X3}
 
 
+@functools.cache
 def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
     """The Warp struct with the fields of a structured type: numbers, vectors and matrices.
 

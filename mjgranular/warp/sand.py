@@ -54,12 +54,14 @@ class WarpSand:
     `mujoco_warp.step` has sand in it, CUDA graphs included.
     """
 
+    SHARES = (1.0,)
+
     def __init__(
         self,
         model: mujoco.MjModel,
         spec: SandSpec | None = None,
         *,
-        corrections: int = 2,
+        corrections: int = 3,
         softness: float = SOFTNESS,
         **fields: Unpack[SandFields],
     ) -> None:
@@ -125,26 +127,26 @@ class WarpSand:
         a = self._a
         wp.copy(a.passive, d.qfrc_passive)
         wp.copy(a.fluid, d.efm_fluid)
-        self._foresee(m, d, d.qacc_warmstart)
+        wp.copy(a.foreseen, d.qvel)
         self._resist_all(m, d)
         if not self._corrections:
             return
         wp.copy(a.regularization, d.efc.D)
         wp.copy(a.reference, d.efc.aref)
-        for _ in range(self._corrections):
+        for k in range(self._corrections):
             mjw.fwd_actuation(m, d)
             mjw.fwd_acceleration(m, d, factorize=True)
             mjw.solve(m, d)
             wp.copy(d.efc.D, a.regularization)
             wp.copy(d.efc.aref, a.reference)
-            self._foresee(m, d, d.qacc)
+            self._foresee(m, d, self.SHARES[min(k, len(self.SHARES) - 1)])
             self._resist_all(m, d)
 
-    def _foresee(self, m: Any, d: Any, qacc: wp.array) -> None:
+    def _foresee(self, m: Any, d: Any, share: float) -> None:
         wp.launch(
             foresee,
             dim=(d.nworld, m.nv),
-            inputs=[m.opt.timestep, d.qvel, qacc],
+            inputs=[m.opt.timestep, d.qvel, d.qacc, share],
             outputs=[self._a.foreseen],
             device=self._device,
         )
@@ -215,7 +217,7 @@ class WarpSand:
         if stage != mujoco.mjtStage.mjSTAGE_ACC:
             return
         a = self._a
-        self._foresee(m, d, d.qacc)
+        self._foresee(m, d, 1.0)
         wp.launch(
             wrenches_of_step,
             dim=(d.nworld, len(self._slots)),
