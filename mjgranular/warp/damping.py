@@ -39,7 +39,6 @@ Damping = struct("Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.ma
 # A force that is all but perpendicular to the motion has no secant; its power counts as at least
 # this share of |F| |v|. Chosen.
 _LEAST_POWER = 0.02
-TURN = wp.constant(1.0)
 
 _Motion, _Pose, _Level = struct_of(Motion), struct_of(Pose), struct_of(Level)
 
@@ -118,7 +117,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
         slots: wp.array(dtype=Slot),
         elements: wp.array(dtype=element_struct),
         laws: wp.array(dtype=law_struct),
-        surfaces: wp.array(dtype=surface_struct),
+        surface: surface_struct,
         chain: wp.array(dtype=int),
         strength: wp.array(dtype=float),
         density: wp.array(dtype=float),
@@ -143,7 +142,6 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
         h = timestep[world % timestep.shape[0]]
         g = wp.length(gravity[world % gravity.shape[0]])
         law = laws[world % laws.shape[0]]
-        surface = surfaces[world % surfaces.shape[0]]
         strong = strength[world % strength.shape[0]]
         dense = density[world % density.shape[0]]
         # Sand that is higher is a body that is lower.
@@ -170,12 +168,11 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
             level = _Level(wp.transpose(pose.rotation) * normal, depth_here)
         total = Damping()
         push, twist = wp.vec3(), wp.vec3()
-        deepest = float(-1.0e9)
+        deepest = float(-wp.inf)
         for i in range(slot.first, slot.end):
             element = elements[i]
-            if wp.static(has_cull):
-                if not (cull(element, level) > 0.0):
-                    continue
+            if wp.static(has_cull) and not (cull(element, level) > 0.0):
+                continue
             found = sample(element, pose, law, surface, g)
             deepest = wp.max(deepest, found.depth)
             if found.depth > 0.0:
@@ -266,7 +263,7 @@ def _facet(respond: Any) -> Any:
             toward = wp.normalize(u + (edge - lead) * n)
             whole, by_p2, drag2, by_v2 = respond(found, law, g, v, toward, eps)
             across = n - lead * u
-            c += (TURN * soft * wp.length(whole) / (2.0 * edge)) * wp.outer(across, across)
+            c += (soft * wp.length(whole) / (2.0 * edge)) * wp.outer(across, across)
         return c
 
     return damping_of
@@ -354,14 +351,11 @@ def foresee(
     timestep: wp.array(dtype=float),
     qvel: wp.array2d(dtype=float),
     qacc: wp.array2d(dtype=float),
-    share: float,
     foreseen: wp.array2d(dtype=float),
 ):
-    """Velocities that the step ends with at these accelerations, a share of the way there."""
+    """Velocities that the step ends with at these accelerations."""
     world, i = wp.tid()
-    found = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
-    before = foreseen[world, i]
-    foreseen[world, i] = before + share * (found - before)
+    foreseen[world, i] = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
 
 
 @wp.kernel(enable_backward=False)

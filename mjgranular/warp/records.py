@@ -8,8 +8,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import warp as wp
 
-from mjgranular.surface import HeightField
-from mjgranular.surface.height_field import HEIGHT_FIELD_DTYPE
+from mjgranular.surface import Surface
 from mjgranular.warp.translate import MATRIX_2X3, struct, struct_of
 
 _BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2, 3): MATRIX_2X3}
@@ -49,30 +48,23 @@ def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
     return wp.array(packed, dtype=made, device=device)
 
 
-def surface_on_device(surface: Any, record: np.ndarray, model: Any, device: Any) -> tuple[Any, Any]:
-    """The record of a surface as a struct, in an array of one, and what kind of struct it is.
+def surface_on_device(surface: Surface, record: np.ndarray, model: Any, device: Any) -> Any:
+    """The record of a surface as a struct; of a height field with the heights of now.
 
-    Returns:
-        The struct, and the array, shape (1,).
+    Args:
+        surface: the surface.
+        record: of it, shape (1,).
+        model: that it is in.
+        device: of Warp's.
     """
-    kind = struct_of_dtype(type(surface).__name__, record.dtype)
-    if not isinstance(surface, HeightField):
-        return kind, to_device(record, kind, device)
-    made = kind()
-    assert record.dtype == HEIGHT_FIELD_DTYPE
+    made = struct_of_dtype(type(surface).__name__, record.dtype)()
     for name in record.dtype.names or ():
+        value = record[name][0]
         if name == "data":
-            number = int(model.geom_dataid[surface.geoms(model)[0]])
-            start, count = int(model.hfield_adr[number]), int(record["rows"][0] * record["columns"][0])
-            heights = model.hfield_data[start : start + count]
+            first = int(model.hfield_adr[model.geom_dataid[surface.geoms(model)[0]]])
+            count = int(record["rows"][0] * record["columns"][0])
+            heights = model.hfield_data[first : first + count]
             made.data = wp.array(heights, dtype=wp.float32, device=device)
         else:
-            value = record[name][0]
-            if value.shape == (3,):
-                value = wp.vec3(*value)
-            elif value.shape == (9,):
-                value = wp.mat33(*value)
-            else:
-                value = value.item()
-            setattr(made, name, value)
-    return kind, made
+            setattr(made, name, _BY_SHAPE[value.shape](*value) if value.shape else value.item())
+    return made
