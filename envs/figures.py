@@ -13,8 +13,8 @@ from mjgranular.engine.readings import SandReadings
 from mjgranular.envs.ground import DEPTH, FORCE, POWER, SPEED
 from mjgranular.law.validity import Measure, found_at
 from mjgranular.sand import SandSpec
+from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.material import material_of
-from mjgranular.sand.prepare import geoms_in_sand
 from mjgranular.surface.choice import surface_of
 
 

@@ -14,7 +14,7 @@ from mjgranular.given import check_data, check_model
 from mjgranular.relief.heights import Heights, heights_of
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.relief import place_in_plane
-from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.surface.choice import surface_of
 
 NAME = "mjgranular.sand"

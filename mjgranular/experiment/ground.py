@@ -8,7 +8,7 @@ import mujoco
 
 from mjgranular.errors import InputError
 from mjgranular.look import NOT_SHOWN
-from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all, names_in
 from mjgranular.surface import Bed, HeightField, Plane, Surface

@@ -17,7 +17,7 @@ from mjgranular.fit.curve import GRAVITY, check_units, find_arrest, find_touch
 from mjgranular.fit.result import RunErrors
 from mjgranular.fit.run import Run
 from mjgranular.fit.trial import Series, Trial, rms
-from mjgranular.sand.prepare import geoms_in_sand
+from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Implicit
 from mjgranular.surface import Plane

@@ -62,9 +62,9 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
     def depth_velocity_sample(blob, pose, law, surface, g):
         center = pose.position + pose.rotation @ blob.center
         # The normal above the centre says which point is deepest; its depth is what counts.
-        _, normal = probe(surface, center)
+        _depth, normal = probe(surface, center)
         reach = support(blob, transposed(pose.rotation) @ normal)
-        depth, _ = probe(surface, center - reach * normal)
+        depth, _normal = probe(surface, center - reach * normal)
         limit = 0.0
         if depth > 0.0:
             limit = law.constant + law.stiffness * depth**law.exponent

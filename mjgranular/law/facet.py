@@ -99,7 +99,7 @@ def facet_kernel(
         point = pose.position + pose.rotation @ facet.point
         outward = pose.rotation @ facet.normal
         middle, up = look(surface, point, outward)
-        edge_1, edge_2 = facet.edges
+        edge_1, edge_2 = facet.edges[0], facet.edges[1]
         up_there = transposed(pose.rotation) @ up  # in the body's frame
         rise_1, rise_2 = -dot(edge_1, up_there), -dot(edge_2, up_there)
         reach = abs(rise_1) + abs(rise_2)
@@ -263,7 +263,7 @@ def lowered_behind(depth, pose, point, g):
         point: of the element [m], world.
         g: gravity [m/s^2].
     """
-    angular, linear = pose.motion
+    angular, linear = pose.motion.angular, pose.motion.linear
     arm = point - pose.com
     velocity = linear + cross(angular, pose.com - pose.tree)  # of the centre of mass
     turning = cross(angular, arm)  # r w

@@ -112,6 +112,13 @@ class Law(ABC):
         Its `law` is the record made by `parameters`, its `surface` that of the surface.
         """
 
+    def kernel_of_forces(self, surface: Surface) -> LawKernel:
+        """Kernels that are asked for forces alone, and not for derivatives (`warp`).
+
+        The same unless a law has shorter ones.
+        """
+        return self.kernel(surface)
+
 
 LawClass = TypeVar("LawClass", bound=type[Law])
 

@@ -13,7 +13,7 @@ import numpy as np
 from mjgranular.errors import InputError, shown
 from mjgranular.given import check_switch, is_finite
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.vector import dot, vector
+from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law
@@ -29,7 +29,7 @@ def stress_of(slope: Any) -> Any:
     @compiled
     def stress(law, g, n, u, z):
         strength, factors, _, _, _ = slope(law, g, dot(u, z), dot(n, z), dot(n, u))
-        return strength * dot(factors, vector(n, u, z))
+        return strength * (factors.x * n + factors.y * u + factors.z * z)
 
     return stress
 
@@ -99,6 +99,17 @@ class RftLaw(Law):
             stress=law.stress,
             slope=law.slope,
             is_plane=place.is_plane,
+            toward=surface.toward_kernel(),
+            ceiling=surface.ceiling_kernel(),
+            added=self.adds_mass,
+        )
+
+    def kernel_of_forces(self, surface: Surface) -> LawKernel:
+        law = type(self)
+        return facet_kernel(
+            surface.probe_kernel(),
+            stress=law.stress if law.slope is None else stress_of(law.slope),
+            is_plane=type(surface).is_plane,
             toward=surface.toward_kernel(),
             ceiling=surface.ceiling_kernel(),
             added=self.adds_mass,

@@ -118,7 +118,8 @@ def rft3d_slope(law, g, rise, down, lead):
     # is a sum of those of p, q and tau.
     c, d, by_p, by_q, by_tau = 0.0, 0.0, 0.0, 0.0, 0.0
     if limited:
-        c, by_p, by_q, by_tau = law.friction, inverse * v_along, inverse * z_along, inverse * tau
+        c = law.friction
+        by_p, by_q, by_tau = inverse * v_along, inverse * z_along, inverse * tau
     if cut:
         c, d, by_p, by_q, by_tau = max(lead, 0.0), (normal if lead > 0.0 else 0.0), 1.0, x1, x3
     w = share * inverse

@@ -17,21 +17,13 @@ from mjgranular.relief.footprint import Footprint, fitting, footprint_of, surrou
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.relief import Relief
 from mjgranular.relief.update import update_program
+from mjgranular.sand.chosen import choose_sand, geoms_in_sand
 from mjgranular.sand.cost import warn_of_cost
-from mjgranular.sand.material import elements_of, material_of
-from mjgranular.sand.points import warn_of_points
-from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Implicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.scheme.scheme import STEP, SchemeChoice
-from mjgranular.shape import select_geoms
-from mjgranular.shape.select import is_choice
-from mjgranular.shape.unfelt import warn_of_unfelt
 from mjgranular.surface import Surface
-from mjgranular.surface.choice import surface_of
-from mjgranular.surface.floors import warn_of_floors
-from mjgranular.surface.place import replace_geoms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,20 +75,13 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         UnknownNameError: a name or group that does not exist; lists those that do.
         InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
     """
-    surface = surface_of(spec.surface)
     scheme = get_scheme(spec.scheme)
     if within:
         scheme = _scheme_within_step(scheme, model)
     scheme.check(model)
-    geoms = geoms_in_sand(model, spec)
-    medium, law = material_of(model, geoms, spec)
-    replaced = replace_geoms(model, spec.instead_of)
-    chosen = spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms)
-    warn_of_unfelt(model, geoms, chosen=chosen)
-    warn_of_floors(model, geoms, surface)
-    warn_of_ranges(model, geoms, law, surface)
-    warn_of_points(model, geoms, spec)
-    elements = elements_of(model, geoms, law, spec.resolution)
+    chosen = choose_sand(model, spec)
+    medium, law, surface, geoms = chosen.medium, chosen.law, chosen.surface, chosen.geoms
+    elements = chosen.elements
     if isinstance(scheme, Auto) and law.adds_mass:
         scheme = Implicit()  # the only one that can
     scheme = scheme.scheme_for(model, len(elements))
@@ -125,7 +110,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         medium=medium,
         law=law,
         surface=surface,
-        geoms=tuple(geoms),
+        geoms=geoms,
         scheme=scheme,
         elements=elements,
         packed=kernel.pack(elements),
@@ -134,7 +119,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         program=program_address(program, STEP, what),
         footprint=footprint,
         update=update_program(surface, scene.dtype),
-        disabled=(*surface.geoms(model), *replaced),
+        disabled=(*surface.geoms(model), *chosen.replaced),
     )
 
 
@@ -169,17 +154,6 @@ def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
     if memory is None:
         return spec
     return combined(spec, {"memory": fitting(model, geoms_in_sand(model, spec), memory)})
-
-
-def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:
-    """The ids of the geoms of a model that meet a sand; see `select_geoms`."""
-    return select_geoms(
-        model,
-        bodies=spec.bodies,
-        geoms=spec.geoms,
-        groups=spec.groups,
-        leave_out=surface_of(spec.surface).geoms(model),
-    )
 
 
 def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel) -> SchemeChoice:

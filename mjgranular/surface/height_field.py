@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import mujoco
@@ -34,6 +35,12 @@ HEIGHT_FIELD_DTYPE = np.dtype(
 _heights = records(np.dtype(np.float32))
 
 
+@partial(compiled, inline=True)
+def height_of(field, k):
+    """The datum with that number, as a height [m]."""
+    return _heights(field.data, field.rows * field.columns)[k] * field.elevation
+
+
 @compiled
 def height_field_probe(field, point):
     """Depth along the normal of the bilinear surface above or below the point; the normal."""
@@ -43,22 +50,21 @@ def height_field_probe(field, point):
     if not (abs(place.x) <= field.half_x and abs(place.y) <= field.half_y):
         beside = max(abs(place.x) - field.half_x, abs(place.y) - field.half_y)
         return (-beside if beside > 0.0 else math.nan), axes @ vector(0.0, 0.0, 1.0)
-    heights = _heights(field.data, field.rows * field.columns)
-    step_x = 2.0 * field.half_x / (field.columns - 1)
-    step_y = 2.0 * field.half_y / (field.rows - 1)
+    step_x = 2.0 * field.half_x / float(field.columns - 1)
+    step_y = 2.0 * field.half_y / float(field.rows - 1)
     u = (place.x + field.half_x) / step_x
     v = (place.y + field.half_y) / step_y
     column = min(int(u), field.columns - 2)
     row = min(int(v), field.rows - 2)
-    u -= column
-    v -= row
+    u -= float(column)
+    v -= float(row)
     k = row * field.columns + column
-    h00, h10 = heights[k] * field.elevation, heights[k + 1] * field.elevation
+    h00, h10 = height_of(field, k), height_of(field, k + 1)
     k += field.columns
-    h01, h11 = heights[k] * field.elevation, heights[k + 1] * field.elevation
-    height = (1 - v) * ((1 - u) * h00 + u * h10) + v * ((1 - u) * h01 + u * h11)
-    slope_x = ((1 - v) * (h10 - h00) + v * (h11 - h01)) / step_x
-    slope_y = ((1 - u) * (h01 - h00) + u * (h11 - h10)) / step_y
+    h01, h11 = height_of(field, k), height_of(field, k + 1)
+    height = (1.0 - v) * ((1.0 - u) * h00 + u * h10) + v * ((1.0 - u) * h01 + u * h11)
+    slope_x = ((1.0 - v) * (h10 - h00) + v * (h11 - h01)) / step_x
+    slope_y = ((1.0 - u) * (h01 - h00) + u * (h11 - h10)) / step_y
     scale = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
     normal = axes @ vector(-slope_x * scale, -slope_y * scale, scale)
     return (height - place.z) * scale, normal

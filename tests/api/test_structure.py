@@ -36,6 +36,7 @@ ORDER = (
     "sand",
     "prints",
     "engine",
+    "warp",
     "mjgranular",
     "models",
     "envs",

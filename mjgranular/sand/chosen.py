@@ -1,0 +1,85 @@
+"""What a `SandSpec` names, found in a model: the half of `prepare` that knows no scheme."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjgranular.law import Law
+from mjgranular.medium import Medium
+from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.points import warn_of_points
+from mjgranular.sand.ranges import warn_of_ranges
+from mjgranular.sand.spec import SandSpec
+from mjgranular.shape import select_geoms
+from mjgranular.shape.select import is_choice
+from mjgranular.shape.unfelt import warn_of_unfelt
+from mjgranular.surface import Surface
+from mjgranular.surface.choice import surface_of
+from mjgranular.surface.floors import warn_of_floors
+from mjgranular.surface.place import replace_geoms
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChosenSand:
+    """The material, the place and the elements of a sand.
+
+    Attributes:
+        medium: the medium.
+        law: the law, with its constants.
+        surface: the surface, without memory.
+        geoms: ids of the geoms that meet the sand.
+        elements: of the law: a structured array, body by body.
+        replaced: ids of the geoms that the sand replaces.
+    """
+
+    medium: Medium
+    law: Law
+    surface: Surface
+    geoms: tuple[int, ...]
+    elements: np.ndarray
+    replaced: tuple[int, ...]
+
+
+def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
+    """Finds in a model what a sand names, with all checks and warnings on the way.
+
+    Args:
+        model: the model; contacts of geoms that the sand replaces are switched off in it.
+        spec: the sand.
+
+    Raises:
+        UnknownNameError: a name or group that does not exist; lists those that do.
+        InputError: geoms that the law has no elements for.
+    """
+    surface = surface_of(spec.surface)
+    geoms = geoms_in_sand(model, spec)
+    medium, law = material_of(model, geoms, spec)
+    replaced = replace_geoms(model, spec.instead_of)
+    chosen = spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms)
+    warn_of_unfelt(model, geoms, chosen=chosen)
+    warn_of_floors(model, geoms, surface)
+    warn_of_ranges(model, geoms, law, surface)
+    warn_of_points(model, geoms, spec)
+    elements = elements_of(model, geoms, law, spec.resolution)
+    return ChosenSand(
+        medium=medium,
+        law=law,
+        surface=surface,
+        geoms=tuple(geoms),
+        elements=elements,
+        replaced=tuple(replaced),
+    )
+
+
+def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:
+    """The ids of the geoms of a model that meet a sand; see `select_geoms`."""
+    return select_geoms(
+        model,
+        bodies=spec.bodies,
+        geoms=spec.geoms,
+        groups=spec.groups,
+        leave_out=surface_of(spec.surface).geoms(model),
+    )

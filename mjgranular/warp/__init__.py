@@ -1,0 +1,8 @@
+"""Sand in thousands of worlds at once: for MuJoCo Warp, on GPUs and on processors."""
+
+from mjgranular.extras import need
+
+need("mujoco_warp", extra="warp", purpose="Sand for MuJoCo Warp")
+
+from mjgranular.warp.fit import coupled as coupled  # noqa: E402
+from mjgranular.warp.sand import WarpSand as WarpSand  # noqa: E402

@@ -1,0 +1,148 @@
+"""Whether a model fits MuJoCo Warp's step with sand, and its bodies as tables of integers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.surface import HeightField, Plane, Surface
+from mjgranular.warp.damping import SLOT_DTYPE
+
+_HAIR = 1e-5
+"""How far `coupled` moves an inertial frame, in parts of the body's size; MuJoCo takes what is
+below 1e-6 m for nothing. Chosen."""
+
+
+def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The bodies in the sand, and the degrees of freedom that move each.
+
+    Args:
+        model: the model.
+        elements: of a law, body by body.
+
+    Returns:
+        Records, `SLOT_DTYPE`; and the degrees of freedom to which they point, one body after the
+        other, each from its last up to its root.
+    """
+    first = np.unique(elements["slot"], return_index=True)[1]
+    slots = np.zeros(len(first), SLOT_DTYPE)
+    slots["body"] = elements["body"][first]
+    slots["root"] = model.body_rootid[slots["body"]]
+    slots["first"], slots["end"] = first, [*first[1:], len(elements)]
+    chains = [chain_of(model, int(body)) for body in slots["body"]]
+    ends = np.cumsum([len(chain) for chain in chains])
+    slots["chain"], slots["chain_end"] = [0, *ends[:-1]], ends
+    return slots, np.array([dof for chain in chains for dof in chain], np.int32)
+
+
+def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
+    """The degrees of freedom that move a body, from the last up."""
+    while body and not model.body_dofnum[body]:
+        body = int(model.body_parentid[body])
+    dof = int(model.body_dofadr[body] + model.body_dofnum[body]) - 1 if body else -1
+    chain = []
+    while dof >= 0:
+        chain.append(dof)
+        dof = int(model.dof_parentid[dof])
+    return chain
+
+
+def slots_of_dofs(nv: int, slots: np.ndarray, chain: np.ndarray) -> tuple[list[int], list[int]]:
+    """For each degree of freedom the bodies in the sand that it moves.
+
+    Returns:
+        Rows of `slots`, one degree of freedom after the other; and where each begins, nv + 1.
+    """
+    moved: list[list[int]] = [[] for _ in range(nv)]
+    for s, slot in enumerate(slots):
+        for dof in chain[slot["chain"] : slot["chain_end"]]:
+            moved[dof].append(s)
+    first = np.cumsum([0, *(len(each) for each in moved)])
+    return [s for each in moved for s in each], first.tolist()
+
+
+def up_of(surface: Surface, model: mujoco.MjModel) -> np.ndarray:
+    """The direction in which a surface is raised, a unit vector, world frame."""
+    if isinstance(surface, Plane):
+        return surface.normal
+    if isinstance(surface, HeightField):
+        return surface.record(model)["axes"][0][2::3]
+    return np.array([0.0, 0.0, 1.0])
+
+
+def check_model(model: mujoco.MjModel, slots: np.ndarray, chain: np.ndarray, m: Any) -> None:
+    """Checks that a model of MuJoCo Warp's is that of a sand, and has a place for it.
+
+    Raises:
+        InputError: says what would be right.
+    """
+    for name in ("nv", "nbody", "njnt", "ngeom"):
+        mine, given = getattr(model, name), getattr(m, name)
+        if mine != given:
+            raise InputError(
+                f"attach: this sand was made for another model ({name} {mine} there, {given} here)"
+            )
+    if m.opt.integrator != mujoco.mjtIntegrator.mjINT_DISCRETE:
+        name = mujoco.mjtIntegrator(int(m.opt.integrator)).name.removeprefix("mjINT_").lower()
+        raise InputError(
+            f"the integrator {name} of MuJoCo Warp has no place for sand: set "
+            "model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE before put_model"
+        )
+    flags, bit = int(m.opt.disableflags), mujoco.mjtDisableBit
+    if flags & bit.mjDSBL_ACTUATION:
+        raise InputError(
+            "with actuation disabled MuJoCo Warp does not ask for forces: leave the flag as it is; "
+            "a model without actuators needs none"
+        )
+    if flags & bit.mjDSBL_SPRING and flags & bit.mjDSBL_DAMPER:
+        raise InputError(
+            "with springs and dampers disabled MuJoCo Warp leaves out all damping, that of sand "
+            "too: leave one of the two flags as it is"
+        )
+    for dof in sorted(set(chain.tolist())):
+        above = dof
+        count = 0
+        while above >= 0:
+            above, count = int(model.dof_parentid[above]), count + 1
+        if model.M_rownnz[dof] < count:
+            body = model.body(int(model.dof_bodyid[dof])).name or "1"
+            raise InputError(
+                f"MuJoCo keeps the inertia of the body {body!r} as a diagonal, where sand that "
+                "couples its degrees of freedom has no place: compile the model from "
+                "mjgranular.warp.coupled(spec)"
+            )
+
+
+def coupled(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """A copy of a model in which sand can couple the degrees of freedom of single bodies.
+
+    A body that hangs on the world by itself and has its inertial frame where its own frame is, such
+    as a ball, is "simple" to MuJoCo: its inertia is kept as a diagonal. The copy has those frames
+    moved by a hair (1e-5 of the body's size).
+
+    Args:
+        spec: the model.
+
+    Raises:
+        InputError: it is no `MjSpec`.
+    """
+    if not isinstance(spec, mujoco.MjSpec):
+        raise InputError(
+            "coupled takes a mujoco.MjSpec, such as mujoco.MjSpec.from_file('robot.xml'), not "
+            f"{type(spec).__name__}"
+        )
+    spec = spec.copy()
+    model = spec.compile()
+    for body in spec.bodies:
+        if not model.body_simple[body.id] or not model.body_dofnum[body.id]:
+            continue
+        geoms = np.flatnonzero(model.geom_bodyid == body.id)
+        size = max([1.0, *model.geom_rbound[geoms]])
+        body.mass, body.inertia = model.body_mass[body.id], model.body_inertia[body.id]
+        body.iquat = model.body_iquat[body.id]
+        body.ipos = model.body_ipos[body.id] + [0.0, 0.0, _HAIR * size]
+        body.explicitinertial = True
+    return spec

@@ -1,0 +1,70 @@
+"""Structured arrays of NumPy's as arrays of Warp structs."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, get_type_hints
+
+import numpy as np
+import warp as wp
+
+from mjgranular.surface import Surface
+from mjgranular.warp.translate import MATRIX_2X3, struct, struct_of
+
+_BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2, 3): MATRIX_2X3}
+
+
+@functools.cache
+def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
+    """The Warp struct with the fields of a structured type: numbers, vectors and matrices.
+
+    Addresses of heights become arrays, of the name `data`.
+    """
+    fields: dict[str, Any] = {}
+    for key in dtype.names or ():
+        kind = dtype[key]
+        if key == "data":
+            fields[key] = wp.array(dtype=wp.float32)
+        elif kind.base.kind == "i":
+            fields[key] = wp.int32
+        else:
+            fields[key] = _BY_SHAPE[kind.shape]
+    return struct(name, fields)
+
+
+def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
+    """Copies structured records to a device, as structs with fields of the same names.
+
+    Args:
+        records: shape (n,).
+        kind: the struct, or a named tuple (`struct_of`).
+        device: of Warp's.
+    """
+    made = struct_of(kind) if hasattr(kind, "_fields") else kind
+    names = list(get_type_hints(kind)) if hasattr(kind, "_fields") else list(made.vars)
+    packed = np.zeros(len(records), made.numpy_dtype())
+    for name in names:
+        packed[name] = records[name].reshape(packed[name].shape)
+    return wp.array(packed, dtype=made, device=device)
+
+
+def surface_on_device(surface: Surface, record: np.ndarray, model: Any, device: Any) -> Any:
+    """The record of a surface as a struct; of a height field with the heights of now.
+
+    Args:
+        surface: the surface.
+        record: of it, shape (1,).
+        model: that it is in.
+        device: of Warp's.
+    """
+    made = struct_of_dtype(type(surface).__name__, record.dtype)()
+    for name in record.dtype.names or ():
+        value = record[name][0]
+        if name == "data":
+            first = int(model.hfield_adr[model.geom_dataid[surface.geoms(model)[0]]])
+            count = int(record["rows"][0] * record["columns"][0])
+            heights = model.hfield_data[first : first + count]
+            made.data = wp.array(heights, dtype=wp.float32, device=device)
+        else:
+            setattr(made, name, _BY_SHAPE[value.shape](*value) if value.shape else value.item())
+    return made

@@ -1,0 +1,259 @@
+"""Sand in MuJoCo Warp, on its CPU back end: against `Sand`, and against what physics asks."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjgranular
+from mjgranular import DepthVelocityLaw, Explicit, InputError, Plane, Sand
+
+pytestmark = pytest.mark.slow
+mjw = pytest.importorskip("mujoco_warp")
+
+# One model for all, because each is compiled: a box, a rod, and a leg of two links.
+SCENE = """
+<mujoco>
+  <option timestep="0.002" integrator="discrete"/>
+  <asset><hfield name="dunes" nrow="12" ncol="12" size="2 2 0.05 0.1"/></asset>
+  <worldbody>
+    <geom name="dunes" type="hfield" hfield="dunes"/>
+    <geom name="tray" type="box" size="1 1 0.1" pos="0 0 -0.1"/>
+    <body name="box" pos="0 0 0.06">
+      <freejoint/><geom type="box" size="0.1 0.08 0.05" mass="2"/>
+    </body>
+    <body name="rod" pos="0.5 0 0.06">
+      <freejoint/><geom type="capsule" size="0.01 0.1" mass="0.1"/>
+    </body>
+    <body name="thigh" pos="0 0.5 0.3">
+      <joint name="slide" type="slide" axis="0 0 1"/>
+      <joint name="hip" axis="0 1 0" range="-60 60"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.15" size="0.02" mass="1"/>
+      <body name="foot" pos="0 0 -0.15">
+        <joint name="knee" axis="0 1 0" damping="0.1" range="-60 60"/>
+        <geom type="box" pos="0 0 -0.1" size="0.05 0.03 0.01" mass="0.3"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="knee"/></actuator>
+</mujoco>
+"""
+PLACES = {
+    "plane": Plane(slope=0.1, height=0.01),
+    "bed": mjgranular.Bed("tray"),
+    "dunes": mjgranular.HeightField("dunes"),
+}
+
+
+@pytest.fixture(scope="module")
+def warp():
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from mjgranular import warp as sand_for_warp
+
+    return sand_for_warp
+
+
+def scene(warp):
+    model = warp.coupled(mujoco.MjSpec.from_string(SCENE)).compile()
+    model.hfield_data[:] = np.random.default_rng(1).random(model.nhfielddata)
+    return model
+
+
+def random_states(model, count, rng):
+    """Bodies at and in the sand, moving."""
+    qpos = np.tile(model.qpos0, (count, 1))
+    qvel = rng.normal(size=(count, model.nv)) * rng.choice([0.03, 0.3, 1.0], (count, 1))
+    for row in qpos:
+        mujoco.mj_integratePos(model, row, rng.normal(size=model.nv) * 0.3, 1.0)
+        row[[2, 9]] = rng.uniform(-0.05, 0.08, 2)  # heights of box and rod
+        row[14] = rng.uniform(-0.1, 0.0)  # and of the leg
+    return qpos, qvel
+
+
+def put(model, qpos, qvel, sand):
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    m = mjw.put_model(model)
+    d = mjw.put_data(model, data, nworld=len(qpos), nconmax=16, njmax=64)
+    d.qpos.assign(qpos.astype(np.float32))
+    d.qvel.assign(qvel.astype(np.float32))
+    d.qacc_warmstart.zero_()
+    sand.attach(m, d)
+    return m, d
+
+
+@pytest.mark.parametrize(
+    ("law", "medium", "place", "bodies"),
+    [
+        ("rft3d", "quikrete_medium", "plane", ("box", "thigh", "foot")),
+        ("rft3d inertia=1.1 rise=true", "quikrete_medium", "bed", ("box", "foot")),
+        ("rft2d", "glass_beads", "dunes", ("box", "rod", "foot")),
+        ("link", "play_sand", "plane", ("rod", "thigh")),
+        ("link_distributed", "play_sand", "dunes", ("rod", "thigh")),
+        (
+            DepthVelocityLaw(constant=3, stiffness=500, exponent=1.3, linear=2, quadratic=8),
+            None,
+            "bed",
+            ("box", "rod", "foot"),
+        ),
+    ],
+    ids=lambda value: value.replace(" ", "_") if isinstance(value, str) else None,
+)
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_forces_are_those_of_the_processor(warp, law, medium, place, bodies):
+    """At the velocities of now, without softness, which the explicit scheme has none of."""
+    model = scene(warp)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    given = {"law": law, "medium": medium, "surface": PLACES[place], "bodies": bodies}
+    sand = warp.WarpSand(model, corrections=0, softness=0.0, **given)
+    qpos, qvel = random_states(model, 200, np.random.default_rng(0))
+    m, d = put(model, qpos, qvel, sand)
+    m.opt.timestep.fill_(1e-13)  # so that it ends with the velocity of now
+    mjw.step(m, d)
+
+    reference = Sand(model, scheme=Explicit(half_step=False), **given)
+    data, errors = mujoco.MjData(model), []
+    force, moment, depth = sand.force.numpy(), sand.moment.numpy(), sand.depth.numpy()
+    for world in range(len(qpos)):
+        data.qpos, data.qvel = qpos[world], qvel[world]
+        mujoco.mj_forward(model, data)
+        report = reference.report(data)
+        right = np.array([report[body].force for body in sand.bodies])
+        largest = np.abs(right).max()
+        if largest == 0:
+            assert not force[world].any()
+            continue
+        arms = np.array([report[body].moment for body in sand.bodies])
+        wrong = max(np.abs(force[world] - right).max(), np.abs(moment[world] - arms).max())
+        errors.append(wrong / largest)
+        for k, body in enumerate(sand.bodies):
+            if report[body].depth > 0:
+                assert depth[world, k] == pytest.approx(report[body].depth, abs=1e-6)
+    assert len(errors) > 50
+    assert np.quantile(errors, 0.95) <= 1e-4
+    assert max(errors) <= 1e-2  # where single precision decides what is in the sand
+
+
+def settled(model, sand, steps):
+    """A state of the processor's implicit scheme after some steps."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for _ in range(steps):
+        sand.step(data)
+    return data
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_a_fall_ends_where_it_ends_on_the_processor_and_no_step_gives_energy(warp):
+    model = scene(warp)
+    given = {
+        "medium": "quikrete_medium",
+        "bodies": ("box", "rod", "thigh", "foot"),
+        "instead_of": ("dunes", "tray"),
+    }
+    sand = warp.WarpSand(model, **given)
+    m, d = put(model, np.tile(model.qpos0, (2, 1)), np.zeros((2, model.nv)), sand)
+    sand.strength.assign(np.array([1.0, 2.0], np.float32))
+    rows = [model.body(body).id for body in sand.bodies]
+    for _ in range(150):
+        mjw.step(m, d)
+        # Forces belong to the velocity at the step's end, which is there now; `cvel` is older.
+        data = mujoco.MjData(model)
+        for world in range(2):
+            data.qpos, data.qvel = d.qpos.numpy()[world], d.qvel.numpy()[world]
+            mujoco.mj_forward(model, data)
+            power = 0.0
+            for k, body in enumerate(rows):
+                velocity = np.zeros(6)
+                mujoco.mj_objectVelocity(
+                    model, data, mujoco.mjtObj.mjOBJ_BODY, body, velocity, False
+                )
+                arm = data.xipos[body] - data.xpos[body]
+                linear = velocity[3:] + np.cross(velocity[:3], arm)
+                power += sand.force.numpy()[world, k] @ linear
+                power += sand.moment.numpy()[world, k] @ velocity[:3]
+            assert power <= 1e-3
+    reference = settled(model, Sand(model, **given, scheme="implicit"), 150)
+    box = d.qpos.numpy()[:, 2]
+    assert box[0] == pytest.approx(reference.qpos[2], abs=0.02 * (0.06 - reference.qpos[2]))
+    assert box[1] > box[0] + 5e-4  # stronger sand
+    weight = model.body("box").mass[0] * 9.81
+    assert sand.force.numpy()[:, 0, 2] == pytest.approx([weight, weight], rel=1e-3)
+
+
+@pytest.mark.parametrize("timestep", [0.002, 0.01])
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_a_box_rests(warp, timestep):
+    model = scene(warp)
+    model.opt.timestep = timestep
+    given = {"medium": "quikrete_medium", "bodies": "box", "instead_of": ("dunes", "tray")}
+    data = settled(model, Sand(model, **given, scheme="implicit"), round(0.5 / timestep))
+    sand = warp.WarpSand(model, **given)
+    m, d = put(model, data.qpos[None], 0 * data.qvel[None], sand)
+    for _ in range(round(0.5 / timestep)):
+        mjw.step(m, d)
+    start = d.qpos.numpy()[0, :7]
+    for _ in range(round(1.0 / timestep)):
+        mjw.step(m, d)
+    assert np.abs(d.qpos.numpy()[0, :7] - start).max() <= 2e-6
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_worlds_are_on_their_own(warp):
+    """Media, heights, a world that goes bad."""
+    model = scene(warp)
+    sand = warp.WarpSand(
+        model, medium="glass_beads", law="rft2d", bodies="box", instead_of=("dunes", "tray")
+    )
+    m, d = put(model, np.tile(model.qpos0, (4, 1)), np.zeros((4, model.nv)), sand)
+    sand.set_media(["glass_beads", "glass_beads", "glass_beads", "poppy_seed_close"])
+    sand.height.assign(np.array([0, 0, 0.005, 0], np.float32))
+    qvel = d.qvel.numpy()
+    qvel[1, 0] = np.nan
+    d.qvel.assign(qvel)
+    for _ in range(100):
+        mjw.step(m, d)
+    z = d.qpos.numpy()[:, 2]
+    assert sand.bad_worlds(d) == [1]
+    assert z[0] + 0.005 < z[2] < z[0] + 0.01  # it has fallen less far
+    assert abs(z[3] - z[0]) > 1e-4
+    assert np.isfinite(z[[0, 2, 3]]).all()
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_what_is_wrong_is_said(warp):
+    model = scene(warp)
+    single = mujoco.MjSpec.from_string(SCENE).compile()
+    with pytest.raises(InputError, match="memory"):
+        warp.WarpSand(model, medium="quikrete_medium", memory=True)
+    with pytest.raises(InputError, match="leave scheme out"):
+        warp.WarpSand(model, medium="quikrete_medium", scheme="explicit")
+    with pytest.raises(InputError, match="corrections must be at least 0"):
+        warp.WarpSand(model, medium="quikrete_medium", corrections=-1)
+    with pytest.raises(InputError, match="MjSpec"):
+        warp.coupled(model)
+    sand = warp.WarpSand(single, medium="quikrete_medium")
+    with pytest.raises(InputError, match="attach the sand first"):
+        sand.set_media(["glass_beads"])
+    data = mujoco.MjData(single)
+    d = mjw.put_data(single, data, nworld=1)
+    with pytest.raises(InputError, match="'box' as a diagonal.*coupled"):
+        sand.attach(mjw.put_model(single), d)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    sand = warp.WarpSand(model, medium="quikrete_medium")
+    with pytest.raises(InputError, match="implicitfast of MuJoCo Warp has no place.*DISCRETE"):
+        sand.attach(mjw.put_model(model), d)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    other = mujoco.MjModel.from_xml_string(
+        '<mujoco><option integrator="discrete"/><worldbody><body><freejoint/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(InputError, match="made for another model"):
+        sand.attach(mjw.put_model(other), d)
+    m = mjw.put_model(model)
+    sand.attach(m, d)
+    with pytest.raises(InputError, match="attached already"):
+        sand.attach(m, d)
+    with pytest.raises(InputError, match="each of the 1 worlds"):
+        sand.set_media(["quikrete_medium"] * 3)
