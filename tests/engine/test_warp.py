@@ -238,11 +238,11 @@ def test_what_is_wrong_is_said(warp):
         sand.set_media(["glass_beads"])
     data = mujoco.MjData(single)
     d = mjw.put_data(single, data, nworld=1)
-    with pytest.raises(InputError, match="'box' as a diagonal.*coupled"):
+    with pytest.raises(InputError, match=r"'box' as a diagonal.*coupled"):
         sand.attach(mjw.put_model(single), d)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     sand = warp.WarpSand(model, medium="quikrete_medium")
-    with pytest.raises(InputError, match="implicitfast of MuJoCo Warp has no place.*DISCRETE"):
+    with pytest.raises(InputError, match=r"implicitfast of MuJoCo Warp has no place.*DISCRETE"):
         sand.attach(mjw.put_model(model), d)
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     other = mujoco.MjModel.from_xml_string(
