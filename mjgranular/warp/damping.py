@@ -14,6 +14,11 @@ linear) about the centre of its tree, kept as three of 3 x 3 (`Damping`); brough
 freedom, h J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with both.
 """
 
+# The code of kernels is Warp's language, of which type checkers of Python know little.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
+# pyright: reportAssignmentType=false, reportAttributeAccessIssue=false
+
 # Without `annotations` of the future: Warp reads types of local structs where they stand.
 import functools
 from typing import Any

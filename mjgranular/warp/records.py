@@ -42,9 +42,10 @@ def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
     """
     made = struct_of(kind) if hasattr(kind, "_fields") else kind
     names = list(get_type_hints(kind)) if hasattr(kind, "_fields") else list(made.vars)
-    packed = np.zeros(len(records), made.numpy_dtype())
+    packed: Any = np.zeros(len(records), made.numpy_dtype())
+    fields: Any = records
     for name in names:
-        packed[name] = records[name].reshape(packed[name].shape)
+        packed[name] = fields[name].reshape(packed[name].shape)
     return wp.array(packed, dtype=made, device=device)
 
 

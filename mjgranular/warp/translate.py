@@ -34,7 +34,7 @@ def _vector(x: float, y: float, z: float):
 
 @wp.func
 def _norm(a: wp.vec3):
-    return wp.length(a)
+    return wp.sqrt(wp.dot(a, a))
 
 
 @wp.func
@@ -154,7 +154,7 @@ def translated(kernel: Any) -> Any:
     globals_ = dict(source.__globals__)
     globals_.update({name: _meaning(globals_[name]) for name in names if name in globals_})
     cells = tuple(CellType(_meaning(cell.cell_contents)) for cell in source.__closure__ or ())
-    function = FunctionType(
+    function: Any = FunctionType(
         source.__code__, globals_, source.__name__, source.__defaults__, cells or None
     )
     function.__module__ = source.__module__
