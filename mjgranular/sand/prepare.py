@@ -80,7 +80,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scheme = _scheme_within_step(scheme, model)
     scheme.check(model)
     chosen = choose_sand(model, spec)
-    medium, law, surface, geoms = chosen.medium, chosen.law, chosen.surface, chosen.geoms
+    medium, law, surface, geoms = chosen.medium, chosen.law, chosen.surface, list(chosen.geoms)
     elements = chosen.elements
     if isinstance(scheme, Auto) and law.adds_mass:
         scheme = Implicit()  # the only one that can
@@ -110,7 +110,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         medium=medium,
         law=law,
         surface=surface,
-        geoms=geoms,
+        geoms=chosen.geoms,
         scheme=scheme,
         elements=elements,
         packed=kernel.pack(elements),

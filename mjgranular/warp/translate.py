@@ -33,8 +33,8 @@ def _vector(x: float, y: float, z: float):
 
 
 @wp.func
-def _norm(a: wp.vec3):
-    return wp.sqrt(wp.dot(a, a))
+def _norm(a: Any):
+    return wp.length(a)
 
 
 @wp.func

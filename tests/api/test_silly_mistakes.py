@@ -703,7 +703,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         "runs and free are each several",
     ),
     "report for a film": (
-        lambda: mg.show(sand().report(mujoco.MjData(MODEL))),
+        lambda: mg.show(mg.Sand(MODEL).report(DATA)),
         "show takes pictures of one size, ... not a Report",
     ),
     "film that stands still": (
