@@ -198,16 +198,16 @@ class Report:
         ]
         return html_table(title, headings, rows)
 
-    def __getitem__(self, body: str) -> BodyReport:
-        """The report of the body of that name.
+    def __getitem__(self, body: str | int) -> BodyReport:
+        """The report of the body of that name; of one without a name, its number.
 
         Raises:
             UnknownNameError: no such body in the sand's care; lists those that are.
         """
         for report in self.bodies:
-            if report.body == body:
+            if report.body == str(body):
                 return report
-        raise UnknownNameError("body with sand on it", body, [r.body for r in self.bodies])
+        raise UnknownNameError("body with sand on it", str(body), [r.body for r in self.bodies])
 
     @cached_property
     def elements(self) -> tuple[ElementReport, ...]:
