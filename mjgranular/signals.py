@@ -39,13 +39,21 @@ def stopped_by_signals() -> Iterator[None]:
         return
     mine = [number for number in _ENDING if signal.getsignal(number) is signal.SIG_DFL]
 
+    came: list[int] = []
+
     def stop(number: int, _frame: object) -> None:
+        came.append(number)
         raise Stopped(number)
 
     for number in mine:
         signal.signal(number, stop)
     try:
         yield
+    except Exception as error:
+        # Libraries in C++ turn what a signal has raised within them into an error of their own.
+        if came:
+            raise Stopped(came[-1]) from error
+        raise
     finally:
         for number in mine:
             signal.signal(number, signal.SIG_DFL)

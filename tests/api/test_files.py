@@ -18,6 +18,7 @@ from mjgranular.experiment import Impact, Sweep, run_sweep
 from mjgranular.experiment.folder import ResultFolder, read_impact
 from mjgranular.pool import UNFINISHED
 from mjgranular.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
+from mjgranular.signals import Stopped, stopped_by_signals
 
 ATTACKS = Path(__file__).resolve().parents[2] / "scripts" / "attacks"
 QUICK = ["--timestep", "1e-4", "--duration", "0.05", "--json"]
@@ -446,3 +447,16 @@ def test_files_of_strangers_are_read_as_data_or_refused():
 @pytest.mark.parametrize("kind", ["impact", "sweep", "train", "compare"])
 def test_killed_commands_lose_nothing(kind):
     attack("kills", "--count", "4", "--kinds", kind, seconds=300)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signal")
+def test_a_signal_that_a_library_turns_into_an_error_of_its_own_is_the_signal():
+    """pybind11 does, in the conversion of an argument: matplotlib said `TypeError`."""
+    with pytest.raises(Stopped) as stopped, stopped_by_signals():
+        try:
+            signal.raise_signal(signal.SIGHUP)
+        except KeyboardInterrupt:
+            raise TypeError("incompatible arguments") from None
+    assert stopped.value.number == signal.SIGHUP
+    with pytest.raises(TypeError, match="by itself"), stopped_by_signals():
+        raise TypeError("by itself")
