@@ -452,11 +452,15 @@ def test_killed_commands_lose_nothing(kind):
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signal")
 def test_a_signal_that_a_library_turns_into_an_error_of_its_own_is_the_signal():
     """pybind11 does, in the conversion of an argument: matplotlib said `TypeError`."""
-    with pytest.raises(Stopped) as stopped, stopped_by_signals():
+
+    def convert() -> None:
         try:
             signal.raise_signal(signal.SIGHUP)
         except KeyboardInterrupt:
             raise TypeError("incompatible arguments") from None
+
+    with pytest.raises(Stopped) as stopped, stopped_by_signals():
+        convert()
     assert stopped.value.number == signal.SIGHUP
     with pytest.raises(TypeError, match="by itself"), stopped_by_signals():
         raise TypeError("by itself")
