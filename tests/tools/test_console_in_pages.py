@@ -36,7 +36,7 @@ SHORT = {
     "evaluate": "--seeds 2",
     "gait": "--search 2",
     "render": "--seconds 0.2 --width 160 --height 120 --fps 5",
-    "reproduce": "--timestep 2e-5 --workers 1",
+    "reproduce": "--timestep 2e-5",
     "sweep": "--points 2 --workers 1",
     "train": "--total-steps 64 --set n_steps=32 num_envs=2 batch_size=64",
 }
@@ -93,6 +93,8 @@ def shortened(command):
         return [*words, "--total-steps", "128"] if "--total-steps" in words else words
     if "--vary" in words:  # has no points, and its own options where it has --of
         return [*words, "--workers", "1", *(["--sample", "3"] if "--sample" in words else [])]
+    if words[0] == "reproduce" and "--out" in words:
+        words += ["--workers", "1"]
     return [*words, *SHORT.get(words[0], "").split()]
 
 
