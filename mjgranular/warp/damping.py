@@ -1,16 +1,7 @@
 """Sand as a damping matrix of each body, by the velocity that the step is foreseen to end with.
 
-Resistance F(v) of an element opposes its velocity. Its *secant* is a matrix C, symmetric and not
-negative, with C v = -F(v):
-
-    C = F F^T / -(F.v) + |F| / |v| (1 - v v^T / |v|^2) .
-
-The first term alone would do; the second keeps other directions from being free. A force -C v' at
-the velocity v' that the step ends with takes energy, whatever v' is, and is the law's own where v'
-is the v that was foreseen.
-
-All elements of a body together are a symmetric matrix of 6 x 6 for its spatial velocity (angular,
-linear) about the centre of its tree, kept as three of 3 x 3 (`Damping`); brought to the degrees of
+Each element has a symmetric matrix C for the velocity of its point (`warp.resistance`). All of a
+body together are one of 6 x 6 for its spatial velocity (`warp.motions`); brought to the degrees of
 freedom, h J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with both.
 """
 
@@ -23,75 +14,23 @@ freedom, h J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solve
 import functools
 from typing import Any
 
-import numpy as np
 import warp as wp
 
-from mjgranular.kernel.motion import Motion
-from mjgranular.law.facet_slope import RAMP
 from mjgranular.law.kernel import LawKernel, Level, Pose
-from mjgranular.law.multiplier import TWO_LIMITS
-from mjgranular.warp.translate import struct, struct_of, translated
-
-SLOT_DTYPE = np.dtype(
-    [(name, np.int32) for name in ("body", "root", "first", "end", "chain", "chain_end")]
+from mjgranular.warp.motions import (
+    Damping,
+    Slot,
+    added_to,
+    bounded,
+    motion_of,
+    spatial,
+    velocity_at,
+    wrench_of,
 )
-Slot = struct("Slot", dict.fromkeys(SLOT_DTYPE.names or (), wp.int32))
-"""A body in the sand: its id, its tree's root, its elements, its degrees of freedom in `chain`."""
+from mjgranular.warp.resistance import resistance_of
+from mjgranular.warp.translate import struct_of, translated
 
-Damping = struct("Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.mat33})
-"""A symmetric matrix of 6 x 6 for (angular, linear), its blocks; `mixed` is (angular, linear)."""
-
-# A force that is all but perpendicular to the motion has no secant; its power counts as at least
-# this share of |F| |v|. Chosen.
-_LEAST_POWER = 0.02
-
-_Motion, _Pose, _Level = struct_of(Motion), struct_of(Pose), struct_of(Level)
-
-
-@wp.func
-def _soft(square: float, eps: float):
-    return 1.0 / wp.sqrt(square + eps * eps)
-
-
-@wp.func
-def secant(force: wp.vec3, along: wp.vec3):
-    """C of a force per speed [N s/m] and a direction of motion."""
-    size = wp.length(force)
-    power = -wp.dot(force, along)
-    if not (power > 0.0):
-        return wp.mat33()
-    whole = wp.max(power, _LEAST_POWER * size)
-    across = wp.identity(n=3, dtype=float) - wp.outer(along, along)
-    return wp.outer(force, force) / whole + size * across
-
-
-@wp.func
-def spatial(vectors: wp.array2d(dtype=wp.spatial_vector), world: int, i: int):
-    """A spatial vector of MuJoCo's as a motion."""
-    both = vectors[world, i]
-    return _Motion(wp.spatial_top(both), wp.spatial_bottom(both))
-
-
-@wp.func
-def velocity_at(motion: _Motion, arm: wp.vec3):
-    """Velocity of a point from its place relative to the tree's centre."""
-    return motion.linear + wp.cross(motion.angular, arm)
-
-
-@wp.func
-def added_to(d: Damping, c: wp.mat33, arm: wp.vec3):
-    """The damping of a body with that of a point of it added."""
-    r = wp.skew(arm)
-    rc = r * c
-    return Damping(d.turn - rc * r, d.mixed + rc, d.slide + c)
-
-
-@wp.func
-def wrench_of(d: Damping, motion: _Motion):
-    """Force and moment -C v, as a motion (moment, force)."""
-    moment = d.turn * motion.angular + d.mixed * motion.linear
-    force = wp.transpose(d.mixed) * motion.angular + d.slide * motion.linear
-    return _Motion(-moment, -force)
+_Pose, _Level = struct_of(Pose), struct_of(Level)
 
 
 @functools.cache
@@ -99,23 +38,18 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
     """Makes the Warp kernel that gives each body its damping: one thread a world and body.
 
     Args:
-        kernel: of the law, translated.
+        kernel: of the law.
         law_struct: struct of the law's parameters.
         surface_struct: struct of the surface.
     """
     element_struct = struct_of(kernel.element)
-    sample, respond = translated(kernel.sample), translated(kernel.respond)
+    sample = translated(kernel.sample)
     has_cull = kernel.cull is not None and kernel.probe is not None
     cull = translated(kernel.cull) if has_cull else _never_dry
     ceiling = translated(kernel.probe) if has_cull else _no_ceiling
     adds_mass = kernel.added is not None
     added = translated(kernel.added) if adds_mass else _nothing_added
-    if kernel.multiplier is TWO_LIMITS:
-        damping_of = _two_limits(respond)
-    elif "spread_1" in kernel.samples._fields:
-        damping_of = _facet(respond)
-    else:
-        damping_of = _one_limit(respond)
+    resistance = resistance_of(kernel)
 
     @wp.kernel(module="unique", enable_backward=False)
     def resist(
@@ -124,6 +58,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
         laws: wp.array(dtype=law_struct),
         surface: surface_struct,
         chain: wp.array(dtype=int),
+        most: wp.array(dtype=float),
         strength: wp.array(dtype=float),
         density: wp.array(dtype=float),
         height: wp.array(dtype=float),
@@ -160,13 +95,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
             tree,
             now,
         )
-        angular, linear = wp.vec3(), wp.vec3()
-        for k in range(slot.chain, slot.chain_end):
-            axis = cdof[world, chain[k]]
-            rate = foreseen[world, chain[k]]
-            angular += rate * wp.spatial_top(axis)
-            linear += rate * wp.spatial_bottom(axis)
-        ahead = _Motion(angular, linear)
+        ahead = motion_of(slot, chain, cdof, foreseen, world)
         level = _Level()
         if wp.static(has_cull):
             depth_here, normal = ceiling(surface, pose.position)
@@ -183,7 +112,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
             if found.depth > 0.0:
                 arm = found.point - tree
                 v = velocity_at(ahead, arm)
-                c = damping_of(found, law, g, v, eps, strong, dense)
+                c = resistance(found, law, g, v, eps, strong, dense)
                 if wp.static(adds_mass):
                     start = velocity_at(now, arm)
                     mass = added(found, start, h)
@@ -193,6 +122,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
                     push += kicked
                     twist += wp.cross(arm, kicked)
                 total = added_to(total, c, arm)
+        total = bounded(total, most[s] / h)
         damping[world, s] = total
         kick[world, s] = wp.spatial_vector(twist, push)
         depth[world, s] = deepest
@@ -213,94 +143,6 @@ def _no_ceiling(surface: Any, point: wp.vec3):
 @wp.func
 def _nothing_added(found: Any, v: wp.vec3, h: float):
     return 0.0
-
-
-@functools.cache
-def _one_limit(respond: Any) -> Any:
-    """Makes the function for a law with one limit: static resistance and drag have one secant."""
-
-    @wp.func
-    def damping_of(
-        found: Any, law: Any, g: float, v: wp.vec3, eps: float, strong: float, dense: float
-    ):
-        square = wp.dot(v, v)
-        speed = wp.sqrt(square)
-        u = wp.vec3(0.0, 0.0, -1.0)
-        per_speed = float(0.0)
-        if speed > 0.0:
-            per_speed = 1.0 / speed
-            u = per_speed * v
-        static, by_p, drag, by_v = respond(found, law, g, v, u, eps)
-        force = (strong * _soft(square, eps)) * static + (dense * per_speed) * drag
-        return secant(force, u)
-
-    return damping_of
-
-
-@functools.cache
-def _facet(respond: Any) -> Any:
-    """Makes the function for facets, which a turn of the motion makes lead or not.
-
-    On the ramp over which a face begins to lead, its force changes with the direction of motion by
-    much more than by its secant: as much is added across the motion, where it does nothing to the
-    force at the velocity that is foreseen.
-    """
-
-    @wp.func
-    def damping_of(
-        found: Any, law: Any, g: float, v: wp.vec3, eps: float, strong: float, dense: float
-    ):
-        square = wp.dot(v, v)
-        speed = wp.sqrt(square)
-        u = wp.vec3(0.0, 0.0, -1.0)
-        per_speed = float(0.0)
-        if speed > 0.0:
-            per_speed = 1.0 / speed
-            u = per_speed * v
-        soft = strong * _soft(square, eps)
-        static, by_p, drag, by_v = respond(found, law, g, v, u, eps)
-        c = secant(soft * static + (dense * per_speed) * drag, u)
-        n = found.normal
-        lead = wp.dot(n, u)
-        edge = wp.abs(wp.dot(u, found.spread_1)) + wp.abs(wp.dot(u, found.spread_2))
-        edge = wp.max(edge, RAMP)
-        if wp.abs(lead) < edge and eps > 0.0:
-            toward = wp.normalize(u + (edge - lead) * n)
-            whole, by_p2, drag2, by_v2 = respond(found, law, g, v, toward, eps)
-            across = n - lead * u
-            c += (soft * wp.length(whole) / (2.0 * edge)) * wp.outer(across, across)
-        return c
-
-    return damping_of
-
-
-@functools.cache
-def _two_limits(respond: Any) -> Any:
-    """Makes the function for a law with a limit along the surface's normal and one across."""
-
-    @wp.func
-    def damping_of(
-        found: Any, law: Any, g: float, v: wp.vec3, eps: float, strong: float, dense: float
-    ):
-        n = found.normal
-        v_n = wp.dot(v, n)
-        v_t = v - v_n * n
-        square = wp.dot(v_t, v_t)
-        t = wp.vec3(1.0, 0.0, 0.0) - n[0] * n
-        if wp.abs(n[0]) > 0.7:
-            t = wp.vec3(0.0, 1.0, 0.0) - n[1] * n
-        t = wp.normalize(t)
-        along, by_p, drag, by_v = respond(found, law, g, v, n, eps)
-        across, by_p2, drag_2, by_v2 = respond(found, law, g, v, t, eps)
-        a = -strong * wp.dot(along, n) * _soft(v_n * v_n, eps)
-        b = -strong * wp.dot(across, t) * _soft(square, eps)
-        c = b * wp.identity(n=3, dtype=float) + (a - b) * wp.outer(n, n)
-        speed = wp.length(v)
-        if speed > 0.0:
-            c += secant((dense / speed) * drag, v / speed)
-        return c
-
-    return damping_of
 
 
 @wp.kernel(enable_backward=False)
@@ -379,13 +221,7 @@ def wrenches_of_step(
     """Force, and moment about the centre of mass, at the velocity that the step ends with."""
     world, s = wp.tid()
     slot = slots[s]
-    angular, linear = wp.vec3(), wp.vec3()
-    for k in range(slot.chain, slot.chain_end):
-        axis = cdof[world, chain[k]]
-        rate = velocity[world, chain[k]]
-        angular += rate * wp.spatial_top(axis)
-        linear += rate * wp.spatial_bottom(axis)
-    wrench = wrench_of(damping[world, s], _Motion(angular, linear))
+    wrench = wrench_of(damping[world, s], motion_of(slot, chain, cdof, velocity, world))
     f = wrench.linear + wp.spatial_bottom(kick[world, s])
     about_tree = wrench.angular + wp.spatial_top(kick[world, s])
     force[world, s] = f

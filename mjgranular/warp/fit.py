@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.surface import HeightField, Plane, Surface
-from mjgranular.warp.damping import SLOT_DTYPE
+from mjgranular.warp.motions import SLOT_DTYPE
 
 _HAIR = 1e-5
 """How far `coupled` moves an inertial frame, in parts of the body's size; MuJoCo takes what is

@@ -1,5 +1,8 @@
 """Sand in MuJoCo Warp, on its CPU back end: against `Sand`, and against what physics asks."""
 
+import pathlib
+
+import gymnasium.envs.mujoco
 import mujoco
 import numpy as np
 import pytest
@@ -197,6 +200,25 @@ def test_a_box_rests(warp, timestep):
     for _ in range(round(1.0 / timestep)):
         mjw.step(m, d)
     assert np.abs(d.qpos.numpy()[0, :7] - start).max() <= 2e-6
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_no_world_is_lost_deep_in_the_sand(warp):
+    """Damping is then enormous beside inertia, and both are factorized in single precision."""
+    folder = pathlib.Path(gymnasium.envs.mujoco.__file__).parent
+    model = mujoco.MjModel.from_xml_path(str(folder / "assets" / "hopper.xml"))
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    sand = warp.WarpSand(model, medium="quikrete_medium", instead_of="floor")
+    rng = np.random.default_rng(0)
+    qpos = np.tile(model.qpos0, (300, 1)) + rng.normal(size=(300, model.nq)) * 0.3
+    qpos[:, 1] = rng.uniform(0.0, 1.0, 300)
+    qpos[:, 3:] = np.clip(qpos[:, 3:], *(model.jnt_range[3:].T * 0.95))
+    m, d = put(model, qpos, rng.normal(size=(300, model.nv)) * 0.01, sand)
+    m.opt.warn_overflow = 0
+    for _ in range(30):
+        mjw.step(m, d)
+    assert sand.bad_worlds(d) == []
+    assert sand.depth.numpy().max() > 0.5
 
 
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")

@@ -1,0 +1,78 @@
+"""Bodies in the sand as records, their motions, and the matrices of 6 x 6 that resist them."""
+
+# The code of kernels is Warp's language, of which type checkers of Python know little.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
+# pyright: reportAttributeAccessIssue=false
+
+# Without `annotations` of the future: Warp reads types of local structs where they stand.
+import numpy as np
+import warp as wp
+
+from mjgranular.kernel.motion import Motion
+from mjgranular.warp.translate import struct, struct_of
+
+SLOT_DTYPE = np.dtype(
+    [(name, np.int32) for name in ("body", "root", "first", "end", "chain", "chain_end")]
+)
+Slot = struct("Slot", dict.fromkeys(SLOT_DTYPE.names or (), wp.int32))
+"""A body in the sand: its id, its tree's root, its elements, its degrees of freedom in `chain`."""
+
+Damping = struct("Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.mat33})
+"""A symmetric matrix of 6 x 6 for (angular, linear), its blocks; `mixed` is (angular, linear)."""
+
+WarpMotion = struct_of(Motion)
+
+
+@wp.func
+def spatial(vectors: wp.array2d(dtype=wp.spatial_vector), world: int, i: int):
+    """A spatial vector of MuJoCo's as a motion."""
+    both = vectors[world, i]
+    return WarpMotion(wp.spatial_top(both), wp.spatial_bottom(both))
+
+
+@wp.func
+def motion_of(
+    slot: Slot,
+    chain: wp.array(dtype=int),
+    cdof: wp.array2d(dtype=wp.spatial_vector),
+    rates: wp.array2d(dtype=float),
+    world: int,
+):
+    """The motion of a body about the centre of its tree, from rates of its degrees of freedom."""
+    angular, linear = wp.vec3(), wp.vec3()
+    for k in range(slot.chain, slot.chain_end):
+        axis = spatial(cdof, world, chain[k])
+        rate = rates[world, chain[k]]
+        angular += rate * axis.angular
+        linear += rate * axis.linear
+    return WarpMotion(angular, linear)
+
+
+@wp.func
+def velocity_at(motion: WarpMotion, arm: wp.vec3):
+    """Velocity of a point from its place relative to the tree's centre."""
+    return motion.linear + wp.cross(motion.angular, arm)
+
+
+@wp.func
+def added_to(d: Damping, c: wp.mat33, arm: wp.vec3):
+    """The damping of a body with that of a point of it added."""
+    r = wp.skew(arm)
+    rc = r * c
+    return Damping(d.turn - rc * r, d.mixed + rc, d.slide + c)
+
+
+@wp.func
+def bounded(d: Damping, most: float):
+    """The damping of a body, made less as it comes near a bound [N s/m]."""
+    part = most / (most + wp.trace(d.slide))
+    return Damping(part * d.turn, part * d.mixed, part * d.slide)
+
+
+@wp.func
+def wrench_of(d: Damping, motion: WarpMotion):
+    """Force and moment -C v, as a motion (moment, force)."""
+    moment = d.turn * motion.angular + d.mixed * motion.linear
+    force = wp.transpose(d.mixed) * motion.angular + d.slide * motion.linear
+    return WarpMotion(-moment, -force)
