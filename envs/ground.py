@@ -55,6 +55,38 @@ def put_on_sand(
     Raises:
         InputError: the model has no floor and a sand no surface.
     """
+    placed = place(spec, sands, cut=cut, tile=tile)
+    names, bare = [], spec.copy()
+    for sand in placed:
+        if as_memory(sand.memory) is not None:
+            with quiet():
+                sand = fitted(bare.compile(), sand)
+        # What prints are pressed into is drawn by the sand itself, at its true place.
+        draw = () if as_memory(sand.memory) is None else ("surface",)
+        names.append(add_sand(spec, sand, tunable=tunable, draw=draw).name)
+    if sensors:
+        _add_sensors(spec, names)
+    with quiet(), told_by_mujoco():
+        return spec.compile()
+
+
+def place(
+    spec: mujoco.MjSpec, sands: Sequence[SandSpec], *, cut: float = 0.0, tile: float = TILE
+) -> list[SandSpec]:
+    """Makes a model ready for sand in the place of its floor; what changes, `put_on_sand` says.
+
+    Args:
+        spec: the model to be; it is changed.
+        sands: one or several.
+        cut: as for `put_on_sand` [m].
+        tile: likewise [m].
+
+    Returns:
+        The sands with their surfaces, and with the floors that they replace.
+
+    Raises:
+        InputError: the model has no floor and a sand no surface.
+    """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
     _keep_extent(spec)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
@@ -68,20 +100,11 @@ def put_on_sand(
     for number, body in enumerate(spec.bodies):
         if not body.name:  # sensors find bodies by name
             body.name = f"body_{number}"
-    names, bare = [], spec.copy()
-    for sand, surface in zip(sands, surfaces, strict=True):
-        replaced = [*(floor.name for floor in floors), *names_in(sand.instead_of)]
-        placed = combined(sand, {"surface": surface, "instead_of": replaced})
-        if as_memory(placed.memory) is not None:
-            with quiet():
-                placed = fitted(bare.compile(), placed)
-        # What prints are pressed into is drawn by the sand itself, at its true place.
-        draw = () if as_memory(placed.memory) is None else ("surface",)
-        names.append(add_sand(spec, placed, tunable=tunable, draw=draw).name)
-    if sensors:
-        _add_sensors(spec, names)
-    with quiet(), told_by_mujoco():
-        return spec.compile()
+    replaced = [floor.name for floor in floors]
+    return [
+        combined(sand, {"surface": surface, "instead_of": [*replaced, *names_in(sand.instead_of)]})
+        for sand, surface in zip(sands, surfaces, strict=True)
+    ]
 
 
 @contextmanager

@@ -187,6 +187,11 @@ class Task(SandSpec, ABC):
         return sands_of(self.randomise, self, HeightField(DUNES))
 
     @property
+    def sands(self) -> Sequence[SandSpec]:
+        """The sands that the model has, as they are asked for."""
+        return self._sands[0]
+
+    @property
     def choices(self) -> Sequence[Choice]:
         """The sands in the model."""
         return self._sands[1]
@@ -194,10 +199,7 @@ class Task(SandSpec, ABC):
     @cached_property
     def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
         """The model and what is read from it before anybody tilts its gravity."""
-        spec = self.robot()
-        sands, choices = self._sands
-        if any(choice.surface == "dunes" for choice in choices):
-            add_dunes(spec, self.dunes)
+        spec, sands = self.scene(), self.sands
         model = put_on_sand(
             spec,
             sands,
@@ -206,6 +208,13 @@ class Task(SandSpec, ABC):
             tile=self.tile,
         )
         return model, Figures(model, sands), np.array(model.opt.gravity)
+
+    def scene(self) -> mujoco.MjSpec:
+        """The robot, and dunes where they are drawn, before sand is put in the floor's place."""
+        spec = self.robot()
+        if any(choice.surface == "dunes" for choice in self.choices):
+            add_dunes(spec, self.dunes)
+        return spec
 
     @property
     def model(self) -> mujoco.MjModel:

@@ -88,7 +88,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "height": height,
             "camera_name": camera_name,
         }
-        self.batch = _batch_class()(self.task.model, num_envs, threads)
+        self.batch = self._make_batch(threads)
         self._state = self.task.new_state({name: self.batch.bind(name) for name in self.task.bound})
         self._ctrl = self.batch.bind("ctrl")
         self._plugin_state = self.batch.bind("plugin_state")
@@ -179,7 +179,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         terms = task.rewards(before, actions, state)
         only_step = task.progress(before, state) | terms
         rewards = np.array(task.total(terms), float)
-        terminated = np.array(task.terminated(state))
+        terminated = self._terminated()
         truncated = np.zeros(self.num_envs, bool)
         if self.max_episode_steps is not None:
             truncated = self._elapsed >= self.max_episode_steps
@@ -216,6 +216,14 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Gives back what was taken for rendering."""
         if "cameras" in vars(self):  # not where making it was refused
             self.cameras.close()
+
+    def _make_batch(self, threads: int) -> Any:
+        """Makes what steps the simulations, with the methods of `mujoco.batch.Batch`."""
+        return _batch_class()(self.task.model, self.num_envs, threads)
+
+    def _terminated(self) -> np.ndarray:
+        """Tells whose episodes are over, shape (n,)."""
+        return np.array(self.task.terminated(self._state))
 
     def _random(self, number: int) -> np.random.Generator:
         random = self._randoms[number]

@@ -76,6 +76,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
         damping: wp.array2d(dtype=Damping),
         kick: wp.array2d(dtype=wp.spatial_vector),
         depth: wp.array2d(dtype=float),
+        speed: wp.array2d(dtype=float),
     ):
         world, s = wp.tid()
         slot = slots[s]
@@ -102,16 +103,20 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
             level = _Level(wp.transpose(pose.rotation) * normal, depth_here)
         total = Damping()
         push, twist = wp.vec3(), wp.vec3()
-        deepest = float(-wp.inf)
+        deepest, fastest = float(-wp.inf), float(0.0)
         for i in range(slot.first, slot.end):
             element = elements[i]
-            if wp.static(has_cull) and not (cull(element, level) > 0.0):
-                continue
+            if wp.static(has_cull):
+                least = cull(element, level)
+                deepest = wp.max(deepest, least)
+                if not (least > 0.0):
+                    continue
             found = sample(element, pose, law, surface, g)
             deepest = wp.max(deepest, found.depth)
             if found.depth > 0.0:
                 arm = found.point - tree
                 v = velocity_at(ahead, arm)
+                fastest = wp.max(fastest, wp.length(v))
                 c = resistance(found, law, g, v, eps, strong, dense)
                 if wp.static(adds_mass):
                     start = velocity_at(now, arm)
@@ -126,6 +131,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
         damping[world, s] = total
         kick[world, s] = wp.spatial_vector(twist, push)
         depth[world, s] = deepest
+        speed[world, s] = fastest
 
     return resist
 
@@ -217,13 +223,16 @@ def wrenches_of_step(
     kick: wp.array2d(dtype=wp.spatial_vector),
     force: wp.array2d(dtype=wp.vec3),
     moment: wp.array2d(dtype=wp.vec3),
+    power: wp.array2d(dtype=float),
 ):
-    """Force, and moment about the centre of mass, at the velocity that the step ends with."""
+    """Force, moment about the centre of mass and power, at the step's last velocity."""
     world, s = wp.tid()
     slot = slots[s]
-    wrench = wrench_of(damping[world, s], motion_of(slot, chain, cdof, velocity, world))
+    motion = motion_of(slot, chain, cdof, velocity, world)
+    wrench = wrench_of(damping[world, s], motion)
     f = wrench.linear + wp.spatial_bottom(kick[world, s])
     about_tree = wrench.angular + wp.spatial_top(kick[world, s])
     force[world, s] = f
+    power[world, s] = wp.dot(f, motion.linear) + wp.dot(about_tree, motion.angular)
     arm = xipos[world, slot.body] - subtree_com[world, slot.root]
     moment[world, s] = about_tree - wp.cross(arm, f)

@@ -81,6 +81,8 @@ class WarpSand:
         moment: about its centre of mass [N m].
         depth: of its deepest element below the surface [m], negative above; -inf where none was
             near, shape (nworld, bodies).
+        speed: greatest of its elements in the sand [m/s].
+        power: of the sand on it [W], never positive but for rounding.
 
     Raises:
         InputError: what a GPU's step has no place for: memory, the explicit scheme.
@@ -93,6 +95,8 @@ class WarpSand:
     force: wp.array
     moment: wp.array
     depth: wp.array
+    speed: wp.array
+    power: wp.array
 
     def __init__(
         self,
@@ -182,7 +186,8 @@ class WarpSand:
             return wp.zeros(shape, dtype=kind, device=device)
 
         self.strength, self.density = (wp.ones(n, dtype=float, device=device) for _ in range(2))
-        self.height, self.depth = zeros((n,), float), zeros((n, count), float)
+        self.height = zeros((n,), float)
+        self.depth, self.speed, self.power = (zeros((n, count), float) for _ in range(3))
         self.force, self.moment = zeros((n, count), wp.vec3), zeros((n, count), wp.vec3)
         self._arrays = _Arrays(
             foreseen=zeros((n, model.nv), float),
@@ -270,7 +275,7 @@ class WarpSand:
                 *(self._slot_array, self._chain_array, d.subtree_com, d.xipos, d.cdof),
                 *(a.foreseen, a.damping, a.kick),
             ],
-            [self.force, self.moment],
+            [self.force, self.moment, self.power],
         )
 
     def _foresee(self, m: Any, d: Any) -> None:
@@ -289,7 +294,7 @@ class WarpSand:
                 *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
                 *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, a.foreseen),
             ],
-            [a.damping, a.kick, self.depth],
+            [a.damping, a.kick, self.depth, self.speed],
         )
         of_dofs = [self._dof_slots, self._dof_first]
         self._launch(

@@ -1,0 +1,51 @@
+"""A task in all worlds of MuJoCo Warp, as a Gymnasium vector environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mjgranular.envs.task import Task
+from mjgranular.envs.vector import SandVectorEnv
+from mjgranular.envs.worlds import Worlds
+
+
+class WarpVectorEnv(SandVectorEnv):
+    """A task with many simulations, stepped by MuJoCo Warp on a GPU or on the processor.
+
+    Observations, rewards, ends, `info` and seeds are as with `SandVectorEnv`, in single precision
+    and by the integrator `discrete` (docs/warp.md). A world that becomes no numbers ends its
+    episode; `info["sand/lost"]` says so, and the others go on.
+
+    Args:
+        task: a task or its name.
+        num_envs: number of simulations.
+        device: of Warp's: "cuda:0", "cpu"; None for a GPU where there is one.
+        **kwargs: as for `SandVectorEnv`, options of the task among them.
+
+    Raises:
+        UnknownNameError: as with `SandVectorEnv`.
+        InputError: sand that MuJoCo Warp has no place for, such as memory.
+    """
+
+    def __init__(
+        self, task: str | Task, num_envs: int = 1, *, device: str | None = None, **kwargs: Any
+    ) -> None:
+        self._device = device
+        super().__init__(task, num_envs, **kwargs)
+        self._settings["device"] = device
+
+    def step(
+        self, actions: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advances every simulation by `frame_skip` substeps, or begins its next episode."""
+        observation, reward, terminated, truncated, info = super().step(actions)
+        info["sand/lost"] = self.batch.lost.copy()
+        return observation, reward, terminated, truncated, info
+
+    def _make_batch(self, threads: int) -> Worlds:
+        return Worlds(self.task, self.num_envs, self._device)
+
+    def _terminated(self) -> np.ndarray:
+        return super()._terminated() | self.batch.lost

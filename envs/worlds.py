@@ -1,0 +1,203 @@
+"""The worlds of MuJoCo Warp for `SandVectorEnv`, with the methods of `mujoco.batch.Batch`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.engine.instances import instance_of
+from mjgranular.engine.tuning import DENSITY, HEIGHT, INITIAL, STRENGTH
+from mjgranular.envs.ground import place, quiet
+from mjgranular.envs.task import Task
+from mjgranular.errors import InputError
+from mjgranular.extras import need
+
+need("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
+
+import mujoco_warp as mjw  # noqa: E402 - behind its install line
+import warp as wp  # noqa: E402
+
+from mjgranular.warp import WarpSand, coupled  # noqa: E402
+
+_INPUTS = ("qpos", "qvel", "ctrl")
+
+
+class Worlds:
+    """Simulations of a task in MuJoCo Warp.
+
+    What is bound are arrays of this process, read from the device after each step; what is written
+    to them goes there before the next. The model has `WarpSand` in place of the task's plugin, and
+    the integrator `discrete`.
+
+    Args:
+        task: the task.
+        count: of worlds.
+        device: of Warp's, such as "cuda:0" or "cpu"; None for its own choice.
+
+    Attributes:
+        lost: worlds that became no numbers in the last step, shape (n,); their states are those of
+            the model's beginning.
+
+    Raises:
+        InputError: a task with sand that MuJoCo Warp has no place for.
+    """
+
+    def __init__(self, task: Task, count: int, device: str | None = None) -> None:
+        self._task, self._count, self._full = task, count, task.model
+        if len(task.sands) > 1:
+            raise InputError(
+                "in MuJoCo Warp all worlds have one law and one surface: leave media, laws and "
+                "surfaces out of randomise (strength, density and slope may be drawn)"
+            )
+        spec = task.scene()
+        (sand,) = place(spec, task.sands)
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON  # it has no PGS
+        with quiet():
+            self._model = model = coupled(spec).compile()
+        self._sand = WarpSand(model, sand)
+        try:
+            wp.get_device(device)
+        except ValueError:
+            known = ", ".join(each.alias for each in wp.get_devices())
+            raise InputError(
+                f"there is no device {device!r} for MuJoCo Warp here; there is: {known}"
+            ) from None
+        with wp.ScopedDevice(device):
+            self._m = mjw.put_model(model)
+            self._d = mjw.put_data(model, mujoco.MjData(model), nworld=count)
+            self._sand.attach(self._m, self._d)
+            gravity = np.tile(np.array(model.opt.gravity, np.float32), (count, 1))
+            self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
+        self._gravity = gravity.astype(float)
+        self._rows = [model.body(name).id for name in self._sand.bodies]
+        self._arrays: dict[str, np.ndarray] = {}
+        for name in _INPUTS:
+            self.bind(name)
+        self._plugin_state = self.bind("plugin_state")
+        self._graphs: dict[int, Any] = {}
+        self.lost = np.zeros(count, bool)
+
+    def bind(self, name: str) -> np.ndarray:
+        """The array of a field of `mjData`, shape (n, ...).
+
+        Args:
+            name: of the field.
+
+        Raises:
+            InputError: a field that is not read from MuJoCo Warp.
+        """
+        if name not in self._arrays:
+            data = mujoco.MjData(self._full)
+            value = np.asarray(getattr(data, name))
+            if not hasattr(self._d, name) and name not in ("plugin_state", "userdata"):
+                raise InputError(f"MuJoCo Warp's data have no {name}, which this task reads")
+            self._arrays[name] = np.tile(value.astype(float), (self._count,) + (1,) * value.ndim)
+        return self._arrays[name]
+
+    def expand(self, name: str) -> np.ndarray:
+        """An option of the model for each world; there is `opt.gravity`."""
+        assert name == "opt.gravity"
+        return self._gravity
+
+    def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
+        """Steps all worlds; those that are not in `ids` are to be reset before they are read."""
+        self._write(("ctrl",))
+        device = self._d.qpos.device
+        if device.is_cuda:
+            if nstep not in self._graphs:
+                with wp.ScopedCapture(device) as capture:
+                    self._steps(nstep)
+                self._graphs[nstep] = capture.graph
+            wp.capture_launch(self._graphs[nstep])
+        else:
+            self._steps(nstep)
+        self._read(None)
+        state = (self._arrays["qpos"], self._arrays["qvel"])
+        self.lost = ~(np.isfinite(state[0]).all(1) & np.isfinite(state[1]).all(1))
+        if self.lost.any():
+            self.reset(np.flatnonzero(self.lost))
+            self.forward(np.flatnonzero(self.lost))
+
+    def reset(self, ids: np.ndarray, stage: int = 0) -> None:
+        """Gives worlds the model's first state."""
+        for name, value in self._arrays.items():
+            value[ids] = getattr(mujoco.MjData(self._full), name)
+
+    def forward(self, ids: np.ndarray) -> None:
+        """Writes the state of worlds, their sand and gravity, and finds what follows from them."""
+        self._write(_INPUTS)
+        for name in ("qacc_warmstart", "act", "time"):
+            field = getattr(self._d, name)
+            values = field.numpy()
+            values[ids] = 0.0
+            field.assign(values)
+        if self._plugin_state.shape[1]:
+            first = self._full.plugin_stateadr[instance_of(self._full, self._task.figures.sands[0])]
+            state = self._plugin_state[:, first : first + len(INITIAL)].astype(np.float32)
+            self._sand.strength.assign(state[:, STRENGTH])
+            self._sand.density.assign(state[:, DENSITY])
+            self._sand.height.assign(state[:, HEIGHT])
+            self._m.opt.gravity.assign(self._gravity.astype(np.float32))
+        mjw.forward(self._m, self._d)
+        self._read(ids)
+
+    def get_model(self, number: int) -> mujoco.MjModel:
+        """The task's model, with the gravity of a world."""
+        self._full.opt.gravity[:] = self._gravity[number]
+        return self._full
+
+    def get_data(self, number: int) -> mujoco.MjData:
+        """The state of a world."""
+        data = mujoco.MjData(self._full)
+        for name in _INPUTS:
+            getattr(data, name)[:] = self._arrays[name][number]
+        return data
+
+    def _steps(self, count: int) -> None:
+        for _ in range(count):
+            mjw.step(self._m, self._d)
+        if "cfrc_ext" in self._arrays:
+            mjw.rne_postconstraint(self._m, self._d)
+
+    def _write(self, names: tuple[str, ...]) -> None:
+        for name in names:
+            getattr(self._d, name).assign(self._arrays[name].astype(np.float32))
+
+    def _read(self, ids: np.ndarray | None) -> None:
+        """Reads what is bound; of all worlds, or of some."""
+        rows = slice(None) if ids is None else ids
+        for name, value in self._arrays.items():
+            if name in ("ctrl", "plugin_state", "userdata"):
+                continue
+            found = getattr(self._d, name).numpy()
+            if name == "sensordata":
+                found = np.concatenate([found, self._figures()], axis=1)
+            if name == "cfrc_ext":
+                found = found + self._external()
+            value[rows] = found.reshape(value.shape)[rows]
+
+    def _figures(self) -> np.ndarray:
+        """What the task's sensors of the sand read: force, depth, power and speed, shape (n, 6)."""
+        sand = self._sand
+        return np.column_stack(
+            [
+                sand.force.numpy().sum(1),
+                sand.depth.numpy().max(1),
+                sand.power.numpy().sum(1),
+                sand.speed.numpy().max(1),
+            ]
+        )
+
+    def _external(self) -> np.ndarray:
+        """The sand's part of `cfrc_ext`: moments about the centre of the tree, and forces."""
+        forces, moments = self._sand.force.numpy(), self._sand.moment.numpy()
+        centres, trees = self._d.xipos.numpy(), self._d.subtree_com.numpy()
+        wrenches = np.zeros((self._count, self._model.nbody, 6))
+        for k, body in enumerate(self._rows):
+            arm = centres[:, body] - trees[:, self._model.body_rootid[body]]
+            wrenches[:, body, :3] = moments[:, k] + np.cross(arm, forces[:, k])
+            wrenches[:, body, 3:] = forces[:, k]
+        return wrenches

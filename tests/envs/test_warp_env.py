@@ -1,0 +1,100 @@
+"""Tasks in MuJoCo Warp, on its CPU back end, against the same tasks on the processor."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import InputError
+from mjgranular.envs import SandRanges, SandVectorEnv
+from mjgranular.envs.gym_planar import Hopper
+
+pytestmark = pytest.mark.slow
+pytest.importorskip("mujoco_warp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscreteHopper(Hopper):
+    """With the integrator that MuJoCo Warp needs, so that both do the same."""
+
+    def robot(self):
+        spec = super().robot()
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        return spec
+
+
+@pytest.fixture(scope="module")
+def warp_env():
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from mjgranular.envs.warp import WarpVectorEnv
+
+    return WarpVectorEnv
+
+
+def both(warp_env, task, **settings):
+    return warp_env(task, 3, device="cpu", **settings), SandVectorEnv(task, 3, **settings)
+
+
+def test_episodes_are_those_of_the_processor(warp_env):
+    """Sand of each world drawn; through the fall into the sand, ends and new beginnings."""
+    ranges = SandRanges(strength=(0.5, 2.0), density=(0.5, 2.0), slope=(-0.1, 0.1))
+    task = DiscreteHopper(randomise=ranges, observe_sand=True)
+    envs = both(warp_env, task, max_episode_steps=60)
+    seen, told = zip(*(env.reset(seed=3) for env in envs), strict=True)
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)
+    for name in ("sand/strength", "sand/density", "sand/slope"):
+        np.testing.assert_allclose(told[0][name], told[1][name], rtol=1e-12)
+    random = np.random.default_rng(0)
+    ends, forces = 0, []
+    for _ in range(130):
+        action = 0.3 * random.uniform(-1, 1, envs[0].action_space.shape)
+        one, other = (env.step(action) for env in envs)
+        positions = slice(0, 5)  # velocities turn round within steps
+        np.testing.assert_allclose(one[0][:, positions], other[0][:, positions], atol=0.02)
+        np.testing.assert_allclose(one[1], other[1], atol=0.2)
+        np.testing.assert_array_equal(one[2], other[2])
+        np.testing.assert_array_equal(one[3], other[3])
+        ends += int((one[2] | one[3]).sum())
+        forces.append([out[4]["sand/force"] for out in (one, other)])
+        assert not one[4]["sand/lost"].any()
+        assert (one[4]["sand/power"] <= 1e-3).all()
+    assert ends >= 6
+    means = np.array(forces).mean(0)  # over steps
+    assert np.abs(means[1]).max() > 20
+    np.testing.assert_allclose(means[0], means[1], atol=0.02 * np.abs(means[1]).max())
+
+
+def test_a_world_that_is_lost_begins_anew_and_the_others_go_on(warp_env):
+    env, reference = both(warp_env, DiscreteHopper())
+    for each in (env, reference):
+        each.reset(seed=0)
+    action = np.zeros(env.action_space.shape)
+    batch = env.batch
+    broken = batch.bind("qpos")[1].copy()
+    batch.bind("qpos")[1] = np.nan
+    batch.forward(np.arange(3))
+    observation, _, terminated, _, info = env.step(action)
+    right = reference.step(action)[0]
+    assert info["sand/lost"].tolist() == [False, True, False] == terminated.tolist()
+    np.testing.assert_allclose(observation[[0, 2]], right[[0, 2]], atol=1e-3)
+    assert np.isfinite(observation).all()
+    assert np.isfinite(broken).all()
+    observation, _, terminated, _, info = env.step(action)
+    assert not info["sand/lost"].any() and not terminated.any()
+
+
+def test_what_has_no_place_is_said(warp_env):
+    with pytest.raises(InputError, match="leave media, laws and surfaces out of randomise"):
+        warp_env(
+            Hopper(
+                randomise=SandRanges(media=("glass_beads", "poppy_seed_loose"), laws=("rft2d",))
+            ),
+            2,
+        )
+    with pytest.raises(InputError, match="memory is not in MuJoCo Warp yet"):
+        warp_env("Hopper", 2, memory=True)
+    with pytest.raises(InputError, match="device"):
+        warp_env("Hopper", 2, device="gpu7")
