@@ -1,0 +1,80 @@
+"""A task in MuJoCo Warp for RSL-RL."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from mjgranular.envs.vector import SandVectorEnv
+from mjgranular.errors import InputError
+from mjgranular.extras import need
+from mjgranular.given import kind_of
+
+need("rsl_rl", extra="warp", purpose="mjgranular.envs.rsl")
+
+import torch  # noqa: E402 - behind the install line
+from rsl_rl.env import VecEnv  # noqa: E402
+from tensordict import TensorDict  # noqa: E402
+
+
+class RslVecEnv(VecEnv):
+    """A `WarpVectorEnv`, or a `SandVectorEnv`, as RSL-RL's runners want it.
+
+    Observations are a `TensorDict` with one group, `"policy"`, of single precision. Episodes that
+    are over begin at once; those that only their length has ended are in `extras["time_outs"]`.
+
+    Args:
+        env: made with `autoreset_mode="SameStep"` and `max_episode_steps`.
+        device: of PyTorch's, where tensors are to be; None for the processor.
+
+    Raises:
+        InputError: an environment that begins episodes at another time, or has no longest episode.
+    """
+
+    def __init__(self, env: SandVectorEnv, device: str | torch.device | None = None) -> None:
+        if not isinstance(env, SandVectorEnv):
+            raise InputError(f"RslVecEnv takes a WarpVectorEnv, not {kind_of(env)}")
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP or env.max_episode_steps is None:
+            raise InputError(
+                "RSL-RL needs environments made with autoreset_mode='SameStep' and "
+                "max_episode_steps=N"
+            )
+        self.env = env
+        self.num_envs = env.num_envs
+        self.num_actions = int(np.prod(env.single_action_space.shape or ()))
+        self.max_episode_length = env.max_episode_steps
+        self.device = torch.device(device or "cpu")
+        self.cfg: dict[str, Any] = {"task": type(env.task).__name__, **env.task.options()}
+        self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
+        self._observations = self._seen(env.reset()[0])
+
+    def seed(self, seed: int) -> None:
+        """Begins all episodes anew, from a seed."""
+        self._observations = self._seen(self.env.reset(seed=seed)[0])
+        self.episode_length_buf.zero_()
+
+    def get_observations(self) -> TensorDict:
+        """Those of now, shape (num_envs, k)."""
+        return self._observations
+
+    def step(
+        self, actions: torch.Tensor
+    ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """Advances all environments; actions beyond the task's are cut off."""
+        space = self.env.single_action_space
+        wanted = actions.detach().cpu().numpy().reshape(self.num_envs, *(space.shape or ()))
+        wanted = np.clip(wanted, space.low, space.high)  # pyright: ignore[reportAttributeAccessIssue]
+        observations, rewards, terminated, truncated, _ = self.env.step(wanted)
+        over = torch.as_tensor(terminated | truncated, device=self.device)
+        self.episode_length_buf += 1
+        self.episode_length_buf[over] = 0
+        self._observations = self._seen(observations)
+        rewards = torch.as_tensor(rewards, dtype=torch.float32, device=self.device)
+        late = torch.as_tensor(truncated & ~terminated, device=self.device)
+        return self._observations, rewards, over, {"time_outs": late}
+
+    def _seen(self, observations: np.ndarray) -> TensorDict:
+        policy = torch.as_tensor(observations, dtype=torch.float32, device=self.device)
+        return TensorDict({"policy": policy}, batch_size=[self.num_envs], device=self.device)
