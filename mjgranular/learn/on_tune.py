@@ -15,6 +15,7 @@ from ray import tune
 from ray.tune.schedulers import ASHAScheduler
 
 from mjgranular.errors import GranularError, InputError, one_line
+from mjgranular.learn.on_ray import told
 from mjgranular.learn.train import collected_signals
 from mjgranular.learn.trial import Rungs, Task, run_trial, stopped_row
 from mjgranular.learn.tuning import REDUCTION, Outcome, Study
@@ -29,6 +30,7 @@ _QUIET = {
     "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",
     "TUNE_DISABLE_AUTO_CALLBACK_SYNCER": "1",
     "TUNE_DISABLE_SIGINT_HANDLER": "1",
+    "TUNE_DISABLE_STRICT_METRIC_CHECKING": "1",  # the last report of a trial is its row
     "RAY_TRAIN_ENABLE_V2_MIGRATION_WARNINGS": "0",
 }
 
@@ -144,7 +146,7 @@ def _run(study: Study, on: Workers, watch: _Watch, missing: list[int], place: st
     except GranularError:
         raise
     except Exception as error:  # of Ray, of a cluster that has gone
-        raise InputError(f"Ray Tune cannot go on: {one_line(str(error))[:500]}") from None
+        raise InputError(f"Ray Tune cannot go on: {told(error)}") from None
     if watch.refused is not None:
         raise InputError(watch.refused)
     unfinished = study.journal.count < len(study.tuning)
