@@ -7,7 +7,8 @@
 `same` compares the files of `mjgranular sweep` from one process with those of Ray with 1, 2 and 4
 workers. `kills` ends worker processes at random moments. `node` takes a machine away from a cluster
 of two. `resume` breaks a sweep off and goes on with it on the other engine, again and again. `cost`
-measures what Ray takes beside what processes take, `sampling` what a step in training does. Needs
+measures what Ray takes beside what processes take, `memory` what the process that collects
+holds, `sampling` what a step in training does. Needs
 the extras `ray` and `train`, and Linux.
 """
 
@@ -30,7 +31,7 @@ from typing import Any
 
 from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.table import write_csv
-from mjgranular.pool import UNFINISHED, Workers, map_tasks
+from mjgranular.pool import UNFINISHED, Journal, Workers, map_tasks
 from mjgranular.pool.workers import Engine
 
 # Cheap, so that everything ends within minutes: what is looked at is who works, not what comes out.
@@ -226,6 +227,45 @@ def _between(engine: Engine, seconds: float, count: int) -> float:
     return sum(gaps) / len(gaps)
 
 
+def _row(_shared: object, number: int) -> dict[str, float]:
+    """A task that costs nothing, and gives a row."""
+    return {"number": number, "speed": 1.0 + number / 3.0, "depth": number / 7.0, "time": 0.1}
+
+
+def memory(counts: tuple[int, ...] = (10**4, 10**5, 10**6)) -> None:
+    """What the process that collects holds, with a row each of so many tasks, and after them."""
+    engines: tuple[Engine, ...] = ("local", "ray")
+    for engine in engines:
+        for count in counts:
+            with tempfile.TemporaryDirectory() as folder:
+                before = _resident()
+                most = [before]
+
+                def progress(_done: int, most: list[int] = most) -> None:
+                    most[0] = max(most[0], _resident())
+
+                journal = Journal(Path(folder), {"rows": count}, count)
+                journal.begin()
+                on = Workers(engine, 2)
+                found = map_tasks(_row, range(count), on=on, journal=journal, progress=progress)
+                assert found.failed == 0
+                rows = sum(1 for _ in found.journal.results())
+                assert rows == count
+                grown = (max(most[0], _resident()) - before) / 2**20
+                journal.close()
+            print(
+                f"memory: {count:,} rows from {engine}: {before / 2**20:.0f} MiB before, "
+                f"at most {grown:.1f} MiB more",
+                flush=True,
+            )
+
+
+def _resident() -> int:
+    """Memory of this process [bytes]."""
+    pages = Path("/proc/self/statm").read_text().split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
+
+
 def _sample(runner: Any) -> float:
     """Samples once on an env runner; the time of its processor that it took [s]."""
     begin = time.process_time()
@@ -296,7 +336,7 @@ def main() -> None:
     """Runs what is named, or everything."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument(
-        "what", nargs="*", help="same, kills, node, resume, cost, sampling; default: all"
+        "what", nargs="*", help="same, kills, node, resume, cost, memory, sampling; default: all"
     )
     parser.add_argument("--engine", choices=("local", "ray"), help="for kills; default: both")
     parser.add_argument("--count", type=int, default=20, help="of kills and of interruptions")
@@ -311,6 +351,7 @@ def main() -> None:
         "node": node,
         "resume": lambda: resume(given.count, draw),
         "cost": cost,
+        "memory": memory,
         "sampling": sampling,
     }
     for name in given.what or checks:
