@@ -13,6 +13,7 @@ from rich.text import Text
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
 from mjgranular.errors import InputError
 from mjgranular.learn.run import Run
+from mjgranular.learn.run_tuning import run_study
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.trial import FAILED
 from mjgranular.learn.tuning import (
@@ -22,10 +23,10 @@ from mjgranular.learn.tuning import (
     Study,
     Tuning,
     begin_study,
+    check_models,
     check_place,
     is_study,
     open_study,
-    run_study,
     value_text,
 )
 from mjgranular.pool import Workers
@@ -105,7 +106,13 @@ def search_anew(
                 f"{name} is searched over, and --set {word} fixes it: leave one of the two away"
             )
     check_place(tuning, on)
-    return _done(begin_study(path, tuning), on, as_json)
+    check_models(tuning)
+    study = begin_study(path, tuning)
+    try:
+        return _done(study, on, as_json)
+    except InputError:
+        study.discard()
+        raise
 
 
 def search_on(path: Path, on: Workers, *, trust: bool, as_json: bool) -> int:
@@ -205,6 +212,8 @@ def _status(study: Study, outcome: Outcome) -> int:
     for number, reason in outcome.failures.items():
         show_error(f"trial {number}: {reason}")
     done, total = study.journal.count, len(study.tuning)
+    if outcome.failures and not done:
+        raise InputError("no trial came to an end")
     kept = f"{done} of {total} trials are finished, kept in {study.path}"
     go_on = f"mjgranular train --resume {study.path} goes on"
     if outcome.stopped_by is not None:

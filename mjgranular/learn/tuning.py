@@ -9,7 +9,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping
+import shutil
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -21,12 +22,13 @@ from mjgranular import files
 from mjgranular.errors import GranularError, InputError, OutputError, UnknownNameError
 from mjgranular.experiment.folder import CONFIG, SEARCH
 from mjgranular.extras import need
-from mjgranular.learn.run import current_versions
+from mjgranular.learn.run import CHECKPOINTS, Run, current_versions
 from mjgranular.learn.settings import Settings, change
 from mjgranular.learn.space import Point, Space, at_ends, points_of, read_space
 from mjgranular.learn.toml import settings_text, toml_text
-from mjgranular.learn.trial import FINISHED, Task, is_row, run_trial
-from mjgranular.pool import UNFINISHED, Journal, Mapped, Workers, map_tasks
+from mjgranular.learn.train import environments_of, new_model
+from mjgranular.learn.trial import FINISHED, Task, is_row
+from mjgranular.pool import UNFINISHED, Journal, Workers
 from mjgranular.saved import is_text, read_json
 
 TABLE, BEST = "trials.csv", "best.toml"
@@ -38,6 +40,7 @@ Scheduler = Literal["none", "asha"]
 # so many rungs are chosen.
 REDUCTION = 3
 _RUNGS = 2
+_MADE = 10  # policies that are made beforehand, to see whether they can be; chosen
 
 
 @dataclass(frozen=True)
@@ -155,6 +158,11 @@ class Study:
                 if self.journal.count in (0, len(self.tuning)):
                     (self.path / UNFINISHED).unlink(missing_ok=True)
 
+    def discard(self) -> None:
+        """Removes the folder of a search that came to nothing: one without a checkpoint."""
+        if not any(self.path.glob(f"trial-*/{CHECKPOINTS}/*")) and self.journal.count == 0:
+            shutil.rmtree(self.path, ignore_errors=True)
+
     def is_finished(self) -> bool:
         """Tells whether there is nothing left to do."""
         return (self.path / TABLE).exists() and not (self.path / UNFINISHED).exists()
@@ -242,6 +250,30 @@ def check_place(tuning: Tuning, on: Workers) -> None:
         )
 
 
+def check_models(tuning: Tuning) -> None:
+    """Refuses settings of policies that their class does not take, which only that one knows.
+
+    Raises:
+        InputError: says which trial, and why.
+    """
+    seen: set[str] = set()
+    for number, settings in enumerate(tuning.all_settings):
+        policy = toml_text(settings.policy)
+        if policy in seen or len(seen) >= _MADE:
+            continue
+        seen.add(policy)
+        # Of one environment: what a policy takes is no matter of their number.
+        alone = replace(settings, num_envs=1, processes=False, arguments={})
+        run = Run(Path(), tuning.environment, alone, tuning.seed, {}, trusted=True)
+        env = environments_of(run, threads=1)
+        try:
+            new_model(run, env)
+        except InputError as error:
+            raise InputError(f"trial {number} of the search: {error}") from None
+        finally:
+            env.close()
+
+
 def begin_study(path: Path, tuning: Tuning) -> Study:
     """Makes the folder of a new search.
 
@@ -317,50 +349,3 @@ class Outcome:
 
     stopped_by: int | None
     failures: Mapping[int, str]
-
-
-def run_study(study: Study, on: Workers, progress: Callable[[int], None] | None = None) -> Outcome:
-    """Does the trials that are not done yet. The study must be opened by the caller.
-
-    Numbers are the same wherever that is, unless a scheduler ends trials early: that depends on
-    which came first.
-
-    Args:
-        study: with its folder, which all nodes of a cluster must have at the same path.
-        on: where; each trial takes a core.
-        progress: told the number of trials that are done, as soon as there is another one.
-
-    Raises:
-        InputError: Ray or its workers cannot do it.
-    """
-    check_place(study.tuning, on)
-
-    def kept(_number: int = 0, _row: Any = None) -> None:
-        study.write()
-        if progress is not None:
-            progress(study.journal.count)
-
-    if study.journal.count:
-        kept()
-    if on.engine == "ray":
-        from mjgranular.learn.on_tune import run_on_tune
-
-        return run_on_tune(study, on, kept)
-    alone = on.count == 1
-    found = map_tasks(
-        _run_there,
-        study.tasks(None if alone else 1),
-        on=replace(on, chunk=1),
-        journal=study.journal,
-        answered=kept,
-    )
-    return _outcome(found)
-
-
-def _run_there(_shared: None, task: Task) -> dict[str, Any]:
-    return run_trial(task)
-
-
-def _outcome(found: Mapped) -> Outcome:
-    stopped = found.stopped_by if found.interrupted else None
-    return Outcome(stopped, {one.index: one.reason for one in found.failures})

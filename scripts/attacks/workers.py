@@ -191,15 +191,27 @@ def resume(count: int, draw: random.Random) -> None:
 
 
 def _nap(_shared: object, seconds: float) -> dict[str, float]:
-    """A task of known length that takes no core: where it ran, from when to when."""
+    """A task of known length that takes no core: from when to when."""
     begin = time.monotonic()
     time.sleep(seconds)
-    return {"worker": os.getpid(), "begin": begin, "end": time.monotonic()}
+    return {"begin": begin, "end": time.monotonic()}
+
+
+def _work(_shared: object, loops: int) -> dict[str, float]:
+    """A task that keeps a core busy: from when to when."""
+    begin = time.monotonic()
+    total = 0
+    for k in range(loops):
+        total += k
+    return {"sum": total, "begin": begin, "end": time.monotonic()}
 
 
 def cost(rounds: int = 3) -> None:
-    """Time between the end of a chunk and the beginning of the worker's next, interleaved."""
-    for seconds, count in ((1.0, 16), (0.1, 60), (0.0, 400)):
+    """Time between the end of a chunk and the beginning of the next in its place, interleaved.
+
+    And what twelve chunks of a second or so of work take, from the first beginning to the last end.
+    """
+    for seconds, count in ((1.0, 12), (0.1, 60), (0.0, 400)):
         least: dict[Engine, float] = {"local": 1e9, "ray": 1e9}
         for _ in range(rounds):
             for engine in least:
@@ -209,22 +221,41 @@ def cost(rounds: int = 3) -> None:
         print(
             f"cost: between chunks of {seconds:g} s: {each}; ray over local {ratio:.4f}", flush=True
         )
+    loops = _loops_of_a_second()
+    ratios = []
+    for _ in range(rounds):
+        local, ray = _whole("local", loops, 12), _whole("ray", loops, 12)
+        ratios.append(ray / local)
+    each = ", ".join(f"{ratio:.3f}" for ratio in ratios)
+    load = os.getloadavg()[0]
+    print(f"cost: twelve chunks of work, ray over local: {each}; load {load:.1f}", flush=True)
+
+
+def _loops_of_a_second() -> int:
+    tried = 10**6
+    least = min(each["end"] - each["begin"] for each in (_work(None, tried) for _ in range(5)))
+    return int(tried / least)
+
+
+def _whole(engine: Engine, loops: int, count: int) -> float:
+    """From the first beginning to the last end of so many chunks of work [s]."""
+    found = map_tasks(_work, [loops] * count, on=Workers(engine, 2, 1))
+    rows = list(found.journal.results())
+    return max(row["end"] for row in rows) - min(row["begin"] for row in rows)
 
 
 def _between(engine: Engine, seconds: float, count: int) -> float:
-    """Mean time that a worker waits for its next chunk [s], of one task each."""
-    found = map_tasks(
-        _nap,
-        [seconds] * count,
-        on=Workers(engine, 2, 1),
-    )
-    rows = sorted(found.journal.results(), key=lambda row: (row["worker"], row["begin"]))
-    gaps = [
-        after["begin"] - before["end"]
-        for before, after in itertools.pairwise(rows)
-        if before["worker"] == after["worker"]
-    ]
-    return sum(gaps) / len(gaps)
+    """Mean time that a place waits for its next chunk, of one task each [s].
+
+    Of two places each chunk takes the one that has become free first, in whatever process: Ray has
+    more of them than it uses at a time.
+    """
+    places = 2
+    found = map_tasks(_nap, [seconds] * count, on=Workers(engine, places, 1))
+    rows = list(found.journal.results())
+    begins = sorted(row["begin"] for row in rows)[places:]
+    ends = sorted(row["end"] for row in rows)
+    return sum(b - e for b, e in zip(begins, ends, strict=False)) / len(begins)
 
 
 def _row(_shared: object, number: int) -> dict[str, float]:

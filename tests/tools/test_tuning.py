@@ -12,8 +12,9 @@ from scipy import stats
 
 from mjgranular.cli import main
 from mjgranular.errors import MissingExtraError
-from mjgranular.learn import tuning as module
+from mjgranular.learn import run_tuning as module
 from mjgranular.learn.run import open_run
+from mjgranular.learn.run_tuning import run_study
 from mjgranular.learn.settings import change, find_settings, read_settings
 from mjgranular.learn.space import at_ends, points_of, read_space
 from mjgranular.learn.toml import settings_text, toml_text
@@ -25,7 +26,6 @@ from mjgranular.learn.tuning import (
     begin_study,
     check_place,
     open_study,
-    run_study,
 )
 from mjgranular.pool import UNFINISHED, Workers
 
@@ -143,6 +143,11 @@ def test_settings_written_are_read_the_same(changes, tmp_path):
         (["--search", "gamma=0.9,0.99", "--env-runners", "2", "--engine", "ray"], "--workers"),
         (["--search", "gamma=0.9,0.99", "--workers", "0"], "at least 1 worker"),
         (["--search", "gamma=0.9,0.99", "--address", "auto"], "say --engine ray too"),
+        (["--search", "policy.log_std=-1,0"], "trial 0 of .*unexpected keyword argument"),
+        (
+            ["--search", "gamma=0.9,0.99", "--engine", "ray", "--address", "127.0.0.1:1"],
+            "nothing answers",
+        ),
         (["--trials", "3"], "--trials is for --search"),
         (["--workers", "3"], "--workers is for --search; --env-runners"),
         (["--scheduler", "asha"], "--scheduler is for --search"),
