@@ -159,7 +159,7 @@ def test_what_cannot_be_is_told_and_leaves_nothing(arguments, words, tmp_path, m
     error = " ".join(capfd.readouterr().err.split())
     assert error.startswith("error: ")
     assert re.search(words, error)
-    assert list(tmp_path.iterdir()) == []
+    assert [file for file in tmp_path.rglob("*") if file.name != "runs"] == []
 
 
 def test_without_tune_the_install_line_is_given(monkeypatch):
