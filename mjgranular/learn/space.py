@@ -122,8 +122,8 @@ def points_of(space: Space, trials: int | None, seed: int) -> list[Point]:
                 )
         count = math.prod(len(values) for values in space.values())  # pyright: ignore[reportArgumentType]
         _check_count(count, "a grid")
-        grid: Any = itertools.product(*space.values())  # pyright: ignore[reportArgumentType]
-        return [dict(zip(space, point, strict=True)) for point in grid]
+        each: list[Any] = list(space.values())
+        return [dict(zip(space, point, strict=True)) for point in itertools.product(*each)]
     _check_count(trials, "a search")
     qmc = need("scipy.stats.qmc", extra="train", purpose="Drawing settings to try")
     drawn = qmc.LatinHypercube(len(space), seed=np.random.default_rng(seed)).random(trials)

@@ -72,6 +72,7 @@ def rows_of(folder):
 )
 def test_values_in_words(word, values):
     (found,) = space(word).values()
+    assert isinstance(found, tuple)
     assert found == values
     assert [type(one) for one in found] == [type(one) for one in values]
 
