@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import tyro
 
 from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli.tuning import SearchOptions, is_search, search_anew, search_on
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
@@ -25,7 +26,7 @@ _FIGURE = "curve.png"
 
 
 @dataclass(frozen=True)
-class TrainCommand:
+class TrainCommand(SearchOptions):
     """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3, or on Ray with PPO of RLlib.
 
     ENV is an id of Gymnasium's: `mjgranular envs` lists ours; any other goes too, `my_module:My-v0`
@@ -76,6 +77,8 @@ class TrainCommand:
     def run(self) -> int:
         """Runs the command."""
         _ = self.on  # which checks itself
+        if is_search(self, self.resume):
+            return self._search()
         run = self._begun() if self.resume is None else self._resumed(self.resume)
         with run.locked():
             if self.resume is not None:
@@ -92,7 +95,41 @@ class TrainCommand:
                 _draw(run, training)
         return self._tell(run, training)
 
-    def _begun(self) -> Run:
+    def _search(self) -> int:
+        if self.env_runners is not None:
+            raise InputError(
+                "--env-runners shares the environments of one training, and a trial of --search "
+                "has a core to itself: give --workers, trials at once"
+            )
+        on = Workers(self.engine, self.workers, None, self.address)
+        if self.resume is not None:
+            self._leave_away(
+                self.resume,
+                {
+                    "--search": self.search,
+                    "--trials": self.trials,
+                    "--scheduler": None if self.scheduler == "none" else self.scheduler,
+                    "--total-steps": self.total_steps,
+                },
+            )
+            return search_on(self.resume, on, trust=self.trust, as_json=self.json)
+        environment, settings, seed = self._asked()
+        path = (
+            self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-search-{seed}"
+        )
+        return search_anew(
+            self,
+            environment,
+            settings,
+            seed=seed,
+            path=path,
+            changed=self.set,
+            on=on,
+            as_json=self.json,
+        )
+
+    def _asked(self) -> tuple[str, Settings, int]:
+        """Environment, settings and seed, as far as they are right."""
         if self.environment is None:
             raise InputError(
                 "train needs an environment, for example mjgranular train mjgranular/ChainSwim-v0, "
@@ -112,18 +149,28 @@ class TrainCommand:
         if self.processes:
             settings = replace(settings, processes=True)
         seed = 0 if self.seed is None else self.seed
-        short = self.environment.replace(":", "/").rpartition("/")[2]
-        path = self.out or Path("runs") / f"{short}-{settings.algorithm}-{seed}"
         # A mistake in the arguments of the environment is found before a folder is made.
         environments.one(self.environment, settings.environment).close()
+        return self.environment, settings, seed
+
+    def _begun(self) -> Run:
+        environment, settings, seed = self._asked()
+        path = self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-{seed}"
         check_training(settings, self.on)
-        return begin_run(path, self.environment, settings, seed=seed, engine=self.engine)
+        return begin_run(path, environment, settings, seed=seed, engine=self.engine)
 
     def _settings(self, environment: str) -> Settings:
         algorithm = None if self.algorithm is None else self.algorithm.lower()
         return find_settings(environment, algorithm=algorithm, file=self.settings)
 
     def _resumed(self, path: Path) -> Run:
+        self._leave_away(path, {}, " (--total-steps may be given)")
+        run = open_run(path, trust=self.trust)
+        run.check_environment()
+        return run
+
+    def _leave_away(self, path: Path, further: dict[str, object], may: str = "") -> None:
+        """Refuses options that say again what is gone on with."""
         given = {
             "ENV": self.environment,
             "--algorithm": self.algorithm,
@@ -132,16 +179,13 @@ class TrainCommand:
             "--processes": self.processes or None,
             "--seed": self.seed,
             "--out": self.out,
+            **further,
         }
         extra = [name for name, value in given.items() if value is not None]
         if extra:
             raise InputError(
-                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away "
-                "(--total-steps may be given)"
+                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away{may}"
             )
-        run = open_run(path, trust=self.trust)
-        run.check_environment()
-        return run
 
     def _train(self, run: Run) -> Training:
         total = run.settings.total_steps
@@ -193,6 +237,11 @@ class TrainCommand:
                 markup=False,
             )
         return 0
+
+
+def _short(environment: str) -> str:
+    """The name of an environment, for a folder."""
+    return environment.replace(":", "/").rpartition("/")[2]
 
 
 def _draw(run: Run, training: Training) -> None:

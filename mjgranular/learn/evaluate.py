@@ -165,7 +165,7 @@ def parse_variant(text: str) -> dict[str, Any]:
         InputError: not of this form.
     """
     arguments: dict[str, Any] = {}
-    for part in _split(text):
+    for part in split_values(text):
         name, given, value = part.partition("=")
         if not given or not name.strip().isidentifier():
             raise InputError(
@@ -176,8 +176,8 @@ def parse_variant(text: str) -> dict[str, Any]:
     return arguments
 
 
-def _split(text: str) -> list[str]:
-    """At commas, but not within brackets."""
+def split_values(text: str) -> list[str]:
+    """Parts of a text between commas, but for those within brackets."""
     parts, depth = [""], 0
     for character in text:
         depth += (character in "[{") - (character in "]}")

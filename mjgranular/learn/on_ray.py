@@ -153,7 +153,7 @@ def _rollout(algorithm: Any, model: Any, kept: Keeping) -> None:
     except GranularError:
         raise
     except Exception as error:  # of Ray, of a worker, of anybody's environment
-        raise InputError(f"RLlib cannot go on: {_told(error)}") from None
+        raise InputError(f"RLlib cannot go on: {told(error)}") from None
     done = _steps(algorithm.last) - before
     model.num_timesteps += done
     for statistics, episodes in algorithm.take():
@@ -292,7 +292,7 @@ def built(run: Run, model: Any, runners: int) -> Any:
             with _silent():
                 algorithm = config.build_algo()
         except Exception as error:  # of Ray, of a worker, of anybody's environment
-            raise InputError(f"the workers of RLlib cannot begin: {_told(error)}") from None
+            raise InputError(f"the workers of RLlib cannot begin: {told(error)}") from None
         _leave_no_folder(Path(str(algorithm.logdir)))
         return algorithm
 
@@ -339,7 +339,7 @@ def _argument(settings: Settings, name: str) -> Any:
     return settings.arguments.get(name, signature[name].default)
 
 
-def _told(error: Exception) -> str:
+def told(error: Exception) -> str:
     """What an error of Ray's says, without the tracebacks of all processes."""
     cause = getattr(error, "cause", None)
     lines = [line.strip() for line in str(cause or error).splitlines() if line.strip()]

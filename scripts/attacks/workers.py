@@ -7,7 +7,8 @@
 `same` compares the files of `mjgranular sweep` from one process with those of Ray with 1, 2 and 4
 workers. `kills` ends worker processes at random moments. `node` takes a machine away from a cluster
 of two. `resume` breaks a sweep off and goes on with it on the other engine, again and again. `cost`
-measures what Ray takes beside what processes take, `sampling` what a step in training does. Needs
+measures what Ray takes beside what processes take, `memory` what the process that collects
+holds, `sampling` what a step in training does. Needs
 the extras `ray` and `train`, and Linux.
 """
 
@@ -30,7 +31,7 @@ from typing import Any
 
 from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.table import write_csv
-from mjgranular.pool import UNFINISHED, Workers, map_tasks
+from mjgranular.pool import UNFINISHED, Journal, Workers, map_tasks
 from mjgranular.pool.workers import Engine
 
 # Cheap, so that everything ends within minutes: what is looked at is who works, not what comes out.
@@ -190,15 +191,27 @@ def resume(count: int, draw: random.Random) -> None:
 
 
 def _nap(_shared: object, seconds: float) -> dict[str, float]:
-    """A task of known length that takes no core: where it ran, from when to when."""
+    """A task of known length that takes no core: from when to when."""
     begin = time.monotonic()
     time.sleep(seconds)
-    return {"worker": os.getpid(), "begin": begin, "end": time.monotonic()}
+    return {"begin": begin, "end": time.monotonic()}
+
+
+def _work(_shared: object, loops: int) -> dict[str, float]:
+    """A task that keeps a core busy: from when to when."""
+    begin = time.monotonic()
+    total = 0
+    for k in range(loops):
+        total += k
+    return {"sum": total, "begin": begin, "end": time.monotonic()}
 
 
 def cost(rounds: int = 3) -> None:
-    """Time between the end of a chunk and the beginning of the worker's next, interleaved."""
-    for seconds, count in ((1.0, 16), (0.1, 60), (0.0, 400)):
+    """Time between the end of a chunk and the beginning of the next in its place, interleaved.
+
+    And what twelve chunks of a second or so of work take, from the first beginning to the last end.
+    """
+    for seconds, count in ((1.0, 12), (0.1, 60), (0.0, 400)):
         least: dict[Engine, float] = {"local": 1e9, "ray": 1e9}
         for _ in range(rounds):
             for engine in least:
@@ -208,22 +221,80 @@ def cost(rounds: int = 3) -> None:
         print(
             f"cost: between chunks of {seconds:g} s: {each}; ray over local {ratio:.4f}", flush=True
         )
+    loops = _loops_of_a_second()
+    ratios = []
+    for _ in range(rounds):
+        local, ray = _whole("local", loops, 12), _whole("ray", loops, 12)
+        ratios.append(ray / local)
+    each = ", ".join(f"{ratio:.3f}" for ratio in ratios)
+    load = os.getloadavg()[0]
+    print(f"cost: twelve chunks of work, ray over local: {each}; load {load:.1f}", flush=True)
+
+
+def _loops_of_a_second() -> int:
+    tried = 10**6
+    least = min(each["end"] - each["begin"] for each in (_work(None, tried) for _ in range(5)))
+    return int(tried / least)
+
+
+def _whole(engine: Engine, loops: int, count: int) -> float:
+    """From the first beginning to the last end of so many chunks of work [s]."""
+    found = map_tasks(_work, [loops] * count, on=Workers(engine, 2, 1))
+    rows = list(found.journal.results())
+    return max(row["end"] for row in rows) - min(row["begin"] for row in rows)
 
 
 def _between(engine: Engine, seconds: float, count: int) -> float:
-    """Mean time that a worker waits for its next chunk [s], of one task each."""
-    found = map_tasks(
-        _nap,
-        [seconds] * count,
-        on=Workers(engine, 2, 1),
-    )
-    rows = sorted(found.journal.results(), key=lambda row: (row["worker"], row["begin"]))
-    gaps = [
-        after["begin"] - before["end"]
-        for before, after in itertools.pairwise(rows)
-        if before["worker"] == after["worker"]
-    ]
-    return sum(gaps) / len(gaps)
+    """Mean time that a place waits for its next chunk, of one task each [s].
+
+    Of two places each chunk takes the one that has become free first, in whatever process: Ray has
+    more of them than it uses at a time.
+    """
+    places = 2
+    found = map_tasks(_nap, [seconds] * count, on=Workers(engine, places, 1))
+    rows = list(found.journal.results())
+    begins = sorted(row["begin"] for row in rows)[places:]
+    ends = sorted(row["end"] for row in rows)
+    return sum(b - e for b, e in zip(begins, ends, strict=False)) / len(begins)
+
+
+def _row(_shared: object, number: int) -> dict[str, float]:
+    """A task that costs nothing, and gives a row."""
+    return {"number": number, "speed": 1.0 + number / 3.0, "depth": number / 7.0, "time": 0.1}
+
+
+def memory(counts: tuple[int, ...] = (10**4, 10**5, 10**6)) -> None:
+    """What the process that collects holds, with a row each of so many tasks, and after them."""
+    engines: tuple[Engine, ...] = ("local", "ray")
+    for engine in engines:
+        for count in counts:
+            with tempfile.TemporaryDirectory() as folder:
+                before = _resident()
+                most = [before]
+
+                def progress(_done: int, most: list[int] = most) -> None:
+                    most[0] = max(most[0], _resident())
+
+                journal = Journal(Path(folder), {"rows": count}, count)
+                journal.begin()
+                on = Workers(engine, 2)
+                found = map_tasks(_row, range(count), on=on, journal=journal, progress=progress)
+                assert found.failed == 0
+                rows = sum(1 for _ in found.journal.results())
+                assert rows == count
+                grown = (max(most[0], _resident()) - before) / 2**20
+                journal.close()
+            print(
+                f"memory: {count:,} rows from {engine}: {before / 2**20:.0f} MiB before, "
+                f"at most {grown:.1f} MiB more",
+                flush=True,
+            )
+
+
+def _resident() -> int:
+    """Memory of this process [bytes]."""
+    pages = Path("/proc/self/statm").read_text().split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 def _sample(runner: Any) -> float:
@@ -296,7 +367,7 @@ def main() -> None:
     """Runs what is named, or everything."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument(
-        "what", nargs="*", help="same, kills, node, resume, cost, sampling; default: all"
+        "what", nargs="*", help="same, kills, node, resume, cost, memory, sampling; default: all"
     )
     parser.add_argument("--engine", choices=("local", "ray"), help="for kills; default: both")
     parser.add_argument("--count", type=int, default=20, help="of kills and of interruptions")
@@ -311,6 +382,7 @@ def main() -> None:
         "node": node,
         "resume": lambda: resume(given.count, draw),
         "cost": cost,
+        "memory": memory,
         "sampling": sampling,
     }
     for name in given.what or checks:
