@@ -5,7 +5,7 @@ both at once.
 
 `ground` puts sand under a model; `robots` does so to Gymnasium's environments. A `Task` says what
 an environment is, for any number of simulations at once; `SandEnv` runs one of them and
-`SandVectorEnv` many in threads. `ranges` are of sand that is drawn at each reset.
+`SandVectorEnv` many in threads, `WarpVectorEnv` in MuJoCo Warp. `ranges` are of sand that is drawn at each reset.
 """
 
 # First of all: the install line, where Gymnasium is missing.
@@ -14,6 +14,7 @@ from mjgranular.envs import _gymnasium as _gymnasium
 # isort: split
 
 from mjgranular.envs.ids import register
+from mjgranular.envs.on_warp import WarpVectorEnv as WarpVectorEnv
 from mjgranular.envs.ranges import SandRanges as SandRanges
 from mjgranular.envs.robots import on_sand as on_sand
 from mjgranular.envs.single import SandEnv as SandEnv

@@ -46,7 +46,7 @@ class RslVecEnv(VecEnv):
         self.num_actions = int(np.prod(env.single_action_space.shape or ()))
         self.max_episode_length = env.max_episode_steps
         self.device = torch.device(device or "cpu")
-        self.cfg: dict[str, Any] = {"task": type(env.task).__name__, **env.task.options()}
+        self.cfg = {"task": type(env.task).__name__, **env.task.options()}
         self.episode_length_buf = torch.zeros(self.num_envs, dtype=torch.long, device=self.device)
         self._observations = self._seen(env.reset()[0])
 

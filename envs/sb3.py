@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -124,6 +125,7 @@ def make_vec_env(
     *,
     seed: int | None = None,
     full_info: bool = False,
+    warp: str | None = None,
     **options: Any,
 ) -> SandVecEnv:
     """A batch for Stable-Baselines3.
@@ -133,6 +135,8 @@ def make_vec_env(
         num_envs: number of simulations.
         seed: of the first reset; None for a random one.
         full_info: as for `SandVecEnv`.
+        warp: device of MuJoCo Warp that steps them (`WarpVectorEnv`): "cuda:0", "cpu", or "auto"
+            for a GPU where there is one; None for MuJoCo on all cores.
         **options: of the environment.
 
     Raises:
@@ -149,6 +153,11 @@ def make_vec_env(
             f"{environment} has no batch of mjgranular's; "
             "stable_baselines3.common.env_util.make_vec_env takes any environment"
         )
+    if warp is not None:
+        need("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
+        spec = copy.deepcopy(spec)
+        spec.vector_entry_point = "mjgranular.envs:WarpVectorEnv"
+        options["device"] = None if warp == "auto" else warp
     batch = gym.make_vec(
         spec,
         num_envs=num_envs,

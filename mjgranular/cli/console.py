@@ -20,6 +20,7 @@ from rich.progress import (
 from rich.text import Text
 
 from mjgranular.errors import GranularWarning, one_line
+from mjgranular.extras import need
 
 
 class _PlainConsole(Console):
@@ -90,6 +91,13 @@ def show_compilation() -> None:
     logger.propagate = False
     if not logger.handlers:
         logger.addHandler(_Announcement())
+
+
+def show_warp_compilation() -> None:
+    """Says in a line what MuJoCo Warp says in one for each of its modules."""
+    wp = need("warp", extra="warp", purpose="Training in MuJoCo Warp")
+    wp.config.log_level = wp.LOG_ERROR
+    err.print("MuJoCo Warp compiles its kernels: once on a machine, some minutes", style="dim")
 
 
 class _Show(Protocol):

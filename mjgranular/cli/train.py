@@ -10,7 +10,14 @@ from typing import Annotated, Literal
 
 import tyro
 
-from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli.console import (
+    err,
+    out,
+    print_json,
+    progress_bar,
+    show_error,
+    show_warp_compilation,
+)
 from mjgranular.cli.tuning import SearchOptions, is_search, search_anew, search_on
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment.folder import ResultFolder
@@ -51,9 +58,13 @@ class TrainCommand(SearchOptions):
     """Settings to read in place of the environment's own."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
-    engine: Literal["local", "ray"] = "local"
-    """Step environments here, or by RLlib's env runners: on this machine, or with --address on a
-    cluster. A run may change with every --resume."""
+    engine: Literal["local", "ray", "warp"] = "local"
+    """Step environments here, by RLlib's env runners (on this machine, or with --address on a
+    cluster), or all at once in MuJoCo Warp. A run may change with every --resume."""
+    device: Annotated[str | None, tyro.conf.arg(metavar="cuda:0|cpu")] = None
+    """With --engine warp: where. Default: a GPU where there is one."""
+    num_envs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Environments that are stepped at once, as --set num_envs=N."""
     address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
     """Head of a Ray cluster; auto for the one that this machine belongs to."""
     env_runners: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -72,7 +83,18 @@ class TrainCommand(SearchOptions):
         """Where environments are stepped."""
         if self.env_runners is not None and self.engine != "ray":
             raise InputError("--env-runners is for --engine ray")
-        return Workers(self.engine, self.env_runners, None, self.address)
+        if self.device is not None and self.engine != "warp":
+            raise InputError("--device is for --engine warp")
+        return Workers(self._pool, self.env_runners, None, self.address)
+
+    @property
+    def _pool(self) -> Literal["local", "ray"]:
+        """What shares work among processes: MuJoCo Warp does not."""
+        return "ray" if self.engine == "ray" else "local"
+
+    @property
+    def _warp(self) -> str | None:
+        return (self.device or "auto") if self.engine == "warp" else None
 
     def run(self) -> int:
         """Runs the command."""
@@ -87,7 +109,7 @@ class TrainCommand(SearchOptions):
                     run = run.extended(self.total_steps)
             try:
                 training = self._train(run)
-            except InputError:
+            except (InputError, MissingExtraError):
                 if self.resume is None:
                     run.discard()
                 raise
@@ -101,6 +123,8 @@ class TrainCommand(SearchOptions):
                 "--env-runners shares the environments of one training, and a trial of --search "
                 "has a core to itself: give --workers, trials at once"
             )
+        if self.engine == "warp":
+            raise InputError("trials of --search are trained with --engine local or ray")
         on = Workers(self.engine, self.workers, None, self.address)
         if self.resume is not None:
             self._leave_away(
@@ -123,7 +147,7 @@ class TrainCommand(SearchOptions):
             settings,
             seed=seed,
             path=path,
-            changed=self.set,
+            changed=self._changes,
             on=on,
             as_json=self.json,
         )
@@ -138,7 +162,7 @@ class TrainCommand(SearchOptions):
         if self.trust:
             raise InputError("--trust is for --resume")
         environments.find_spec(self.environment)
-        settings = change(self._settings(self.environment), self.set)
+        settings = change(self._settings(self.environment), self._changes)
         if self.total_steps is not None:
             settings = replace(settings, total_steps=self.total_steps)
         if "render_mode" in settings.environment:
@@ -157,7 +181,7 @@ class TrainCommand(SearchOptions):
         environment, settings, seed = self._asked()
         path = self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-{seed}"
         check_training(settings, self.on)
-        return begin_run(path, environment, settings, seed=seed, engine=self.engine)
+        return begin_run(path, environment, settings, seed=seed, engine=self._pool)
 
     def _settings(self, environment: str) -> Settings:
         algorithm = None if self.algorithm is None else self.algorithm.lower()
@@ -169,6 +193,10 @@ class TrainCommand(SearchOptions):
         run.check_environment()
         return run
 
+    @property
+    def _changes(self) -> tuple[str, ...]:
+        return self.set if self.num_envs is None else (*self.set, f"num_envs={self.num_envs}")
+
     def _leave_away(self, path: Path, further: dict[str, object], may: str = "") -> None:
         """Refuses options that say again what is gone on with."""
         given = {
@@ -176,6 +204,7 @@ class TrainCommand(SearchOptions):
             "--algorithm": self.algorithm,
             "--settings": self.settings,
             "--set": self.set or None,
+            "--num-envs": self.num_envs,
             "--processes": self.processes or None,
             "--seed": self.seed,
             "--out": self.out,
@@ -189,6 +218,8 @@ class TrainCommand(SearchOptions):
 
     def _train(self, run: Run) -> Training:
         total = run.settings.total_steps
+        if self._warp is not None:
+            show_warp_compilation()
         with progress_bar(run.name, total, remaining=True) as show:
             shown = 0.0
 
@@ -199,7 +230,7 @@ class TrainCommand(SearchOptions):
                     reached = "" if newest is None else f", return {newest:.4g}"
                     show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
 
-            return train(run, report=report, on=self.on)
+            return train(run, report=report, on=self.on, warp=self._warp)
 
     def _tell(self, run: Run, training: Training) -> int:
         progress = training.progress

@@ -64,6 +64,7 @@ def for_training(
     num_envs: int,
     processes: bool = False,
     threads: int | None = None,
+    warp: str | None = None,
 ) -> Any:
     """Several environments as a `VecEnv` of Stable-Baselines3, which reports finished episodes.
 
@@ -73,12 +74,18 @@ def for_training(
         num_envs: how many.
         processes: whether each is stepped in a process of its own.
         threads: of those that step in one batch; None for one a core.
+        warp: device of MuJoCo Warp that steps the batch; None for MuJoCo on this machine's cores.
 
     Raises:
-        InputError: the arguments are not the environment's, or processes are asked for where
-            environments step in one batch.
+        InputError: the arguments are not the environment's, processes are asked for where
+            environments step in one batch, or MuJoCo Warp where they do not.
     """
     need("stable_baselines3", extra="train", purpose="Training a policy")
+    if warp is not None and (processes or not _has_vector_form(env_id)):
+        raise InputError(
+            f"MuJoCo Warp steps environments of mjgranular's own, such as mjgranular/Hopper-v0, in "
+            f"one batch, not {'in processes' if processes else env_id}: train with --engine local"
+        )
     if processes:
         return _in_processes(env_id, arguments, num_envs)
     from stable_baselines3.common.env_util import make_vec_env
@@ -91,7 +98,9 @@ def for_training(
             lambda given: make_vec_env(env_id, n_envs=num_envs, env_kwargs=given),
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    more = {} if threads is None else {"threads": threads}
+    more: dict[str, Any] = {} if threads is None else {"threads": threads}
+    if warp is not None:
+        more["warp"] = warp
     env = _made(
         env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **{**more, **given})
     )

@@ -64,6 +64,7 @@ def train(
     report: Report | None = None,
     on: Workers | None = None,
     threads: int | None = None,
+    warp: str | None = None,
 ) -> Training:
     """Trains until `total_steps`, from the newest checkpoint if there is one.
 
@@ -81,6 +82,8 @@ def train(
             env runners as its count says, to which a run may change with any checkpoint. There
             results depend on their number, and on what comes first.
         threads: of a batch of environments; None for one a core. Results are the same.
+        warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
+            here. A run may change that with any checkpoint, as it may change to Ray.
 
     Raises:
         InputError: the environment, the algorithm or its arguments do not go together.
@@ -100,7 +103,7 @@ def train(
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = environments_of(there, threads=threads)
+    env = environments_of(there, threads=threads, warp=warp)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
@@ -155,7 +158,7 @@ def _warn_of_versions(run: Run) -> None:
         )
 
 
-def environments_of(run: Run, *, threads: int | None = None) -> Any:
+def environments_of(run: Run, *, threads: int | None = None, warp: str | None = None) -> Any:
     """The environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
@@ -167,6 +170,7 @@ def environments_of(run: Run, *, threads: int | None = None) -> Any:
         num_envs=settings.num_envs,
         processes=settings.processes,
         threads=threads,
+        warp=warp,
     )
     if not isinstance(env.observation_space, spaces.Box):
         env.close()

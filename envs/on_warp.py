@@ -8,7 +8,6 @@ import numpy as np
 
 from mjgranular.envs.task import Task
 from mjgranular.envs.vector import SandVectorEnv
-from mjgranular.envs.worlds import Worlds
 
 
 class WarpVectorEnv(SandVectorEnv):
@@ -27,6 +26,7 @@ class WarpVectorEnv(SandVectorEnv):
     Raises:
         UnknownNameError: as with `SandVectorEnv`.
         InputError: sand that MuJoCo Warp has no place for, such as memory.
+        MissingExtraError: MuJoCo Warp is not installed.
     """
 
     def __init__(
@@ -44,7 +44,9 @@ class WarpVectorEnv(SandVectorEnv):
         info["sand/lost"] = self.batch.lost.copy()
         return observation, reward, terminated, truncated, info
 
-    def _make_batch(self, threads: int) -> Worlds:
+    def _make_batch(self, threads: int) -> Any:
+        from mjgranular.envs.worlds import Worlds  # MuJoCo Warp is imported where it is wanted
+
         return Worlds(self.task, self.num_envs, self._device)
 
     def _terminated(self) -> np.ndarray:
