@@ -5,7 +5,8 @@ both at once.
 
 `ground` puts sand under a model; `robots` does so to Gymnasium's environments. A `Task` says what
 an environment is, for any number of simulations at once; `SandEnv` runs one of them and
-`SandVectorEnv` many in threads, `WarpVectorEnv` in MuJoCo Warp. `ranges` are of sand that is drawn at each reset.
+`SandVectorEnv` many in threads, `WarpVectorEnv` in MuJoCo Warp. `ranges` are of sand that is drawn
+at each reset.
 """
 
 # First of all: the install line, where Gymnasium is missing.

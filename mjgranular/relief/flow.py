@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
@@ -37,7 +37,23 @@ from mjgranular.relief.grid import (
 from mjgranular.relief.lists import activate, claim, count_at, listed_at
 from mjgranular.relief.press import has_edges, is_sand
 
-_REST = 5e-3  # height that may be left over the angle of repose [cells]: 0.2 degrees; chosen
+REST = 5e-3
+"""Height that may be left over the angle of repose [cells]: 0.2 degrees. Chosen."""
+
+
+@partial(compiled, inline=True)
+def exchanged(rise, run, tangent, rest, rate):
+    """Height that the higher of two neighbours gives to the lower; with the sign of `rise` [m].
+
+    Args:
+        rise: how much higher the other is, along gravity [m].
+        run: square of how far away it is, across gravity [m^2].
+        tangent: of the angle of repose.
+        rest: height that may be left over it [m].
+        rate: part of a quarter of the excess.
+    """
+    excess = abs(rise) - tangent * math.sqrt(max(run, 0.0))
+    return math.copysign(0.25 * rate * excess, rise) if excess > rest else 0.0
 
 
 @cache
@@ -60,7 +76,7 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
         heights, sums = start_of(size, HEIGHT), start_of(size, ARRAYS)
         # Where the list of active places begins, backwards.
         end = start_of(size, LISTS) + size * size - 1
-        area, steeper, rest = cell * cell, tangent * tangent, _REST * cell
+        area, steeper, rest = cell * cell, tangent * tangent, REST * cell
         # What is up along the axes of the plane.
         up = vector(relief.along[2], relief.across[2], relief.normal[2])
         # Of the eight neighbours: how much higher and how far away they would be on the bare plane,
@@ -110,8 +126,8 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
                 other = around[32 + lane] + (state[heights + k] - height)
                 rise = around[lane] + up.z * other
                 run = around[8 + lane] + other * other - rise * rise
-                excess = abs(rise) - tangent * math.sqrt(max(run, 0.0))
-                if not excess > rest:
+                amount = exchanged(rise, run, tangent, rest, rate)
+                if amount == 0.0:
                     continue
                 if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):
                     continue
@@ -120,7 +136,6 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
                 mark = own_mark(state, size, q, base)
                 if mark < 0.0:
                     claim(state, size, blocks, area, q, base)
-                amount = math.copysign(0.25 * rate * excess, rise)
                 moved = True
                 height += amount
                 state[heights + q] -= amount

@@ -85,10 +85,10 @@ def spread_of(model: mujoco.MjModel, geoms: Sequence[int]) -> float:
     """How far apart geoms reach along x or y, where the model stands as it is (qpos0) [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    axes = data.geom_xmat[list(geoms)].reshape(-1, 3, 3)
     half = np.stack([half_extents(model, geom) for geom in geoms])
     reach = (np.abs(axes) @ half[:, :, None])[:, :2, 0]
-    place = data.geom_xpos[geoms][:, :2]
+    place = data.geom_xpos[list(geoms)][:, :2]
     return float(((place + reach).max(axis=0) - (place - reach).min(axis=0)).max())
 
 

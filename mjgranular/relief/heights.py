@@ -67,13 +67,27 @@ def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -
     Raises:
         InputError: the middle is no two numbers.
     """
-    numbers = np.asarray(middle)
-    if numbers.shape != (2,) or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
-        raise InputError(f"the middle is two numbers [m], not {shown(middle)}")
     size = memory.size
-    first = [round(place / memory.cell) - size // 2 for place in middle]
-    i, j = (begin + np.arange(size) for begin in first)
+    i, j = square_about(memory, middle)
     places = (i % size)[:, None] * size + j % size
     heights, numbers = state[HEADER:][: 2 * size * size].reshape(2, size * size)
     own = numbers[places] // 4 == node_keys(i[:, None], j)
     return Heights(memory.cell * i, memory.cell * j, np.where(own, heights[places], 0.0))
+
+
+def square_about(memory: Memory, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the nodes of the square about a place that may be remembered.
+
+    Args:
+        memory: how it remembers.
+        middle: along the axes of the plane [m].
+
+    Raises:
+        InputError: the middle is no two numbers.
+    """
+    numbers = np.asarray(middle)
+    if numbers.shape != (2,) or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+        raise InputError(f"the middle is two numbers [m], not {shown(middle)}")
+    first = [round(place / memory.cell) - memory.size // 2 for place in middle]
+    i, j = (begin + np.arange(memory.size) for begin in first)
+    return i, j

@@ -41,7 +41,8 @@ LEAST = 0.1
 """Least height that is pressed down at once, in parts of the slack, within which force does not
 change. Chosen: who creeps heaps up seldom."""
 
-_FACES_DOWN = -math.sqrt(1.0 - STEEP * STEEP)  # the normal's part along that of the sand
+FACES_DOWN = -math.sqrt(1.0 - STEEP * STEEP)
+"""The part of a normal along that of the sand, at most, of skin that presses sand down."""
 
 
 class Skin(NamedTuple):
@@ -77,6 +78,12 @@ def lowest_of(foot, turn, shift):
     return dot(n, read_vector(foot.middle, 0)) + shift.z - reach
 
 
+@partial(compiled, inline=True)
+def skin_at(z, slope_u, slope_v, du, dv):
+    """Height of the skin so far beside a point of it [m]: its tangent plane's, where that rises."""
+    return z + max(slope_u * du + slope_v * dv, 0.0)
+
+
 @cache
 def press_kernel(level: Any, is_flat: bool) -> Any:
     """Makes a kernel `press(state, relief, turn, shift, points)`: the volume pressed down [m^3].
@@ -103,8 +110,7 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
         for di in range(2):
             for dj in range(2):
                 x, y = (i + di) * cell, (j + dj) * cell
-                rise = max(slope_u * (x - u) + slope_v * (y - v), 0.0)
-                skin = z + rise - level(relief, x, y)
+                skin = skin_at(z, slope_u, slope_v, x - u, y - v) - level(relief, x, y)
                 k = wrapped(row + di, size) * size + wrapped(column + dj, size)
                 base = base_beside(first, di, dj)
                 is_own = own_mark(state, size, k, base) >= 0.0
@@ -127,7 +133,7 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
         # The axis of a rod has no face, and faces anywhere.
         has_face = dot(skin.normal, skin.normal) > 0.5
         downward = choose(has_face, dot(turn.z, skin.normal), -1.0)
-        reach = choose(downward <= _FACES_DOWN, z, math.inf)
+        reach = choose(downward <= FACES_DOWN, z, math.inf)
         highest = state[HIGHEST] if is_flat else math.inf
         if all_of(reach >= highest):
             return 0.0

@@ -37,6 +37,12 @@ state_length = compiled(state_size)
 """`state_size` for kernels."""
 
 
+@partial(compiled, inline=True)
+def highest_of(relief):
+    """A height that nothing of the sand is above [m]."""
+    return floats(relief.state, 1)[HIGHEST]
+
+
 @cache
 def level_kernel(probe: Any, is_flat: bool) -> Any:
     """Makes a kernel `level(relief, u, v)`: the surface's height over its own plane [m].
@@ -157,6 +163,6 @@ def ceiling_kernel(probe: Any) -> Any:
     @compiled
     def ceiling(relief, point):
         depth, normal = probe(relief.base, point)
-        return depth + floats(relief.state, 1)[HIGHEST], normal
+        return depth + highest_of(relief), normal
 
     return ceiling

@@ -28,12 +28,14 @@ from mjgranular.surface import Surface
 
 _feet = records(FOOT_DTYPE)
 
-# Time that goes by until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for
-# cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with half of it
-# the way of a walking hexapod is the same within 1 %. A rate goes with the time gone by, and so
-# not with the time step.
-_PRESSED_AFTER, _FLOWS_AFTER = 0.3, 1.0
-_FASTEST = 1.5  # rate at which what is exchanged leaves the steeper of two the higher; chosen
+# A rate goes with the time gone by, and so not with the time step.
+PRESSED_AFTER, FLOWS_AFTER = 0.3, 1.0
+"""Time that goes by until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for
+cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with half of it the
+way of a walking hexapod is the same within 1 %."""
+
+FASTEST = 1.5
+"""Rate at which what is exchanged leaves the steeper of two the higher. Chosen."""
 
 
 @cache
@@ -68,7 +70,7 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
         passed = options.timestep * math.sqrt(g / relief.cell)
         state[SINCE_PRESSED] += passed
         state[SINCE_FLOWED] += passed
-        if 0.0 < state[SINCE_PRESSED] < _PRESSED_AFTER:
+        if 0.0 < state[SINCE_PRESSED] < PRESSED_AFTER:
             return 1
         state[SINCE_PRESSED] = 0.0
         before = begin_covering(state, size)
@@ -87,8 +89,8 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
             begin = foot.end
         end_covering(state, size, before)
         look_through(state, size)
-        if state[SINCE_FLOWED] >= _FLOWS_AFTER:
-            flow(state, relief, min(state[SINCE_FLOWED], _FASTEST))
+        if state[SINCE_FLOWED] >= FLOWS_AFTER:
+            flow(state, relief, min(state[SINCE_FLOWED], FASTEST))
             state[SINCE_FLOWED] = 0.0
         return 1
 

@@ -12,13 +12,12 @@ from mjgranular.kernel.compiled import program_address
 from mjgranular.law import Law, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
-from mjgranular.relief.advice import refuse_blind, warn_of_buried, warn_of_cells, warn_of_spread
-from mjgranular.relief.footprint import Footprint, fitting, footprint_of, surroundings_of
+from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
-from mjgranular.relief.relief import Relief
 from mjgranular.relief.update import update_program
 from mjgranular.sand.chosen import choose_sand, geoms_in_sand
 from mjgranular.sand.cost import warn_of_cost
+from mjgranular.sand.remembering import kernel_under, remembering
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Implicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
@@ -80,8 +79,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scheme = _scheme_within_step(scheme, model)
     scheme.check(model)
     chosen = choose_sand(model, spec)
-    medium, law, surface, geoms = chosen.medium, chosen.law, chosen.surface, list(chosen.geoms)
-    elements = chosen.elements
+    medium, law, surface, elements = chosen.medium, chosen.law, chosen.surface, chosen.elements
     if isinstance(scheme, Auto) and law.adds_mass:
         scheme = Implicit()  # the only one that can
     scheme = scheme.scheme_for(model, len(elements))
@@ -89,21 +87,15 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     memory, footprint = as_memory(spec.memory), None
     if memory is not None:
         # Within `mj_step` its size has been settled before there was a model (`fitted`).
-        memory = memory if within else fitting(model, geoms, memory)
-        warn_of_cells(model, geoms, surface, memory)
-        warn_of_spread(model, geoms, memory)
-        warn_of_buried(model, geoms, surface, memory)
-        surface = Relief(surface, memory, surroundings_of(model, geoms, memory))
-        footprint = footprint_of(model, geoms, elements, memory.cell)
+        memory = memory if within else fitting(model, chosen.geoms, memory)
+        surface, footprint = remembering(model, chosen, memory)
     warn_of_cost(elements, spec.resolution, scheme)
     scene = make_scene(law, medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data
         scene["surface"]["feet"] = footprint.feet.ctypes.data
         scene["surface"]["foot_count"] = len(footprint.feet)
-    kernel = _kernel_of(law, surface)
-    if memory is not None and footprint is not None:
-        refuse_blind(model, elements, kernel.element._fields, footprint, memory, law.name)
+    kernel = kernel_under(model, chosen, surface, footprint)
     program = scheme.program(kernel, scene.dtype)
     what = f"law {law.name}, scheme {scheme.name}, {type(surface).__name__}"
     return PreparedSand(
@@ -121,23 +113,6 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         update=update_program(surface, scene.dtype),
         disabled=(*surface.geoms(model), *chosen.replaced),
     )
-
-
-def _kernel_of(law: Law, surface: Surface) -> LawKernel:
-    """The kernel of a law under a surface.
-
-    Raises:
-        InputError: a law that asks for the probe of the surface's class, under one with memory.
-    """
-    try:
-        return law.kernel(surface)
-    except AttributeError as error:
-        if not isinstance(surface, Relief):
-            raise
-        raise InputError(
-            f"the law {law.name!r} cannot be used with memory ({error}): its `kernel` has to ask "
-            "for surface.probe_kernel() in place of type(surface).probe"
-        ) from error
 
 
 def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:

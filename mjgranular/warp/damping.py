@@ -17,6 +17,7 @@ from typing import Any
 import warp as wp
 
 from mjgranular.law.kernel import LawKernel, Level, Pose
+from mjgranular.warp.grid import in_any_world, in_world
 from mjgranular.warp.motions import (
     Damping,
     Slot,
@@ -34,13 +35,14 @@ _Pose, _Level = struct_of(Pose), struct_of(Level)
 
 
 @functools.cache
-def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> Any:
+def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remembers: bool) -> Any:
     """Makes the Warp kernel that gives each body its damping: one thread a world and body.
 
     Args:
         kernel: of the law.
         law_struct: struct of the law's parameters.
         surface_struct: struct of the surface.
+        remembers: whether each world has heights of its own.
     """
     element_struct = struct_of(kernel.element)
     sample = translated(kernel.sample)
@@ -50,6 +52,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
     adds_mass = kernel.added is not None
     added = translated(kernel.added) if adds_mass else _nothing_added
     resistance = resistance_of(kernel)
+    surface_in = in_world if remembers else in_any_world
 
     @wp.kernel(module="unique", enable_backward=False)
     def resist(
@@ -80,6 +83,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
     ):
         world, s = wp.tid()
         slot = slots[s]
+        here = surface_in(surface, world)
         h = timestep[world % timestep.shape[0]]
         g = wp.length(gravity[world % gravity.shape[0]])
         law = laws[world % laws.shape[0]]
@@ -99,7 +103,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
         ahead = motion_of(slot, chain, cdof, foreseen, world)
         level = _Level()
         if wp.static(has_cull):
-            depth_here, normal = ceiling(surface, pose.position)
+            depth_here, normal = ceiling(here, pose.position)
             level = _Level(wp.transpose(pose.rotation) * normal, depth_here)
         total = Damping()
         push, twist = wp.vec3(), wp.vec3()
@@ -111,7 +115,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any) -> An
                 deepest = wp.max(deepest, least)
                 if not (least > 0.0):
                     continue
-            found = sample(element, pose, law, surface, g)
+            found = sample(element, pose, law, here, g)
             deepest = wp.max(deepest, found.depth)
             if found.depth > 0.0:
                 arm = found.point - tree

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError
+from mjgranular.relief.relief import Relief
 from mjgranular.surface import HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE
 
@@ -66,6 +67,8 @@ def slots_of_dofs(nv: int, slots: np.ndarray, chain: np.ndarray) -> tuple[list[i
 
 def up_of(surface: Surface, model: mujoco.MjModel) -> np.ndarray:
     """The direction in which a surface is raised, a unit vector, world frame."""
+    if isinstance(surface, Relief):
+        return up_of(surface.base, model)
     if isinstance(surface, Plane):
         return surface.normal
     if isinstance(surface, HeightField):

@@ -10,7 +10,8 @@ import numpy as np
 import warp as wp
 
 from mjgranular.kernel.motion import Motion
-from mjgranular.warp.translate import struct, struct_of
+from mjgranular.warp.structs import struct
+from mjgranular.warp.translate import struct_of
 
 SLOT_DTYPE = np.dtype(
     [(name, np.int32) for name in ("body", "root", "first", "end", "chain", "chain_end")]

@@ -8,23 +8,31 @@ from typing import Any, get_type_hints
 import numpy as np
 import warp as wp
 
+from mjgranular.relief.relief import Relief
 from mjgranular.surface import Surface
-from mjgranular.warp.translate import MATRIX_2X3, struct, struct_of
+from mjgranular.warp.grid import Grid
+from mjgranular.warp.structs import struct
+from mjgranular.warp.translate import MATRIX_2X3, struct_of
 
+_UNREAD = ("points", "feet")  # addresses that no kernel of ours on a device reads
+_ADDRESSES = {"data": wp.array(dtype=wp.float32), "state": Grid}
 _BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2, 3): MATRIX_2X3}
 
 
 @functools.cache
 def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
-    """The Warp struct with the fields of a structured type: numbers, vectors and matrices.
+    """The Warp struct with the fields of a structured type: numbers, vectors, matrices, records.
 
-    Addresses of heights become arrays, of the name `data`.
+    Addresses of heights become arrays, of the name `data`, and that of the state of a relief its
+    `Grid`.
     """
     fields: dict[str, Any] = {}
     for key in dtype.names or ():
         kind = dtype[key]
-        if key == "data":
-            fields[key] = wp.array(dtype=wp.float32)
+        if key in _ADDRESSES:
+            fields[key] = _ADDRESSES[key]
+        elif kind.names:
+            fields[key] = struct_of_dtype(name.removeprefix(Relief.__name__), kind)
         elif kind.base.kind == "i":
             fields[key] = wp.int32
         else:
@@ -49,7 +57,19 @@ def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
     return wp.array(packed, dtype=made, device=device)
 
 
-def surface_on_device(surface: Surface, record: np.ndarray, model: Any, device: Any) -> Any:
+def struct_of_surface(surface: Surface, record: np.ndarray) -> Any:
+    """The Warp struct of a surface.
+
+    Args:
+        surface: the surface.
+        record: of it, shape (1,).
+    """
+    return struct_of_dtype(_name_of(surface), record.dtype)
+
+
+def surface_on_device(
+    surface: Surface, record: np.ndarray, model: Any, device: Any, grid: Any = None
+) -> Any:
     """The record of a surface as a struct; of a height field with the heights of now.
 
     Args:
@@ -57,15 +77,26 @@ def surface_on_device(surface: Surface, record: np.ndarray, model: Any, device: 
         record: of it, shape (1,).
         model: that it is in.
         device: of Warp's.
+        grid: of heights, where it remembers.
     """
-    made = struct_of_dtype(type(surface).__name__, record.dtype)()
+    made = struct_of_surface(surface, record)()
     for name in record.dtype.names or ():
         value = record[name][0]
-        if name == "data":
+        if name == "state":
+            made.state = grid
+        elif name == "base":
+            base = surface.base if isinstance(surface, Relief) else surface
+            made.base = surface_on_device(base, record["base"], model, device)
+        elif name == "data":
             first = int(model.hfield_adr[model.geom_dataid[surface.geoms(model)[0]]])
             count = int(record["rows"][0] * record["columns"][0])
             heights = model.hfield_data[first : first + count]
             made.data = wp.array(heights, dtype=wp.float32, device=device)
-        else:
+        elif name not in _UNREAD:
             setattr(made, name, _BY_SHAPE[value.shape](*value) if value.shape else value.item())
     return made
+
+
+def _name_of(surface: Surface) -> str:
+    kind = type(surface).__name__
+    return kind + _name_of(surface.base) if isinstance(surface, Relief) else kind

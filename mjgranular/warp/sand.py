@@ -16,7 +16,12 @@ from mjgranular.given import check_count, is_finite
 from mjgranular.law import make_scene
 from mjgranular.law.law import get_law
 from mjgranular.medium import Medium, get_medium
+from mjgranular.relief.footprint import fitting
+from mjgranular.relief.heights import Heights
+from mjgranular.relief.memory import as_memory
+from mjgranular.relief.relief import Relief, place_in_plane
 from mjgranular.sand.chosen import choose_sand
+from mjgranular.sand.remembering import kernel_under, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
 from mjgranular.warp.damping import (
@@ -27,8 +32,14 @@ from mjgranular.warp.damping import (
     wrenches_of_step,
 )
 from mjgranular.warp.fit import check_model, slots_of, slots_of_dofs, up_of
+from mjgranular.warp.memory import WarpMemory
 from mjgranular.warp.motions import Damping, Slot
-from mjgranular.warp.records import struct_of_dtype, surface_on_device, to_device
+from mjgranular.warp.records import (
+    struct_of_dtype,
+    struct_of_surface,
+    surface_on_device,
+    to_device,
+)
 
 SOFTNESS = 1e-6
 """Speed over which rest is soft [m/s]. Chosen: what rests moves by about as
@@ -79,13 +90,13 @@ class WarpSand:
         height: how much the surface is raised along its normal in each world [m], likewise.
         force: on each body in the last step [N], world frame, shape (nworld, bodies) of `wp.vec3`.
         moment: about its centre of mass [N m].
-        depth: of its deepest element below the surface [m], negative above; -inf where none was
-            near, shape (nworld, bodies).
+        depth: of its deepest element below the surface [m], negative above, shape (nworld,
+            bodies).
         speed: greatest of its elements in the sand [m/s].
         power: of the sand on it [W], never positive but for rounding.
 
     Raises:
-        InputError: what a GPU's step has no place for: memory, the explicit scheme.
+        InputError: what a GPU's step has no place for: the explicit scheme.
         UnknownNameError: as with `Sand`.
     """
 
@@ -114,11 +125,6 @@ class WarpSand:
                 f"WarpSand: softness is a speed [m/s], not negative; {SOFTNESS} is the default, "
                 f"not {shown(softness)}"
             )
-        if spec.memory is not None and spec.memory is not False:
-            raise InputError(
-                "sand with memory is not in MuJoCo Warp yet: leave memory out, or use "
-                "mjgranular.Sand on the processor"
-            )
         if not isinstance(get_scheme(spec.scheme), (Auto, Implicit)):
             raise InputError(
                 "in MuJoCo Warp forces always belong to the velocity at the step's end: leave "
@@ -127,9 +133,14 @@ class WarpSand:
         chosen = choose_sand(model, spec)
         self.law, self.medium, self.surface = chosen.law, chosen.medium, chosen.surface
         self._model, self._elements = model, chosen.elements
+        memory, self._footprint = as_memory(spec.memory), None
+        if memory is not None:
+            fits = fitting(model, chosen.geoms, memory)
+            self.surface, self._footprint = remembering(model, chosen, fits)
+        self._memory: WarpMemory | None = None
         self._corrections, self._softness = corrections, float(softness)
-        self._scene = make_scene(chosen.law, chosen.medium, chosen.surface, model)
-        self._kernel = chosen.law.kernel_of_forces(chosen.surface)
+        self._scene = make_scene(chosen.law, chosen.medium, self.surface, model)
+        self._kernel = kernel_under(model, chosen, self.surface, self._footprint, forces_alone=True)
         self._slots, self._chain = slots_of(model, chosen.elements)
         self.bodies = tuple(model.body(int(body)).name or str(body) for body in self._slots["body"])
         self._attached_to: Any = None
@@ -162,10 +173,16 @@ class WarpSand:
         self._law_struct = law_struct
         self._laws = to_device(self._scene["law"], law_struct, device)
         record = self._scene["surface"]
-        self._surface = surface_on_device(self.surface, record, model, device)
-        surface_struct = struct_of_dtype(type(self.surface).__name__, record.dtype)
+        if isinstance(self.surface, Relief) and self._footprint is not None:
+            self._memory = WarpMemory(self.surface, self._footprint, record, model, n, device)
+            self._surface = self._memory.surface
+        else:
+            self._surface = surface_on_device(self.surface, record, model, device)
+        surface_struct = struct_of_surface(self.surface, record)
         self._up = wp.vec3(*up_of(self.surface, model))
-        self._resist = resist_kernel(self._kernel, law_struct, surface_struct)
+        self._resist = resist_kernel(
+            self._kernel, law_struct, surface_struct, self._memory is not None
+        )
         self._element_array = to_device(self._elements, self._kernel.element, device)
         self._slot_array = to_device(self._slots, Slot, device)
 
@@ -224,6 +241,45 @@ class WarpSand:
         records = [get_law(self.law.name, medium).parameters(medium) for medium in found]
         self._laws = to_device(np.concatenate(records), self._law_struct, self._device)
 
+    def relief(self, d: Any, world: int, middle: tuple[float, float] | None = None) -> Heights:
+        """What the sand of a world remembers: heights over its surface.
+
+        Args:
+            d: `mujoco_warp.Data`.
+            world: its number.
+            middle: of the square that is asked for, along the axes of the surface's plane [m]; None
+                for the middle of the bodies that meet the sand.
+
+        Raises:
+            InputError: the sand has no memory, or is not attached, or so many worlds there are not.
+        """
+        self._check_attached("relief")
+        if self._memory is None or not isinstance(self.surface, Relief):
+            raise InputError("this sand has no memory: WarpSand(model, memory=True) has")
+        count = self._size[0]
+        check_count("relief: world", world, least=0)
+        if world >= count:
+            raise InputError(f"relief: there are {count} worlds, 0 to {count - 1}, not {world}")
+        if middle is None:
+            places = d.xpos.numpy()[world, self._slots["body"]]
+            middle = place_in_plane(self.surface.base, self._model, places.mean(axis=0))
+        return self._memory.heights(world, middle)
+
+    def volumes(self) -> dict[str, np.ndarray]:
+        """Sand that each world has moved since it began [m^3], shape (nworld,) each.
+
+        Returns:
+            `pressed` down, `heaped` up, `forgotten` where the grid is wrapped around, and `waiting`
+            for room beside a print.
+
+        Raises:
+            InputError: the sand has no memory, or is not attached.
+        """
+        self._check_attached("volumes")
+        if self._memory is None:
+            raise InputError("this sand has no memory: WarpSand(model, memory=True) has")
+        return self._memory.volumes()
+
     def bad_worlds(self, d: Any) -> list[int]:
         """The numbers of worlds whose state is not finite; the others are not touched by them.
 
@@ -277,6 +333,8 @@ class WarpSand:
             ],
             [self.force, self.moment, self.power],
         )
+        if self._memory is not None:
+            self._memory.update(m, d, self.height, self._up)
 
     def _foresee(self, m: Any, d: Any) -> None:
         shape = (self._size[0], self._model.nv)

@@ -18,10 +18,13 @@ from typing import Any, get_args, get_type_hints
 
 import warp as wp
 
-from mjgranular.kernel import elementary, lanes, vector
+from mjgranular.kernel import elementary, lanes, memory, vector
 from mjgranular.kernel.motion import Motion
 from mjgranular.law.kernel import Level, Pose
+from mjgranular.relief import grid, probe
 from mjgranular.surface import height_field
+from mjgranular.warp import grid as grid_of_worlds
+from mjgranular.warp.structs import struct
 
 MATRIX_2X3 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 """Two vectors: the half edges of a facet."""
@@ -68,11 +71,17 @@ def _height(field: Any, k: int):
     return field.data[k] * field.elevation
 
 
+@wp.func
+def _no_length(size: int):
+    return 0
+
+
 class _Math:
     """What kernels use of `math`."""
 
     pi = math.pi
     nan = math.nan
+    inf = wp.inf
     sqrt = wp.sqrt
     copysign = _copysign
 
@@ -96,19 +105,14 @@ _MEANINGS: dict[int, Any] = {
         (elementary.logarithm, wp.log),
         (elementary.exponential, wp.exp),
         (height_field.height_of, _height),
+        (memory.floats, _read),
+        (probe.state_length, _no_length),
+        (probe.highest_of, grid_of_worlds.highest_of),
+        (grid.height_at, grid_of_worlds.height_at),
+        (grid.mean_at, grid_of_worlds.mean_at),
     )
 }
 _FIELD_TYPES = {float: wp.float32, vector.Vector: wp.vec3, vector.Matrix: wp.mat33}
-
-
-def struct(name: str, fields: dict[str, Any]) -> Any:
-    """Makes a Warp struct.
-
-    Args:
-        name: its name.
-        fields: types by name.
-    """
-    return wp.struct(type(name, (), {"__annotations__": fields, "__module__": __name__}))
 
 
 _MOTION = struct("Motion", {"angular": wp.vec3, "linear": wp.vec3})

@@ -69,8 +69,8 @@ def test_rsl_rl_learns_in_worlds_of_mujoco_warp():
     import torch
 
     from mjgranular import InputError
-    from mjgranular.envs.rsl import RslVecEnv
     from mjgranular.envs import WarpVectorEnv
+    from mjgranular.envs.rsl import RslVecEnv
 
     with pytest.raises(InputError, match="autoreset_mode='SameStep'"):
         RslVecEnv(WarpVectorEnv("Hopper", 2, device="cpu"))

@@ -1,0 +1,17 @@
+"""Warp structs by their fields."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+
+def struct(name: str, fields: dict[str, Any]) -> Any:
+    """Makes a Warp struct.
+
+    Args:
+        name: its name.
+        fields: types by name.
+    """
+    return wp.struct(type(name, (), {"__annotations__": fields, "__module__": __name__}))
