@@ -25,7 +25,7 @@ class WarpVectorEnv(SandVectorEnv):
 
     Raises:
         UnknownNameError: as with `SandVectorEnv`.
-        InputError: sand that MuJoCo Warp has no place for, such as memory.
+        InputError: sand that MuJoCo Warp has no place for, such as a medium for each world.
         MissingExtraError: MuJoCo Warp is not installed.
     """
 

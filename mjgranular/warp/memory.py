@@ -13,18 +13,13 @@ from mjgranular.relief.footprint import Footprint
 from mjgranular.relief.heights import Heights, square_about
 from mjgranular.relief.probe import level_kernel
 from mjgranular.relief.relief import Relief
+from mjgranular.warp import update as kernels
 from mjgranular.warp.grid import Grid, tiles_of
-from mjgranular.warp.records import struct_of_surface, surface_on_device
-from mjgranular.warp.update import (
-    DIRECTIONS,
-    FORGOTTEN,
-    HEAPED,
-    LANES,
-    MOST_FEET,
-    PRESSED,
-    UNWANTED,
-    Skin,
-    update_kernels,
+from mjgranular.warp.records import (
+    PlainRelief,
+    plain_relief,
+    struct_of_surface,
+    surface_on_device,
 )
 
 _BYTES = 4 + 4 + 8 + 4  # of a node: height, tile, what skin wants, and the foot there
@@ -60,9 +55,9 @@ class WarpMemory:
         memory, size = relief.memory, relief.memory.size
         blocks = memory.blocks(relief.surroundings)
         _check_room(memory, count, device)
-        if len(footprint.feet) > MOST_FEET:
+        if len(footprint.feet) > kernels.MOST_FEET:
             raise InputError(
-                f"in MuJoCo Warp at most {MOST_FEET} geoms press sand down, not "
+                f"in MuJoCo Warp at most {kernels.MOST_FEET} geoms press sand down, not "
                 f"{len(footprint.feet)}: choose some by geoms="
             )
         self._relief, self._device, self._size = relief, device, (count, size, blocks)
@@ -75,18 +70,25 @@ class WarpMemory:
         grid.height, grid.tile = zeros(nodes), zeros(nodes, int)
         grid.sums, grid.highest = zeros((count, blocks, blocks)), zeros((count,))
         self._grid = grid
-        self._wanted = wp.full(nodes, UNWANTED, dtype=wp.int64, device=device)
+        self._wanted = wp.full(nodes, kernels.UNWANTED, dtype=wp.int64, device=device)
         self._foot = zeros(nodes, int)
         self._places = zeros(feet, wp.vec3)
         self._waiting, self._count = zeros(feet), zeros(feet, int)
         self._volumes = zeros((count, 3))
         self._last, self._since = zeros((count,)), zeros((count, 2))
         self._task, self._rate = zeros((count,), int), zeros((count,))
-        self._skin = wp.array(_skin_of(footprint), dtype=Skin, device=device)
+        self._skin = wp.array(_skin_of(footprint), dtype=kernels.Skin, device=device)
 
         self.surface = surface_on_device(relief, record, model, device, grid)
+        self._plain = plain_relief(record, grid)
+        # Over a plane all surfaces are alike.
+        self._leveled = self._plain if relief.is_flat else self.surface
+        struct = PlainRelief if relief.is_flat else struct_of_surface(relief, record)
         level = level_kernel(type(relief.base).probe, relief.is_flat)
-        self._kernels = update_kernels(struct_of_surface(relief, record), level)
+        self._press, self._flow = (
+            kernels.press_kernel(struct, level),
+            kernels.flow_kernel(struct, level),
+        )
 
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
         """Presses sand down under the bodies of each world, heaps it up beside them, has it flow.
@@ -97,30 +99,28 @@ class WarpMemory:
             height: how much the surface is raised in each world [m].
             up: the direction of that.
         """
-        k, surface, foot, task = self._kernels, self.surface, self._foot, self._task
+        relief, foot, task, volumes = self._plain, self._foot, self._task, self._volumes
         (worlds, _, blocks), feet = self._size, self._count.shape[1]
-        books, counted = [self._waiting, self._volumes], [self._waiting, self._count]
+        over_nodes, shares = (worlds, kernels.LANES), [self._waiting, self._count]
         self._launch(
-            k.begin,
+            kernels.begin,
             worlds,
-            [d.time, m.opt.gravity, self._relief.memory.cell],
-            [self._last, self._since, task, self._rate, *counted, self._volumes],
-            [self._grid.highest],
+            [d.time, m.opt.gravity, self._relief.memory.cell, self._last, self._since],
+            [task, self._rate, *shares, volumes, self._grid.highest],
         )
-        over_nodes = (worlds, LANES)
-        there = [self._skin, task, height, up, d.xpos, d.xmat]
-        self._launch(k.press, over_nodes, [surface, *there], [self._wanted, self._places])
-        self._launch(k.settle, over_nodes, [surface, task, self._places, self._wanted, foot], books)
-        self._launch(k.edge, over_nodes, [surface, task, foot])
-        self._launch(k.surround, over_nodes, [surface, task, self._places, foot], counted)
-        at_print = [surface, task, self._places, foot, *counted]
-        self._launch(k.heap, over_nodes, at_print, [self._volumes])
-        self._launch(k.keep, (worlds, feet), [surface, task, *counted], [self._volumes])
-        for di, dj in DIRECTIONS:
+        pressing = [self._skin, task, height, up, d.xpos, d.xmat, self._wanted, self._places]
+        self._launch(self._press, over_nodes, [self._leveled], pressing)
+        at_feet = [relief, task, self._places, foot]
+        self._launch(kernels.settle, over_nodes, at_feet, [self._wanted, self._waiting, volumes])
+        self._launch(kernels.edge, over_nodes, [relief, task, foot])
+        self._launch(kernels.surround, over_nodes, at_feet, shares)
+        self._launch(kernels.heap, over_nodes, at_feet, [*shares, volumes])
+        self._launch(kernels.keep, (worlds, feet), [relief, task, *shares, volumes])
+        for di, dj in kernels.DIRECTIONS:
             for parity in (0, 1):
-                flowing = [surface, task, self._rate, foot, di, dj, parity]
-                self._launch(k.flow, over_nodes, flowing, [self._volumes])
-        self._launch(k.sum_up, (worlds, blocks * blocks), [surface, task])
+                flowing = [self._leveled, task, self._rate, foot, di, dj, parity, volumes]
+                self._launch(self._flow, over_nodes, flowing)
+        self._launch(kernels.sum_up, (worlds, blocks * blocks), [relief, task])
 
     def volumes(self) -> dict[str, np.ndarray]:
         """Volumes of each world since it began [m^3], shape (nworld,) each.
@@ -131,9 +131,9 @@ class WarpMemory:
         """
         found = self._volumes.numpy()
         return {
-            "pressed": found[:, PRESSED],
-            "heaped": found[:, HEAPED],
-            "forgotten": found[:, FORGOTTEN],
+            "pressed": found[:, kernels.PRESSED],
+            "heaped": found[:, kernels.HEAPED],
+            "forgotten": found[:, kernels.FORGOTTEN],
             "waiting": self._waiting.numpy().sum(1),
         }
 
@@ -174,7 +174,7 @@ def _skin_of(footprint: Footprint) -> np.ndarray:
     """The points of a footprint, each with the number of its foot."""
     points = footprint.points.transpose(0, 2, 1)  # tile by tile, point by point
     tiles, lanes, _ = points.shape
-    skin = np.zeros(tiles * lanes, Skin.numpy_dtype())
+    skin = np.zeros(tiles * lanes, kernels.Skin.numpy_dtype())
     feet = np.searchsorted(footprint.feet["end"], np.arange(tiles), side="right").repeat(lanes)
     skin["foot"], skin["body"] = feet, footprint.feet["body"][feet]
     skin["point"], skin["normal"] = points.reshape(-1, 6)[:, :3], points.reshape(-1, 6)[:, 3:]

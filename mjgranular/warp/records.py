@@ -8,7 +8,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import warp as wp
 
-from mjgranular.relief.relief import Relief
+from mjgranular.relief.relief import Relief, relief_dtype
 from mjgranular.surface import Surface
 from mjgranular.warp.grid import Grid
 from mjgranular.warp.structs import struct
@@ -38,6 +38,14 @@ def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
         else:
             fields[key] = _BY_SHAPE[kind.shape]
     return struct(name, fields)
+
+
+def _without_base(relief: np.dtype) -> np.dtype:
+    return np.dtype([(name, relief[name]) for name in relief.names or () if name != "base"])
+
+
+PlainRelief = struct_of_dtype("PlainRelief", _without_base(relief_dtype(np.dtype([]))))
+"""A surface that remembers, without the one under it: all that many kernels ask for."""
 
 
 def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
@@ -79,20 +87,36 @@ def surface_on_device(
         device: of Warp's.
         grid: of heights, where it remembers.
     """
-    made = struct_of_surface(surface, record)()
+    made = _filled(struct_of_surface(surface, record)(), record)
+    names = record.dtype.names or ()
+    if isinstance(surface, Relief):
+        made.base = surface_on_device(surface.base, record["base"], model, device)
+        made.state = grid
+    elif "data" in names:
+        first = int(model.hfield_adr[model.geom_dataid[surface.geoms(model)[0]]])
+        count = int(record["rows"][0] * record["columns"][0])
+        heights = model.hfield_data[first : first + count]
+        made.data = wp.array(heights, dtype=wp.float32, device=device)
+    return made
+
+
+def plain_relief(record: np.ndarray, grid: Any) -> Any:
+    """A surface that remembers, as `PlainRelief`.
+
+    Args:
+        record: of the surface, shape (1,).
+        grid: of heights.
+    """
+    made = _filled(PlainRelief(), record)
+    made.state = grid
+    return made
+
+
+def _filled(made: Any, record: np.ndarray) -> Any:
+    """A struct with the numbers, vectors and matrices of a record, without what it points to."""
     for name in record.dtype.names or ():
         value = record[name][0]
-        if name == "state":
-            made.state = grid
-        elif name == "base":
-            base = surface.base if isinstance(surface, Relief) else surface
-            made.base = surface_on_device(base, record["base"], model, device)
-        elif name == "data":
-            first = int(model.hfield_adr[model.geom_dataid[surface.geoms(model)[0]]])
-            count = int(record["rows"][0] * record["columns"][0])
-            heights = model.hfield_data[first : first + count]
-            made.data = wp.array(heights, dtype=wp.float32, device=device)
-        elif name not in _UNREAD:
+        if name not in (*_ADDRESSES, *_UNREAD, "base"):
             setattr(made, name, _BY_SHAPE[value.shape](*value) if value.shape else value.item())
     return made
 

@@ -16,7 +16,7 @@ nothing to do costs next to nothing.
 
 # Without `annotations` of the future: Warp reads types of local structs where they stand.
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -32,6 +32,7 @@ from mjgranular.warp.grid import (
     tile_of,
     wrapped,
 )
+from mjgranular.warp.records import PlainRelief
 from mjgranular.warp.structs import struct
 from mjgranular.warp.translate import translated
 
@@ -58,22 +59,49 @@ MOST_FEET = _FEET
 UNWANTED = np.iinfo(np.int64).max
 _UNWANTED = wp.constant(wp.int64(UNWANTED))
 
-
 _NEAR = 32  # more than there are nodes at an edge within two cells
 
+PRESSED, HEAPED, FORGOTTEN = range(3)
+"""Volumes of each world [m^3]."""
 
-class UpdateKernels(NamedTuple):
-    """The kernels of an update, in their order."""
+_is_sand, _has_edges = translated(is_sand), translated(has_edges)
+_skin_at, _exchanged = translated(skin_at), translated(exchanged)
 
-    begin: Any
-    press: Any
-    settle: Any
-    edge: Any
-    surround: Any
-    heap: Any
-    keep: Any
-    flow: Any
-    sum_up: Any
+
+@wp.func
+def place_of(relief: Any, position: wp.vec3):
+    """A point along the axes of the plane that heights are over [m]."""
+    place = position - relief.origin
+    return wp.vec3(
+        wp.dot(place, relief.along), wp.dot(place, relief.across), wp.dot(place, relief.normal)
+    )
+
+
+@wp.func
+def tile_beside(place: wp.vec3, row: int, column: int, cell: float, size: int):
+    """The tile of the node that is kept in a place and lies nearest to a body."""
+    i, j, a, b = corner_of(cell, place[0], place[1])
+    half = size // 2
+    i = i - half + wrapped(row - (i - half), size)
+    j = j - half + wrapped(column - (j - half), size)
+    return tile_of(i, j, size)
+
+
+@wp.func
+def claim(relief: Any, tile: int, row: int, column: int, volumes: wp.array2d(dtype=float)):
+    """Makes a place that of a tile: what was there before is forgotten."""
+    grid = relief.state
+    if grid.tile[grid.world, row, column] != tile:
+        lost = relief.cell * relief.cell * grid.height[grid.world, row, column]
+        wp.atomic_add(volumes, grid.world, FORGOTTEN, lost)
+        grid.height[grid.world, row, column] = 0.0
+        grid.tile[grid.world, row, column] = tile
+
+
+@wp.func
+def share_of(volume: float, count: int, cell: float):
+    """Height of so many equal parts of a volume, each on a node [m]; the rest waits."""
+    return wp.min(volume / (float(count) * cell * cell), cell)
 
 
 @wp.kernel(enable_backward=False)
@@ -126,44 +154,14 @@ def begin(
 
 
 @functools.cache
-def update_kernels(relief_struct: Any, level: Any) -> UpdateKernels:
-    """Makes the kernels of an update for surfaces of a kind.
+def press_kernel(relief_struct: Any, level: Any) -> Any:
+    """Makes the kernel by which skin wants nodes down, for surfaces of a kind.
 
     Args:
         relief_struct: struct of the surface.
         level: kernel, see `relief.probe.level_kernel`.
     """
-    level_at, sand_at, edged = translated(level), translated(is_sand), translated(has_edges)
-    skin_beside, exchange = translated(skin_at), translated(exchanged)
-
-    @wp.func
-    def place_of(relief: relief_struct, position: wp.vec3):
-        """A point along the axes of the plane that heights are over [m]."""
-        place = position - relief.origin
-        return wp.vec3(
-            wp.dot(place, relief.along), wp.dot(place, relief.across), wp.dot(place, relief.normal)
-        )
-
-    @wp.func
-    def tile_beside(place: wp.vec3, row: int, column: int, cell: float, size: int):
-        """The tile of the node that is kept in a place and lies nearest to a body."""
-        i, j, a, b = corner_of(cell, place[0], place[1])
-        half = size // 2
-        i = i - half + wrapped(row - (i - half), size)
-        j = j - half + wrapped(column - (j - half), size)
-        return tile_of(i, j, size)
-
-    @wp.func
-    def claim(
-        relief: relief_struct, tile: int, row: int, column: int, volumes: wp.array2d(dtype=float)
-    ):
-        """Makes a place that of a tile: what was there before is forgotten."""
-        grid = relief.state
-        if grid.tile[grid.world, row, column] != tile:
-            lost = relief.cell * relief.cell * grid.height[grid.world, row, column]
-            wp.atomic_add(volumes, grid.world, FORGOTTEN, lost)
-            grid.height[grid.world, row, column] = 0.0
-            grid.tile[grid.world, row, column] = tile
+    level_at = translated(level)
 
     @wp.kernel(module="unique", enable_backward=False)
     def press(
@@ -199,175 +197,187 @@ def update_kernels(relief_struct: Any, level: Any) -> UpdateKernels:
                 slope_u = -wp.dot(outward, relief.along) / downward
                 slope_v = -wp.dot(outward, relief.across) / downward
             # NaN is not on the sand.
-            if not sand_at(relief, u, v):
+            if not _is_sand(relief, u, v):
                 continue
             i, j, a, b = corner_of(cell, u, v)
             for di in range(2):
                 for dj in range(2):
                     x, y = float(i + di) * cell, float(j + dj) * cell
-                    low = skin_beside(place[2], slope_u, slope_v, x - u, y - v)
+                    low = _skin_at(place[2], slope_u, slope_v, x - u, y - v)
                     low = low - level_at(relief, x, y)
                     there = height_of_node(relief.state, size, i + di, j + dj)
-                    if low < there and sand_at(relief, x, y):
+                    if low < there and _is_sand(relief, x, y):
                         number = wp.int64(wp.float64(low) * wp.float64(_NANOMETRES))
                         number = number * wp.int64(_FEET) + wp.int64(each.foot)
                         row, column = wrapped(i + di, size), wrapped(j + dj, size)
                         wp.atomic_min(wanted, world, row, column, number)
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def settle(
-        surface: relief_struct,
-        task: wp.array(dtype=int),
-        places: wp.array2d(dtype=wp.vec3),
-        wanted: wp.array3d(dtype=wp.int64),
-        foot: wp.array3d(dtype=int),
-        waiting: wp.array2d(dtype=float),
-        volumes: wp.array2d(dtype=float),
-    ):
-        """Presses nodes down as far as skin wants them; forgets all where a world begins anew."""
-        world, lane = wp.tid()
-        if task[world] == IDLE:
-            return
-        relief = in_world(surface, world)
-        grid, cell, size = relief.state, relief.cell, relief.size
-        for n in range(lane, size * size, LANES):
-            row = n // size
-            column = n - row * size
-            number = wanted[world, row, column]
-            foot[world, row, column] = wp.where(foot[world, row, column] >= 0, LEFT, NOTHING)
-            if task[world] == BEGINS:
-                grid.height[world, row, column] = 0.0
-                grid.tile[world, row, column] = 0
-            if number == _UNWANTED:
-                continue
-            wanted[world, row, column] = _UNWANTED
-            # Whole numbers are divided downward, whatever their sign.
-            f = int(((number % wp.int64(_FEET)) + wp.int64(_FEET)) % wp.int64(_FEET))
-            low = float(
-                wp.float64((number - wp.int64(f)) // wp.int64(_FEET)) / wp.float64(_NANOMETRES)
-            )
-            claim(
-                relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes
-            )
-            foot[world, row, column] = f
-            lowered = grid.height[world, row, column] - low - relief.slack
-            if lowered > LEAST * relief.slack:
-                grid.height[world, row, column] -= lowered
-                volume = cell * cell * lowered
-                wp.atomic_add(waiting, world, f, relief.bulking * volume)
-                wp.atomic_add(volumes, world, PRESSED, volume)
+    return press
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def edge(surface: relief_struct, task: wp.array(dtype=int), foot: wp.array3d(dtype=int)):
-        """Finds the nodes of prints that have sand beside them."""
-        world, lane = wp.tid()
-        if task[world] < PRESSES:
-            return
-        size = surface.size
-        for n in range(lane, size * size, LANES):
-            row = n // size
-            column = n - row * size
-            if foot[world, row, column] < 0:
-                continue
-            has_sand = int(0)
-            for di in range(-1, 2):
-                for dj in range(-1, 2):
-                    if foot[world, wrapped(row + di, size), wrapped(column + dj, size)] == NOTHING:
-                        has_sand = int(1)
-            if has_sand == 1:
-                foot[world, row, column] += _FEET
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def surround(
-        surface: relief_struct,
-        task: wp.array(dtype=int),
-        places: wp.array2d(dtype=wp.vec3),
-        foot: wp.array3d(dtype=int),
-        waiting: wp.array2d(dtype=float),
-        count: wp.array2d(dtype=int),
-    ):
-        """Finds the nodes within two cells of a print's edge: of the nearest of several prints."""
-        world, lane = wp.tid()
-        if task[world] < PRESSES:
-            return
-        relief = in_world(surface, world)
-        cell, size = relief.cell, relief.size
-        has_edge = edged(relief)
-        for n in range(lane, size * size, LANES):
-            row = n // size
-            column = n - row * size
-            if foot[world, row, column] != NOTHING:
-                continue
-            nearest, found = int(9), int(NOTHING)
-            for di in range(-2, 3):
-                for dj in range(-2, 3):
-                    f = foot[world, wrapped(row + di, size), wrapped(column + dj, size)] - _FEET
-                    far = di * di + dj * dj
-                    if f >= 0 and (far < nearest or (far == nearest and f < found)):
-                        nearest = far
-                        found = f
-            if found < 0:
-                continue
-            if not (waiting[world, found] > 0.0):
-                continue
-            near = int(0)
-            for di in range(-2, 3):
-                for dj in range(-2, 3):
-                    f = foot[world, wrapped(row + di, size), wrapped(column + dj, size)] - _FEET
-                    near += wp.where(f == found, 1, 0)
-            if has_edge:
-                tile = tile_beside(places[world, found], row, column, cell, size)
-                i, j = node_in(tile, row, column, size)
-                if not sand_at(relief, float(i) * cell, float(j) * cell):
-                    continue
-            foot[world, row, column] = BESIDE - (found * _NEAR + near)
-            wp.atomic_add(count, world, found, near)
+@wp.kernel(enable_backward=False)
+def settle(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    places: wp.array2d(dtype=wp.vec3),
+    foot: wp.array3d(dtype=int),
+    wanted: wp.array3d(dtype=wp.int64),
+    waiting: wp.array2d(dtype=float),
+    volumes: wp.array2d(dtype=float),
+):
+    """Presses nodes down as far as skin wants them; forgets all where a world begins anew."""
+    world, lane = wp.tid()
+    if task[world] == IDLE:
+        return
+    relief = in_world(surface, world)
+    grid, cell, size = relief.state, relief.cell, relief.size
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        number = wanted[world, row, column]
+        foot[world, row, column] = wp.where(foot[world, row, column] >= 0, LEFT, NOTHING)
+        if task[world] == BEGINS:
+            grid.height[world, row, column] = 0.0
+            grid.tile[world, row, column] = 0
+        if number == _UNWANTED:
+            continue
+        wanted[world, row, column] = _UNWANTED
+        # Whole numbers are divided downward, whatever their sign.
+        f = int(((number % wp.int64(_FEET)) + wp.int64(_FEET)) % wp.int64(_FEET))
+        low = float(wp.float64((number - wp.int64(f)) // wp.int64(_FEET)) / wp.float64(_NANOMETRES))
+        claim(relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes)
+        foot[world, row, column] = f
+        lowered = grid.height[world, row, column] - low - relief.slack
+        if lowered > LEAST * relief.slack:
+            grid.height[world, row, column] -= lowered
+            volume = cell * cell * lowered
+            wp.atomic_add(waiting, world, f, relief.bulking * volume)
+            wp.atomic_add(volumes, world, PRESSED, volume)
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def heap(
-        surface: relief_struct,
-        task: wp.array(dtype=int),
-        places: wp.array2d(dtype=wp.vec3),
-        foot: wp.array3d(dtype=int),
-        waiting: wp.array2d(dtype=float),
-        count: wp.array2d(dtype=int),
-        volumes: wp.array2d(dtype=float),
-    ):
-        """Heaps sand up beside prints."""
-        world, lane = wp.tid()
-        if task[world] < PRESSES:
-            return
-        relief = in_world(surface, world)
-        grid, cell, size = relief.state, relief.cell, relief.size
-        for n in range(lane, size * size, LANES):
-            row = n // size
-            column = n - row * size
-            code = BESIDE - foot[world, row, column]
-            if code < 0:
-                continue
-            f = code // _NEAR
-            claim(
-                relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes
-            )
-            share = share_of(waiting[world, f], count[world, f], cell)
-            grid.height[world, row, column] += float(code % _NEAR) * share
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def keep(
-        surface: relief_struct,
-        task: wp.array(dtype=int),
-        waiting: wp.array2d(dtype=float),
-        count: wp.array2d(dtype=int),
-        volumes: wp.array2d(dtype=float),
-    ):
-        """Keeps what has found no room beside a print for later."""
-        world, f = wp.tid()
-        if task[world] < PRESSES or count[world, f] == 0:
-            return
-        cell, found = surface.cell, count[world, f]
-        heaped = cell * cell * float(found) * share_of(waiting[world, f], found, cell)
-        waiting[world, f] -= heaped
-        wp.atomic_add(volumes, world, HEAPED, heaped)
+@wp.kernel(enable_backward=False)
+def edge(surface: PlainRelief, task: wp.array(dtype=int), foot: wp.array3d(dtype=int)):
+    """Finds the nodes of prints that have sand beside them."""
+    world, lane = wp.tid()
+    if task[world] < PRESSES:
+        return
+    size = surface.size
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        if foot[world, row, column] < 0:
+            continue
+        has_sand = int(0)
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                if foot[world, wrapped(row + di, size), wrapped(column + dj, size)] == NOTHING:
+                    has_sand = int(1)
+        if has_sand == 1:
+            foot[world, row, column] += _FEET
+
+
+@wp.kernel(enable_backward=False)
+def surround(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    places: wp.array2d(dtype=wp.vec3),
+    foot: wp.array3d(dtype=int),
+    waiting: wp.array2d(dtype=float),
+    count: wp.array2d(dtype=int),
+):
+    """Finds the nodes within two cells of a print's edge: of the nearest of several prints."""
+    world, lane = wp.tid()
+    if task[world] < PRESSES:
+        return
+    relief = in_world(surface, world)
+    cell, size = relief.cell, relief.size
+    has_edge = _has_edges(relief)
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        if foot[world, row, column] != NOTHING:
+            continue
+        nearest, found = int(9), int(NOTHING)
+        for di in range(-2, 3):
+            for dj in range(-2, 3):
+                f = foot[world, wrapped(row + di, size), wrapped(column + dj, size)] - _FEET
+                far = di * di + dj * dj
+                if f >= 0 and (far < nearest or (far == nearest and f < found)):
+                    nearest = far
+                    found = f
+        if found < 0:
+            continue
+        if not (waiting[world, found] > 0.0):
+            continue
+        near = int(0)
+        for di in range(-2, 3):
+            for dj in range(-2, 3):
+                f = foot[world, wrapped(row + di, size), wrapped(column + dj, size)] - _FEET
+                near += wp.where(f == found, 1, 0)
+        if has_edge:
+            tile = tile_beside(places[world, found], row, column, cell, size)
+            i, j = node_in(tile, row, column, size)
+            if not _is_sand(relief, float(i) * cell, float(j) * cell):
+                continue
+        foot[world, row, column] = BESIDE - (found * _NEAR + near)
+        wp.atomic_add(count, world, found, near)
+
+
+@wp.kernel(enable_backward=False)
+def heap(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    places: wp.array2d(dtype=wp.vec3),
+    foot: wp.array3d(dtype=int),
+    waiting: wp.array2d(dtype=float),
+    count: wp.array2d(dtype=int),
+    volumes: wp.array2d(dtype=float),
+):
+    """Heaps sand up beside prints."""
+    world, lane = wp.tid()
+    if task[world] < PRESSES:
+        return
+    relief = in_world(surface, world)
+    grid, cell, size = relief.state, relief.cell, relief.size
+    for n in range(lane, size * size, LANES):
+        row = n // size
+        column = n - row * size
+        code = BESIDE - foot[world, row, column]
+        if code < 0:
+            continue
+        f = code // _NEAR
+        claim(relief, tile_beside(places[world, f], row, column, cell, size), row, column, volumes)
+        share = share_of(waiting[world, f], count[world, f], cell)
+        grid.height[world, row, column] += float(code % _NEAR) * share
+
+
+@wp.kernel(enable_backward=False)
+def keep(
+    surface: PlainRelief,
+    task: wp.array(dtype=int),
+    waiting: wp.array2d(dtype=float),
+    count: wp.array2d(dtype=int),
+    volumes: wp.array2d(dtype=float),
+):
+    """Keeps what has found no room beside a print for later."""
+    world, f = wp.tid()
+    if task[world] < PRESSES or count[world, f] == 0:
+        return
+    cell, found = surface.cell, count[world, f]
+    heaped = cell * cell * float(found) * share_of(waiting[world, f], found, cell)
+    waiting[world, f] -= heaped
+    wp.atomic_add(volumes, world, HEAPED, heaped)
+
+
+@functools.cache
+def flow_kernel(relief_struct: Any, level: Any) -> Any:
+    """Makes the kernel by which sand flows, for surfaces of a kind.
+
+    Args:
+        relief_struct: struct of the surface.
+        level: kernel, see `relief.probe.level_kernel`.
+    """
+    level_at = translated(level)
 
     @wp.kernel(module="unique", enable_backward=False)
     def flow(
@@ -380,13 +390,16 @@ def update_kernels(relief_struct: Any, level: Any) -> UpdateKernels:
         parity: int,
         volumes: wp.array2d(dtype=float),
     ):
-        """Has sand flow between nodes and their neighbours in a direction, every other pair."""
+        """Has sand flow between nodes and their neighbours in a direction, every other pair.
+
+        It does not flow over what is remembered of a place that lies a tile away.
+        """
         world, lane = wp.tid()
         if task[world] != FLOWS:
             return
         relief = in_world(surface, world)
         grid, cell, size = relief.state, relief.cell, relief.size
-        has_edge = edged(relief)
+        has_edge = _has_edges(relief)
         up = wp.vec3(relief.along[2], relief.across[2], relief.normal[2])
         for n in range(lane, size * size // 2, LANES):
             # Of rows, or along a row of columns, those of one parity begin a pair.
@@ -416,42 +429,33 @@ def update_kernels(relief_struct: Any, level: Any) -> UpdateKernels:
             higher += level_at(relief, far_x, far_y) - level_at(relief, x, y)
             rise = (up[0] * float(di) + up[1] * float(dj)) * cell + up[2] * higher
             run = float(di * di + dj * dj) * cell * cell + higher * higher - rise * rise
-            amount = exchange(rise, run, relief.repose, REST * cell, rate[world])
+            amount = _exchanged(rise, run, relief.repose, REST * cell, rate[world])
             if amount == 0.0:
                 continue
-            if has_edge and not (sand_at(relief, x, y) and sand_at(relief, far_x, far_y)):
+            if has_edge and not (_is_sand(relief, x, y) and _is_sand(relief, far_x, far_y)):
                 continue
             claim(relief, tile, row, column, volumes)
             claim(relief, other_tile, other_row, other_column, volumes)
             grid.height[world, row, column] += amount
             grid.height[world, other_row, other_column] -= amount
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def sum_up(surface: relief_struct, task: wp.array(dtype=int)):
-        """Sums heights up over blocks, and finds the highest."""
-        world, block = wp.tid()
-        if task[world] == IDLE:
-            return
-        relief = in_world(surface, world)
-        grid, width = relief.state, relief.size // relief.blocks
-        row, column = width * (block // relief.blocks), width * (block % relief.blocks)
-        total, highest = float(0.0), float(0.0)
-        for di in range(width):
-            for dj in range(width):
-                height = grid.height[world, row + di, column + dj]
-                total += height
-                highest = wp.max(highest, height)
-        grid.sums[world, block // relief.blocks, block % relief.blocks] = total
-        wp.atomic_max(grid.highest, world, highest)
-
-    return UpdateKernels(begin, press, settle, edge, surround, heap, keep, flow, sum_up)
+    return flow
 
 
-PRESSED, HEAPED, FORGOTTEN = range(3)
-"""Volumes of each world [m^3]."""
-
-
-@wp.func
-def share_of(volume: float, count: int, cell: float):
-    """Height of so many equal parts of a volume, each on a node [m]; the rest waits."""
-    return wp.min(volume / (float(count) * cell * cell), cell)
+@wp.kernel(enable_backward=False)
+def sum_up(surface: PlainRelief, task: wp.array(dtype=int)):
+    """Sums heights up over blocks, and finds the highest."""
+    world, block = wp.tid()
+    if task[world] == IDLE:
+        return
+    relief = in_world(surface, world)
+    grid, width = relief.state, relief.size // relief.blocks
+    row, column = width * (block // relief.blocks), width * (block % relief.blocks)
+    total, highest = float(0.0), float(0.0)
+    for di in range(width):
+        for dj in range(width):
+            height = grid.height[world, row + di, column + dj]
+            total += height
+            highest = wp.max(highest, height)
+    grid.sums[world, block // relief.blocks, block % relief.blocks] = total
+    wp.atomic_max(grid.highest, world, highest)

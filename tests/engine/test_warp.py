@@ -247,8 +247,6 @@ def test_worlds_are_on_their_own(warp):
 def test_what_is_wrong_is_said(warp):
     model = scene(warp)
     single = mujoco.MjSpec.from_string(SCENE).compile()
-    with pytest.raises(InputError, match="memory"):
-        warp.WarpSand(model, medium="quikrete_medium", memory=True)
     with pytest.raises(InputError, match="leave scheme out"):
         warp.WarpSand(model, medium="quikrete_medium", scheme="explicit")
     with pytest.raises(InputError, match="corrections must be at least 0"):

@@ -95,7 +95,5 @@ def test_what_has_no_place_is_said(warp_env):
             ),
             2,
         )
-    with pytest.raises(InputError, match="memory is not in MuJoCo Warp yet"):
-        warp_env("Hopper", 2, memory=True)
     with pytest.raises(InputError, match="device"):
         warp_env("Hopper", 2, device="gpu7")

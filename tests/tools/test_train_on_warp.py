@@ -25,8 +25,8 @@ HOPPER = "mjgranular/Hopper-v0"
             "environments of mjgranular's own.* not Pendulum-v1",
         ),
         (
-            [HOPPER, "--engine", "warp", "--set", "environment.memory=true"],
-            "memory is not in MuJoCo Warp yet",
+            [HOPPER, "--engine", "warp", "--set", "environment.memory='cell=0.01 extent=0.1'"],
+            "too small for surroundings",
         ),
         (
             [HOPPER, "--engine", "warp", "--search", "gamma=0.9,0.99"],
