@@ -76,7 +76,10 @@ class Worlds:
         self._arrays: dict[str, np.ndarray] = {}
         for name in _INPUTS:
             self.bind(name)
-        self._plugin_state = self.bind("plugin_state")
+        if task.randomise is None:
+            # What the task's own sand would remember there: nobody reads it.
+            self._arrays["plugin_state"] = np.zeros((count, 0))
+        self._drawn = self.bind("plugin_state")
         self._graphs: dict[int, Any] = {}
         self.lost = np.zeros(count, bool)
 
@@ -123,8 +126,9 @@ class Worlds:
 
     def reset(self, ids: np.ndarray, stage: int = 0) -> None:
         """Gives worlds the model's first state."""
+        data = mujoco.MjData(self._full)
         for name, value in self._arrays.items():
-            value[ids] = getattr(mujoco.MjData(self._full), name)
+            value[ids] = getattr(data, name) if value.size else 0.0
 
     def forward(self, ids: np.ndarray) -> None:
         """Writes the state of worlds, their sand and gravity, and finds what follows from them."""
@@ -134,15 +138,19 @@ class Worlds:
             values = field.numpy()
             values[ids] = 0.0
             field.assign(values)
-        if self._plugin_state.shape[1]:
+        if self._drawn.shape[1]:
             first = self._full.plugin_stateadr[instance_of(self._full, self._task.figures.sands[0])]
-            state = self._plugin_state[:, first : first + len(INITIAL)].astype(np.float32)
+            state = self._drawn[:, first : first + len(INITIAL)].astype(np.float32)
             self._sand.strength.assign(state[:, STRENGTH])
             self._sand.density.assign(state[:, DENSITY])
             self._sand.height.assign(state[:, HEIGHT])
             self._m.opt.gravity.assign(self._gravity.astype(np.float32))
         mjw.forward(self._m, self._d)
         self._read(ids)
+
+    def volumes(self) -> dict[str, np.ndarray]:
+        """Sand that each world has moved; see `WarpSand.volumes`."""
+        return self._sand.volumes()
 
     def get_model(self, number: int) -> mujoco.MjModel:
         """The task's model, with the gravity of a world."""

@@ -87,6 +87,24 @@ def test_a_world_that_is_lost_begins_anew_and_the_others_go_on(warp_env):
     assert not terminated.any()
 
 
+def test_worlds_remember_until_their_episode_ends(warp_env):
+    """Through the fall into the sand; then one world is begun anew."""
+    envs = both(warp_env, DiscreteHopper(memory=True), max_episode_steps=40)
+    for env in envs:
+        env.reset(seed=3)
+    random = np.random.default_rng(0)
+    for _ in range(30):
+        action = 0.3 * random.uniform(-1, 1, envs[0].action_space.shape)
+        one, other = (env.step(action) for env in envs)
+        np.testing.assert_allclose(one[0][:, :5], other[0][:, :5], atol=0.03)
+    batch = envs[0].batch
+    pressed = batch.volumes()["pressed"]
+    assert (pressed > 1e-6).all()
+    batch.reset(np.array([1]))
+    batch.forward(np.array([1]))
+    np.testing.assert_array_equal(batch.volumes()["pressed"], pressed * [1, 0, 1])
+
+
 def test_what_has_no_place_is_said(warp_env):
     with pytest.raises(InputError, match="leave media, laws and surfaces out of randomise"):
         warp_env(
