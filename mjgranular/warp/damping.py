@@ -216,6 +216,22 @@ def foresee(
 
 
 @wp.kernel(enable_backward=False)
+def warm_start(
+    timestep: wp.array(dtype=float),
+    disabled: int,
+    qvel: wp.array2d(dtype=float),
+    qacc_warmstart: wp.array2d(dtype=float),
+    foreseen: wp.array2d(dtype=float),
+):
+    """Velocities that the step would end with if accelerations were those of the last one."""
+    world, i = wp.tid()
+    change = timestep[world % timestep.shape[0]] * qacc_warmstart[world, i]
+    if disabled != 0 or not wp.isfinite(change):  # of a world that was lost, say
+        change = 0.0
+    foreseen[world, i] = qvel[world, i] + change
+
+
+@wp.kernel(enable_backward=False)
 def wrenches_of_step(
     slots: wp.array(dtype=Slot),
     chain: wp.array(dtype=int),

@@ -29,6 +29,7 @@ from mjgranular.warp.damping import (
     assemble_forces,
     foresee,
     resist_kernel,
+    warm_start,
     wrenches_of_step,
 )
 from mjgranular.warp.fit import check_model, slots_of, slots_of_dofs, up_of
@@ -166,6 +167,7 @@ class WarpSand:
             )
         check_model(self._model, self._slots, self._chain, m)
         model, device = self._model, d.qvel.device
+        self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
         self._attached_to, self._device, self._size = m, device, (n, count)
 
@@ -302,9 +304,14 @@ class WarpSand:
             (a.fluid, d.efm_fluid),
             (a.regularization, d.efc.D),
             (a.reference, d.efc.aref),
-            (a.foreseen, d.qvel),
         ):
             wp.copy(saved, own)
+        self._launch(
+            warm_start,
+            (self._size[0], self._model.nv),
+            [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart],
+            [a.foreseen],
+        )
         self._resist_all(m, d)
         for _ in range(self._corrections):
             mjw.fwd_actuation(m, d)
