@@ -65,9 +65,19 @@ def added_to(d: Damping, c: wp.mat33, arm: wp.vec3):
 
 
 @wp.func
+def _norm(c: wp.mat33):
+    """The greatest sum of sizes in a row: no direction is resisted by more."""
+    rows = wp.vec3(1.0, 1.0, 1.0)
+    sizes = wp.vec3(
+        wp.dot(wp.abs(c[0]), rows), wp.dot(wp.abs(c[1]), rows), wp.dot(wp.abs(c[2]), rows)
+    )
+    return wp.max(sizes)
+
+
+@wp.func
 def bounded(d: Damping, most: float):
     """The damping of a body, made less as it comes near a bound [N s/m]."""
-    part = most / (most + wp.trace(d.slide))
+    part = most / (most + _norm(d.slide))
     return Damping(part * d.turn, part * d.mixed, part * d.slide)
 
 
