@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+
+# Before numpy and torch, and for processes that tests start: where several workers share the cores,
+# threads of one operation spin until the slowest of them is given a core.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # Before mujoco: it chooses how to draw without a screen.
 import mjgranular  # isort: skip  # noqa: F401
 import importlib.util
 import json
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path

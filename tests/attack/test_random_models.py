@@ -19,20 +19,21 @@ PROGRAMS = (
 )
 
 
+@pytest.fixture(scope="module")
+def at_work():
+    """Children that walk models, with all their programs compiled."""
+    with importlib.import_module("attacks.crew").Crew(jobs=2) as crew:
+        for _ in crew.warm(PROGRAMS):
+            pass
+        yield crew
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "options", "hostile", "rest"])
-def test_random_models(kind, tmp_path):
-    crew, report = (
-        importlib.import_module("attacks.crew"),
-        importlib.import_module("attacks.report"),
-    )
-    tally = report.Tally()
-    with crew.Crew(jobs=2) as at_work:
-        for _ in at_work.warm(PROGRAMS):
-            pass
-        numbers = range(MODELS // 4)
-        for row in at_work.walk(0, numbers, STEPS, PROGRAMS, kind):
-            tally.add(row)
+def test_random_models(kind, at_work):
+    tally = importlib.import_module("attacks.report").Tally()
+    for row in at_work.walk(0, range(MODELS // 4), STEPS, PROGRAMS, kind):
+        tally.add(row)
     assert tally.models == MODELS // 4
     assert tally.counts["steps"] > 0.4 * MODELS // 4 * STEPS
     failures = [

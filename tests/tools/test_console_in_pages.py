@@ -32,9 +32,10 @@ RFT3D = """
 """
 # What makes a command short: the last value of an option counts.
 SHORT = {
-    "compare": "--total-steps 64 --policies 1 --seeds 2 --set n_steps=32 num_envs=2 batch_size=64",
+    "compare": "--total-steps 64 --policies 1 --seeds 2 --set n_steps=32 num_envs=2 batch_size=64 "
+    "environment.max_episode_steps=50",
     "evaluate": "--seeds 2",
-    "gait": "--search 2",
+    "gait": "--search 2 --on max_episode_steps=50",
     "render": "--seconds 0.2 --width 160 --height 120 --fps 5",
     "reproduce": "--timestep 2e-5",
     "sweep": "--points 2 --workers 1",
@@ -92,6 +93,7 @@ def shortened(command):
     if "--resume" in words:
         return [*words, "--total-steps", "128"] if "--total-steps" in words else words
     if "--vary" in words:  # has no points, and its own options where it has --of
+        words += [] if "--of" in words else ["--timestep", "5e-5"]
         return [*words, "--workers", "1", *(["--sample", "3"] if "--sample" in words else [])]
     if words[0] == "reproduce" and "--out" in words:
         words += ["--workers", "1"]
