@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
+from mjgranular.extras import need
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES
 from mjgranular.learn.blocks import Actor
@@ -35,7 +36,10 @@ def find_actor(
         raise UnknownNameError("agent", agent, ("policy", *BASELINES))
     if agent == "policy":
         try:
-            return _policy(what, load_policy(what), environment, trust)
+            policy = load_policy(what)
+            # Networks of this size are quicker on one thread; the cores step environments.
+            need("torch", extra="train", purpose="Running a policy").set_num_threads(1)
+            return _policy(what, policy, environment, trust)
         except UnknownNameError as error:
             if not is_environment(what):
                 raise
