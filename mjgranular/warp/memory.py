@@ -13,7 +13,7 @@ from mjgranular.relief.footprint import Footprint
 from mjgranular.relief.heights import Heights, square_about
 from mjgranular.relief.probe import level_kernel
 from mjgranular.relief.relief import Relief
-from mjgranular.warp import update as kernels
+from mjgranular.warp import flow, heap, press, update
 from mjgranular.warp.grid import Grid, tiles_of
 from mjgranular.warp.records import (
     PlainRelief,
@@ -55,9 +55,9 @@ class WarpMemory:
         memory, size = relief.memory, relief.memory.size
         blocks = memory.blocks(relief.surroundings)
         _check_room(memory, count, device)
-        if len(footprint.feet) > kernels.MOST_FEET:
+        if len(footprint.feet) > update.MOST_FEET:
             raise InputError(
-                f"in MuJoCo Warp at most {kernels.MOST_FEET} geoms press sand down, not "
+                f"in MuJoCo Warp at most {update.MOST_FEET} geoms press sand down, not "
                 f"{len(footprint.feet)}: choose some by geoms="
             )
         self._relief, self._device, self._size = relief, device, (count, size, blocks)
@@ -70,14 +70,14 @@ class WarpMemory:
         grid.height, grid.tile = zeros(nodes), zeros(nodes, int)
         grid.sums, grid.highest = zeros((count, blocks, blocks)), zeros((count,))
         self._grid = grid
-        self._wanted = wp.full(nodes, kernels.UNWANTED, dtype=wp.int64, device=device)
+        self._wanted = wp.full(nodes, press.UNWANTED, dtype=wp.int64, device=device)
         self._foot = zeros(nodes, int)
         self._places = zeros(feet, wp.vec3)
         self._waiting, self._count = zeros(feet), zeros(feet, int)
         self._volumes = zeros((count, 3))
         self._last, self._since = zeros((count,)), zeros((count, 2))
         self._task, self._rate = zeros((count,), int), zeros((count,))
-        self._skin = wp.array(_skin_of(footprint), dtype=kernels.Skin, device=device)
+        self._skin = wp.array(_skin_of(footprint), dtype=press.Skin, device=device)
 
         self.surface = surface_on_device(relief, record, model, device, grid)
         self._plain = plain_relief(record, grid)
@@ -86,8 +86,8 @@ class WarpMemory:
         struct = PlainRelief if relief.is_flat else struct_of_surface(relief, record)
         level = level_kernel(type(relief.base).probe, relief.is_flat)
         self._press, self._flow = (
-            kernels.press_kernel(struct, level),
-            kernels.flow_kernel(struct, level),
+            press.press_kernel(struct, level),
+            flow.flow_kernel(struct, level),
         )
 
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
@@ -101,9 +101,9 @@ class WarpMemory:
         """
         relief, foot, task, volumes = self._plain, self._foot, self._task, self._volumes
         (worlds, _, blocks), feet = self._size, self._count.shape[1]
-        over_nodes, shares = (worlds, kernels.LANES), [self._waiting, self._count]
+        over_nodes, shares = (worlds, update.LANES), [self._waiting, self._count]
         self._launch(
-            kernels.begin,
+            update.begin,
             worlds,
             [d.time, m.opt.gravity, self._relief.memory.cell, self._last, self._since],
             [task, self._rate, *shares, volumes, self._grid.highest],
@@ -111,16 +111,16 @@ class WarpMemory:
         pressing = [self._skin, task, height, up, d.xpos, d.xmat, self._wanted, self._places]
         self._launch(self._press, over_nodes, [self._leveled], pressing)
         at_feet = [relief, task, self._places, foot]
-        self._launch(kernels.settle, over_nodes, at_feet, [self._wanted, self._waiting, volumes])
-        self._launch(kernels.edge, over_nodes, [relief, task, foot])
-        self._launch(kernels.surround, over_nodes, at_feet, shares)
-        self._launch(kernels.heap, over_nodes, at_feet, [*shares, volumes])
-        self._launch(kernels.keep, (worlds, feet), [relief, task, *shares, volumes])
-        for di, dj in kernels.DIRECTIONS:
+        self._launch(press.settle, over_nodes, at_feet, [self._wanted, self._waiting, volumes])
+        self._launch(heap.edge, over_nodes, [relief, task, foot])
+        self._launch(heap.surround, over_nodes, at_feet, shares)
+        self._launch(heap.heap, over_nodes, at_feet, [*shares, volumes])
+        self._launch(heap.keep, (worlds, feet), [relief, task, *shares, volumes])
+        for di, dj in flow.DIRECTIONS:
             for parity in (0, 1):
                 flowing = [self._leveled, task, self._rate, foot, di, dj, parity, volumes]
                 self._launch(self._flow, over_nodes, flowing)
-        self._launch(kernels.sum_up, (worlds, blocks * blocks), [relief, task])
+        self._launch(update.sum_up, (worlds, blocks * blocks), [relief, task])
 
     def volumes(self) -> dict[str, np.ndarray]:
         """Volumes of each world since it began [m^3], shape (nworld,) each.
@@ -131,9 +131,9 @@ class WarpMemory:
         """
         found = self._volumes.numpy()
         return {
-            "pressed": found[:, kernels.PRESSED],
-            "heaped": found[:, kernels.HEAPED],
-            "forgotten": found[:, kernels.FORGOTTEN],
+            "pressed": found[:, update.PRESSED],
+            "heaped": found[:, update.HEAPED],
+            "forgotten": found[:, update.FORGOTTEN],
             "waiting": self._waiting.numpy().sum(1),
         }
 
@@ -174,7 +174,7 @@ def _skin_of(footprint: Footprint) -> np.ndarray:
     """The points of a footprint, each with the number of its foot."""
     points = footprint.points.transpose(0, 2, 1)  # tile by tile, point by point
     tiles, lanes, _ = points.shape
-    skin = np.zeros(tiles * lanes, kernels.Skin.numpy_dtype())
+    skin: Any = np.zeros(tiles * lanes, press.Skin.numpy_dtype())
     feet = np.searchsorted(footprint.feet["end"], np.arange(tiles), side="right").repeat(lanes)
     skin["foot"], skin["body"] = feet, footprint.feet["body"][feet]
     skin["point"], skin["normal"] = points.reshape(-1, 6)[:, :3], points.reshape(-1, 6)[:, 3:]
