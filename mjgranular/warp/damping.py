@@ -22,8 +22,10 @@ from mjgranular.warp.motions import (
     Damping,
     Slot,
     added_to,
+    arm_of,
     bounded,
     motion_of,
+    moved,
     spatial,
     velocity_at,
     wrench_of,
@@ -92,15 +94,13 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         # Sand that is higher is a body that is lower.
         lift = height[world % height.shape[0]] * rise
         tree = subtree_com[world, slot.root] - lift
-        now = spatial(cvel, world, slot.body)
+        centre = xipos[world, slot.body] - lift
+        about_tree = spatial(cvel, world, slot.body)
         pose = _Pose(
-            xpos[world, slot.body] - lift,
-            xmat[world, slot.body],
-            xipos[world, slot.body] - lift,
-            tree,
-            now,
+            xpos[world, slot.body] - lift, xmat[world, slot.body], centre, tree, about_tree
         )
-        ahead = motion_of(slot, chain, cdof, foreseen, world)
+        now = moved(about_tree, centre - tree)
+        ahead = motion_of(slot, chain, cdof, foreseen, centre - tree, world)
         level = _Level()
         if wp.static(has_cull):
             depth_here, normal = ceiling(here, pose.position)
@@ -118,7 +118,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             found = sample(element, pose, law, here, g)
             deepest = wp.max(deepest, found.depth)
             if found.depth > 0.0:
-                arm = found.point - tree
+                arm = found.point - centre
                 v = velocity_at(ahead, arm)
                 fastest = wp.max(fastest, wp.length(v))
                 c = resistance(found, law, g, v, eps, strong, dense)
@@ -160,6 +160,8 @@ def assemble_forces(
     slots: wp.array(dtype=Slot),
     dof_slots: wp.array(dtype=int),
     dof_first: wp.array(dtype=int),
+    xipos: wp.array2d(dtype=wp.vec3),
+    subtree_com: wp.array2d(dtype=wp.vec3),
     cdof: wp.array2d(dtype=wp.spatial_vector),
     cvel: wp.array2d(dtype=wp.spatial_vector),
     damping: wp.array2d(dtype=Damping),
@@ -173,10 +175,12 @@ def assemble_forces(
     total = other[world, i]
     for k in range(dof_first[i], dof_first[i + 1]):
         s = dof_slots[k]
-        wrench = wrench_of(damping[world, s], spatial(cvel, world, slots[s].body))
+        arm = arm_of(slots[s], xipos, subtree_com, world)
+        now = moved(spatial(cvel, world, slots[s].body), arm)
+        wrench = wrench_of(damping[world, s], now)
         kicked = spatial(kick, world, s)
         total += wp.dot(axis.angular, wrench.angular + kicked.angular)
-        total += wp.dot(axis.linear, wrench.linear + kicked.linear)
+        total += wp.dot(velocity_at(axis, arm), wrench.linear + kicked.linear)
     force[world, i] = total
 
 
@@ -184,9 +188,12 @@ def assemble_forces(
 def assemble_damping(
     rows: wp.array(dtype=int),
     columns: wp.array(dtype=int),
+    slots: wp.array(dtype=Slot),
     dof_slots: wp.array(dtype=int),
     dof_first: wp.array(dtype=int),
     timestep: wp.array(dtype=float),
+    xipos: wp.array2d(dtype=wp.vec3),
+    subtree_com: wp.array2d(dtype=wp.vec3),
     cdof: wp.array2d(dtype=wp.spatial_vector),
     damping: wp.array2d(dtype=Damping),
     other: wp.array2d(dtype=float),
@@ -198,8 +205,11 @@ def assemble_damping(
     left, right = spatial(cdof, world, i), spatial(cdof, world, columns[k])
     total = float(0.0)
     for m in range(dof_first[i], dof_first[i + 1]):
-        wrench = wrench_of(damping[world, dof_slots[m]], right)
-        total -= wp.dot(left.angular, wrench.angular) + wp.dot(left.linear, wrench.linear)
+        s = dof_slots[m]
+        arm = arm_of(slots[s], xipos, subtree_com, world)
+        wrench = wrench_of(damping[world, s], moved(right, arm))
+        total -= wp.dot(left.angular, wrench.angular)
+        total -= wp.dot(velocity_at(left, arm), wrench.linear)
     metric[world, k] = other[world, k] + timestep[world % timestep.shape[0]] * total
 
 
@@ -235,8 +245,8 @@ def warm_start(
 def wrenches_of_step(
     slots: wp.array(dtype=Slot),
     chain: wp.array(dtype=int),
-    subtree_com: wp.array2d(dtype=wp.vec3),
     xipos: wp.array2d(dtype=wp.vec3),
+    subtree_com: wp.array2d(dtype=wp.vec3),
     cdof: wp.array2d(dtype=wp.spatial_vector),
     velocity: wp.array2d(dtype=float),
     damping: wp.array2d(dtype=Damping),
@@ -248,11 +258,11 @@ def wrenches_of_step(
     """Force, moment about the centre of mass and power, at the step's last velocity."""
     world, s = wp.tid()
     slot = slots[s]
-    motion = motion_of(slot, chain, cdof, velocity, world)
+    arm = arm_of(slot, xipos, subtree_com, world)
+    motion = motion_of(slot, chain, cdof, velocity, arm, world)
     wrench = wrench_of(damping[world, s], motion)
     f = wrench.linear + wp.spatial_bottom(kick[world, s])
-    about_tree = wrench.angular + wp.spatial_top(kick[world, s])
+    turning = wrench.angular + wp.spatial_top(kick[world, s])
     force[world, s] = f
-    power[world, s] = wp.dot(f, motion.linear) + wp.dot(about_tree, motion.angular)
-    arm = xipos[world, slot.body] - subtree_com[world, slot.root]
-    moment[world, s] = about_tree - wp.cross(arm, f)
+    moment[world, s] = turning
+    power[world, s] = wp.dot(f, motion.linear) + wp.dot(turning, motion.angular)

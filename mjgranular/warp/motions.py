@@ -20,7 +20,10 @@ Slot = struct("Slot", dict.fromkeys(SLOT_DTYPE.names or (), wp.int32))
 """A body in the sand: its id, its tree's root, its elements, its degrees of freedom in `chain`."""
 
 Damping = struct("Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.mat33})
-"""A symmetric matrix of 6 x 6 for (angular, linear), its blocks; `mixed` is (angular, linear)."""
+"""A symmetric matrix of 6 x 6 for (angular, linear), its blocks; `mixed` is (angular, linear).
+
+It is about the body's centre of mass: about the tree's, a metre away, the damping of a foot that
+stands would be a small difference of large numbers."""
 
 WarpMotion = struct_of(Motion)
 
@@ -33,27 +36,45 @@ def spatial(vectors: wp.array2d(dtype=wp.spatial_vector), world: int, i: int):
 
 
 @wp.func
+def velocity_at(motion: WarpMotion, arm: wp.vec3):
+    """Velocity of a point from its place relative to the one that the motion is about."""
+    return motion.linear + wp.cross(motion.angular, arm)
+
+
+@wp.func
+def moved(motion: WarpMotion, arm: wp.vec3):
+    """The same motion about another point."""
+    return WarpMotion(motion.angular, velocity_at(motion, arm))
+
+
+@wp.func
+def arm_of(
+    slot: Slot,
+    xipos: wp.array2d(dtype=wp.vec3),
+    subtree_com: wp.array2d(dtype=wp.vec3),
+    world: int,
+):
+    """From the centre of a body's tree, which MuJoCo's motions are about, to its own."""
+    return xipos[world, slot.body] - subtree_com[world, slot.root]
+
+
+@wp.func
 def motion_of(
     slot: Slot,
     chain: wp.array(dtype=int),
     cdof: wp.array2d(dtype=wp.spatial_vector),
     rates: wp.array2d(dtype=float),
+    arm: wp.vec3,
     world: int,
 ):
-    """The motion of a body about the centre of its tree, from rates of its degrees of freedom."""
+    """The motion of a body about its own centre, from rates of its degrees of freedom."""
     angular, linear = wp.vec3(), wp.vec3()
     for k in range(slot.chain, slot.chain_end):
         axis = spatial(cdof, world, chain[k])
         rate = rates[world, chain[k]]
         angular += rate * axis.angular
         linear += rate * axis.linear
-    return WarpMotion(angular, linear)
-
-
-@wp.func
-def velocity_at(motion: WarpMotion, arm: wp.vec3):
-    """Velocity of a point from its place relative to the tree's centre."""
-    return motion.linear + wp.cross(motion.angular, arm)
+    return moved(WarpMotion(angular, linear), arm)
 
 
 @wp.func

@@ -336,7 +336,7 @@ class WarpSand:
             wrenches_of_step,
             self._size,
             [
-                *(self._slot_array, self._chain_array, d.subtree_com, d.xipos, d.cdof),
+                *(self._slot_array, self._chain_array, d.xipos, d.subtree_com, d.cdof),
                 *(a.foreseen, a.damping, a.kick),
             ],
             [self.force, self.moment, self.power],
@@ -362,17 +362,23 @@ class WarpSand:
             ],
             [a.damping, a.kick, self.depth, self.speed],
         )
-        of_dofs = [self._dof_slots, self._dof_first]
+        of_dofs, places = [self._dof_slots, self._dof_first], [d.xipos, d.subtree_com]
         self._launch(
             assemble_forces,
             (n, self._model.nv),
-            [self._slot_array, *of_dofs, d.cdof, d.cvel, a.damping, a.kick, a.passive],
+            [
+                *(self._slot_array, *of_dofs, *places, d.cdof, d.cvel),
+                *(a.damping, a.kick, a.passive),
+            ],
             [d.qfrc_passive],
         )
         self._launch(
             assemble_damping,
             (n, len(self._rows)),
-            [self._rows, self._columns, *of_dofs, m.opt.timestep, d.cdof, a.damping, a.fluid],
+            [
+                *(self._rows, self._columns, self._slot_array, *of_dofs, m.opt.timestep),
+                *(*places, d.cdof, a.damping, a.fluid),
+            ],
             [d.efm_fluid],
         )
 
