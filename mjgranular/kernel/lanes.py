@@ -157,6 +157,21 @@ def choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
 
 
 @intrinsic
+def root(typingctx: Any, value: Any) -> Any:
+    """The square root, in each lane. Of numbers, too."""
+    if not isinstance(value, (Lanes, types.Float)):
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        width = f"v{value.count}" if isinstance(value, Lanes) else ""
+        kind = ir.FunctionType(args[0].type, [args[0].type])
+        name = f"llvm.sqrt.{width}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)
+
+    return value(value), codegen
+
+
+@intrinsic
 def count_of(typingctx: Any, mask: Any) -> Any:
     """Counts the lanes in which it is so."""
     if not isinstance(mask, Mask):

@@ -1,6 +1,8 @@
 """Force laws, each with its parameters, its kernel and its citation."""
 
 from mjgranular.law.depth_velocity import DepthVelocityLaw as DepthVelocityLaw
+from mjgranular.law.dynamic import DynamicRft2dLaw as DynamicRft2dLaw
+from mjgranular.law.dynamic import DynamicRft3dLaw as DynamicRft3dLaw
 from mjgranular.law.law import Law as Law
 from mjgranular.law.law import check_constants as check_constants
 from mjgranular.law.law import get_law as get_law

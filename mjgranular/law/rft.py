@@ -17,6 +17,7 @@ from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law
+from mjgranular.law.raised import not_raised, raised_kernel
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
@@ -48,6 +49,8 @@ class RftLaw(Law):
             and by n.u, three vectors.
         inertia: lambda of the dynamic term.
         added: kappa of the added mass; a law without it needs no such field.
+        cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); likewise.
+        rate: rise of friction from slow flow to fast; likewise.
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -65,6 +68,8 @@ class RftLaw(Law):
 
     inertia: float
     added: float = 0.0
+    cone: float = 0.0
+    rate: float = 0.0
     rise: bool
 
     @property
@@ -76,10 +81,15 @@ class RftLaw(Law):
         term = " added" if self.added > 0 else " inertia" if self.inertia > 0 else ""
         return findings_of(self.name + term)
 
+    @property
+    def raised(self) -> Any:
+        """Kernel: the factor on static resistance (`law.raised`)."""
+        return raised_kernel(self.rate > 0) if self.cone > 0 or self.rate > 0 else not_raised
+
     def check_options(self) -> None:
         """Refuses options without meaning."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
-        for key in ("inertia", "added"):
+        for key in ("inertia", "added", "cone", "rate"):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):
                 raise InputError(
@@ -102,6 +112,7 @@ class RftLaw(Law):
             toward=surface.toward_kernel(),
             ceiling=surface.ceiling_kernel(),
             added=self.adds_mass,
+            raised=self.raised,
         )
 
     def kernel_of_forces(self, surface: Surface) -> LawKernel:
@@ -113,4 +124,5 @@ class RftLaw(Law):
             toward=surface.toward_kernel(),
             ceiling=surface.ceiling_kernel(),
             added=self.adds_mass,
+            raised=self.raised,
         )

@@ -20,7 +20,7 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 
 RFT2D_DTYPE = np.dtype(
-    [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "rise")]
+    [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "rise", "cone")]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
 # Horizontal part of the normal of an element that counts as level: of Treers et al.
@@ -153,6 +153,7 @@ class Rft2dLaw(RftLaw):
         scale: factor zeta on the coefficients; for the generic set, the medium's.
         inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
         added: kappa of the added mass, see `Rft3dLaw`; 0 leaves it out.
+        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
     Raises:
@@ -184,6 +185,7 @@ class Rft2dLaw(RftLaw):
     inertia: float = 0.0
     rise: bool = False
     added: float = 0.0
+    cone: float = 0.0
 
     def __post_init__(self) -> None:
         self.check_options()
@@ -221,4 +223,5 @@ class Rft2dLaw(RftLaw):
         parameters["inertia"] = self.inertia * self.density
         parameters["added"] = self.added * self.density
         parameters["rise"] = self.rise
+        parameters["cone"] = self.cone
         return parameters

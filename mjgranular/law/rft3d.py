@@ -14,6 +14,7 @@ from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
+from mjgranular.law.raised import shear_constants
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
 
@@ -34,7 +35,13 @@ C3 = (-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532, 0.06790
 # fmt: on
 
 RFT3D_DTYPE = np.dtype(
-    [(name, np.float64) for name in ("stiffness", "friction", "inertia", "added", "rise")]
+    [
+        (name, np.float64)
+        for name in (
+            *("stiffness", "friction", "inertia", "added", "rise"),
+            *("cone", "shear", "rate_1", "rate_2", "rate_3"),
+        )
+    ]
 )
 
 
@@ -174,6 +181,9 @@ class Rft3dLaw(RftLaw):
             times as deep as their geom is wide; 0 leaves it out.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
         scale: factor on the stiffness, from a calibration; see `calibrated`.
+        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
+        rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 leaves it out.
+        grain: diameter of a grain [m], which `rate` needs.
 
     Raises:
         InputError: a value outside its range.
@@ -198,6 +208,9 @@ class Rft3dLaw(RftLaw):
     rise: bool = False
     scale: float = 1.0
     added: float = 0.0
+    cone: float = 0.0
+    rate: float = 0.0
+    grain: float = 0.0
 
     def __post_init__(self) -> None:
         self.check_options()
@@ -206,6 +219,7 @@ class Rft3dLaw(RftLaw):
             ("internal_friction", 0.0, 2.0),
             ("surface_friction", 0.0, math.inf),
             ("scale", 0.0, math.inf),
+            ("grain", 0.0, 0.1),
         ):
             value = getattr(self, key)
             if not (is_finite(value) and low <= value <= high):
@@ -245,4 +259,10 @@ class Rft3dLaw(RftLaw):
         parameters["inertia"] = self.inertia * self.density
         parameters["added"] = self.added * self.density
         parameters["rise"] = self.rise
+        parameters["cone"] = self.cone
+        shear = shear_constants(
+            self.stiffness, self.density, self.grain, self.internal_friction, self.rate
+        )
+        for key, value in zip(("shear", "rate_1", "rate_2", "rate_3"), shear, strict=True):
+            parameters[key] = value
         return parameters

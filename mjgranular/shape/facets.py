@@ -36,6 +36,7 @@ FACET_DTYPE = np.dtype(
         ("spread", np.float64, (2, 3)),
         ("extent", np.float64),  # of the edges from the middle [m], 0 for triangles
         ("width", np.float64),  # of the geom, for Froude numbers [m]
+        ("flat", np.float64),  # 0 to 1: how much of what the geom shows here is one flat face
     ]
 )
 
@@ -109,11 +110,13 @@ def facets_from_model(
             facets = (
                 patches.gathered(corners, fine) if meshes == "patches" else patches.single(corners)
             )
+            flat = patches.flatness(facets, geom_width(model, geom))
         else:
             skin = _skin(model, geom, fine)
             if hidden == "drop":
                 skin = skin.only(~hidden_skin(model, data, geom, skin, ordered))
             facets = skin.gathered()
+            flat = (np.abs(facets.spread).max(axis=(1, 2), initial=0.0) < _FLAT).astype(float)
         count += len(facets)
         check_count(count)
         part = np.zeros(len(facets), FACET_DTYPE)
@@ -132,10 +135,11 @@ def facets_from_model(
         part["area"] = facets.areas
         part["edges"] = facets.edges @ rotation.T
         # What is flat is so exactly: rounding must not decide whether a face leads.
-        flat = np.abs(facets.spread).max(axis=(1, 2)) < _FLAT
-        part["spread"] = np.where(flat[:, None, None], 0.0, facets.spread @ rotation.T)
+        plane = np.abs(facets.spread).max(axis=(1, 2)) < _FLAT
+        part["spread"] = np.where(plane[:, None, None], 0.0, facets.spread @ rotation.T)
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
         part["width"] = geom_width(model, geom)
+        part["flat"] = flat
     return np.concatenate(parts)
 
 

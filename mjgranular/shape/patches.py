@@ -26,6 +26,9 @@ _PIECE = 1.5  # longest edge of a triangle in a mesh of size 1, over the resolut
 _THORN = 0.1
 _ROUND = 0.25  # in one go all patches are cut that blur this share of the worst, at least
 _FLAT = 1e-6  # patches narrower than this share of their mesh have no width; chosen: rounding
+# Of one flat face: normals within 10 degrees, and middles within a twentieth of the width; chosen.
+_PARALLEL, _COPLANAR = 0.985, 0.05
+_ENOUGH = 2000  # facets that others are held against; chosen
 _CANCELLED = 1e-6  # of its area, what is left of the area vectors of a patch of no direction
 
 
@@ -105,6 +108,34 @@ def single(corners: np.ndarray) -> Facets:
     corners, vectors, areas = _with_area(corners)
     nothing = np.zeros((len(areas), 2, 3))
     return Facets(corners.mean(axis=1), vectors / areas[:, None], areas, nothing, nothing)
+
+
+def flatness(facets: Facets, width: float) -> np.ndarray:
+    """Tells how much of what a mesh shows in the direction of each facet is one flat face.
+
+    That is the area of what lies in the facet's plane, nearly, in parts of the area that the whole
+    mesh shows in its direction: 1 for a face of a box, 0.03 for a ball.
+
+    Args:
+        facets: of the mesh.
+        width: of the mesh [m].
+
+    Returns:
+        Numbers from 0 to 1, shape (n,).
+    """
+    # Against some of many: what is asked is a share of an area.
+    some = slice(None, None, -(-len(facets.points) // _ENOUGH) or 1)
+    points, normals, areas = facets.points[some], facets.normals[some], facets.areas[some]
+    found = np.zeros(len(facets.points))
+    for first in range(0, len(found), _ENOUGH):
+        here = slice(first, first + _ENOUGH)
+        along = facets.normals[here] @ normals.T
+        height = np.einsum("ni,ni->n", facets.normals[here], facets.points[here])[:, None]
+        near = np.abs(facets.normals[here] @ points.T - height) < _COPLANAR * width
+        face = (areas * along * ((along > _PARALLEL) & near)).sum(axis=1)
+        shown = 0.5 * (areas * np.abs(along)).sum(axis=1)
+        found[here] = face / np.maximum(shown, face + 1e-300)
+    return found
 
 
 def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.ndarray, int]:

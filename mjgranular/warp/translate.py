@@ -102,6 +102,7 @@ _MEANINGS: dict[int, Any] = {
         (vector.read_matrix, _read),
         (lanes.choose, _choose),
         (lanes.all_of, _all_of),
+        (lanes.root, wp.sqrt),
         (elementary.logarithm, wp.log),
         (elementary.exponential, wp.exp),
         (height_field.height_of, _height),
