@@ -11,19 +11,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from mjgranular import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw, Rft2dLaw, Rft3dLaw
 from mjgranular.errors import GranularError
+from mjgranular.law import DynamicRft2dLaw, DynamicRft3dLaw
 from mjgranular.referee import Errors, MeasuredRun, Motion, RunSet, compare, read_runs, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "referee" / "data"
-SETS = ("seen", "small_bed", "katsuragi_durian", "plates", "quikrete", "paper_link")
+SETS = ("seen", "small_bed", "wide_bed", "katsuragi_durian", "plates", "quikrete", "paper_link")
 """Folders of data, in the order of the page."""
+
+SIMULATED = ("seen", "small_bed", "wide_bed")
+"""Those of simulated grains."""
 
 KAPPA, ADDED_BY = 2.5, ("sphere 1 m/s", "sphere 3 m/s")
 """Of the added mass, and the runs of `seen` that it was chosen by."""
@@ -75,7 +79,7 @@ def candidates(runs: RunSet) -> list[Candidate]:
         for law in (LinkLaw, DistributedLinkLaw):
             text = "the paper's" if own else play_sand
             found.append(Candidate(law.name, law.from_medium("play_sand"), names, text))
-    if runs.name in ("katsuragi_durian", "seen", "small_bed"):
+    if runs.name in ("katsuragi_durian", *SIMULATED):
         own = runs.name == "katsuragi_durian"
         names = tuple(run.name for run in runs.runs) if own else ()
         text = "Katsuragi and Durian's, of glass beads and a steel sphere of 25.4 mm"
@@ -92,7 +96,35 @@ def candidates(runs: RunSet) -> list[Candidate]:
         theirs = (*by, *ADDED_BY) if runs.name == "seen" else by
         text = f"{text}, lambda = 1.1, kappa = {KAPPA:g}"
         found.append(Candidate(f"{name} added", with_mass, theirs, text))
+        found.append(_dynamic(runs, with_mass, by, theirs))
     return found
+
+
+def _dynamic(
+    runs: RunSet, law: Rft2dLaw | Rft3dLaw, by: tuple[str, ...], theirs: tuple[str, ...]
+) -> Candidate:
+    """The dynamic law, its strength from the slowest push of a level plate where there is one."""
+    if isinstance(law, Rft3dLaw):
+        made = DynamicRft3dLaw.from_medium(runs.medium)
+    elif Rft2dLaw.name in runs.medium.constants:
+        made = DynamicRft2dLaw.from_medium(runs.medium)
+    else:
+        own = {f.name: getattr(law, f.name) for f in fields(law) if f.name != "cone"}
+        made = DynamicRft2dLaw(**own)
+    push = _slow_push(runs)
+    if runs.name == "plates":
+        made = replace(made, scale=law.scale)
+        return Candidate(made.name, made, by, "stiffness from K = 580 N/m")
+    if push is None:
+        return Candidate(made.name, made, by, "the medium's; nothing fitted")
+    force = simulate(push, runs.medium, made).force
+    measured = push.motion.force
+    assert force is not None
+    assert measured is not None
+    scale = float((measured * force).sum() / (force * force).sum())
+    made = replace(made, scale=scale * made.scale)
+    text = f"scale {made.scale:.3g} from the slow plate push, all else as published"
+    return Candidate(made.name, made, (*theirs, push.name), text)
 
 
 def _resistive(
@@ -124,12 +156,17 @@ def _resistive(
     return found
 
 
+def _slow_push(runs: RunSet) -> MeasuredRun | None:
+    """The slowest push of a level plate by which constants are chosen."""
+    pushes = [r for r in runs.runs if r.kind == "intrude" and r.mark == "fitted to"]
+    return min(pushes, key=lambda run: run.speed, default=None)
+
+
 def _slow_stiffness(runs: RunSet) -> tuple[float | None, tuple[str, ...]]:
     """Force over area and depth of the slowest level plate [N/m^3], and the run's name."""
-    pushes = [r for r in runs.runs if r.kind == "intrude" and r.mark == "fitted to"]
-    if not pushes:
+    run = _slow_push(runs)
+    if run is None:
         return None, ()
-    run = min(pushes, key=lambda run: run.speed)
     assert run.motion.force is not None
     area = run.body.length**2
     depth, force = run.motion.depth, run.motion.force

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.raised import RATE, cone_under
+from mjgranular.law.rft import RftLaw
 from mjgranular.law.rft2d import Rft2dLaw
 from mjgranular.law.rft3d import Rft3dLaw
 from mjgranular.law.validity import Finding, findings_of
@@ -33,16 +34,47 @@ _CITATION = (
 )
 
 
+_WITHIN = 0.25  # error of trajectories up to which a law is an estimate; chosen (docs/validity.md)
+
+
+def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, ...]:
+    """Limits of a law, as fast as it was found right, and as thin in grains.
+
+    Args:
+        name: of the law.
+        inertial_number: greatest in the runs that confirm it; None for that of the slow laws.
+    """
+    froude = 0.0
+    for finding in sorted(findings_of(name), key=lambda finding: finding.froude):
+        if finding.error > _WITHIN:
+            break
+        froude = finding.froude
+    source = f"trajectories within {_WITHIN:.0%}: docs/validity.md"
+    own = {"froude": froude, "inertial_number": inertial_number}
+    return tuple(
+        Limit(limit.measure, own[limit.measure], source) if own.get(limit.measure) else limit
+        for limit in RftLaw.validity
+    )
+
+
+def _constants(law: type[RftLaw], slow: type[RftLaw], medium: Medium) -> dict[str, Any]:
+    """A medium's constants for a law: its own, or those of the slow law, with a cone."""
+    if law.name in medium.constants:
+        return constants_of(law, medium)
+    constants = constants_of(law, medium, slow.name)
+    cone = cone_under(constants.get("internal_friction", FRICTION))
+    return {**constants, "cone": cone, "scale": constants.get("scale", 1.0) / (1.0 + cone)}
+
+
 @register_law
 @dataclass(frozen=True)
 class DynamicRft3dLaw(Rft3dLaw):
     """`Rft3dLaw` with what sand in motion adds, all of it switched on.
 
-    A medium's constants for `rft3d` serve it. Its cone follows from the internal friction, the
+    A medium's constants for `rft3d` serve it: the cone follows from the internal friction, the
     grain size is the medium's (without one there is no `rate`), and `scale` takes off what the
-    cone adds to a plate that is as deep as wide, since the published stiffness is force over depth
-    (chosen: at which depths plates were pushed is not printed with it). A slow push tells better:
-    `mjgranular fit`.
+    cone adds to a plate that is as deep as wide, since published stiffness is force over depth
+    (chosen: plates were pushed to about that). A slow push tells better: `mjgranular fit`.
     """
 
     name: ClassVar[str] = "rft3d_dynamic"
@@ -51,6 +83,8 @@ class DynamicRft3dLaw(Rft3dLaw):
         f"{Rft3dLaw.citation.partition(';')[0]}{_CITATION}; friction by rate of shear: P. Jop, "
         "Y. Forterre, O. Pouliquen, Nature 441, 727 (2006)"
     )
+
+    validity: ClassVar[tuple[Limit, ...]] = _confirmed("rft3d_dynamic", inertial_number=1.6)
 
     inertia: float = INERTIA
     added: float = ADDED
@@ -63,10 +97,7 @@ class DynamicRft3dLaw(Rft3dLaw):
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
         medium = get_medium(medium)
-        own = cls.name in medium.constants
-        constants = constants_of(cls, medium, cls.name if own else Rft3dLaw.name)
-        if not own:
-            constants = {**constants, **_cone(constants, constants["internal_friction"])}
+        constants = _constants(cls, Rft3dLaw, medium)
         if medium.grain is not None:
             constants = {"grain": medium.grain.value, **constants}
         return cls(**constants)
@@ -77,14 +108,15 @@ class DynamicRft3dLaw(Rft3dLaw):
 class DynamicRft2dLaw(Rft2dLaw):
     """`Rft2dLaw` with what sand in motion adds, all of it switched on.
 
-    A medium's constants for `rft2d` serve it. Its coefficients know no internal friction: the cone
-    is that of dry sand, and there is no friction by rate of shear. They are slopes of force against
-    depth, which a cone does not change.
+    A medium's constants for `rft2d` serve it, as those for `rft3d` serve `DynamicRft3dLaw`. They
+    know no internal friction: the cone is that of dry sand, and no friction grows with shear.
     """
 
     name: ClassVar[str] = "rft2d_dynamic"
     title: ClassVar[str] = "resistive force theory of 2D plates, split for 3D, for fast motion"
     citation: ClassVar[str] = f"{Rft2dLaw.citation}{_CITATION}"
+
+    validity: ClassVar[tuple[Limit, ...]] = _confirmed("rft2d_dynamic")
 
     inertia: float = INERTIA
     added: float = ADDED
@@ -97,11 +129,5 @@ class DynamicRft2dLaw(Rft2dLaw):
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
         medium = get_medium(medium)
-        name = cls.name if cls.name in medium.constants else Rft2dLaw.name
-        return cls(**{"density": medium.density.value, **constants_of(cls, medium, name)})
-
-
-def _cone(constants: dict[str, Any], friction: float) -> dict[str, float]:
-    """The cone of a friction, and a scale that takes it off where a plate is as deep as wide."""
-    cone = cone_under(friction)
-    return {"cone": cone, "scale": constants.get("scale", 1.0) / (1.0 + cone)}
+        constants = _constants(cls, Rft2dLaw, medium)
+        return cls(**{"density": medium.density.value, **constants})

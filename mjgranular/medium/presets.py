@@ -97,6 +97,23 @@ glass_beads = register_medium(
 )
 
 _POPPY_DENSITY = Quantity(638.0, "kg/m^3", f"{_CHOSEN}: the bulk density that public codes use")
+_POPPY_FRICTION = 36  # degrees
+
+
+def _rft3d_of(fourier: tuple[float, ...]) -> dict[str, Quantity]:
+    """Constants of `rft3d` for poppy seeds: a level plate pushed down is resisted as measured."""
+    density, mu = _POPPY_DENSITY.value, math.tan(math.radians(_POPPY_FRICTION))
+    flat = 1e6 * sum(fourier[:5])  # alpha_z at tilt 0, attack 90 degrees [N/m^3]
+    published = density * 9.81 * (894 * mu**3 - 386 * mu**2 + 89 * mu)
+    return {
+        "density": _POPPY_DENSITY,
+        "internal_friction": Quantity(mu, "", f"{_CHOSEN}: tangent of {_POPPY_FRICTION} degrees"),
+        "surface_friction": Quantity(0.4, "", _CHOSEN),
+        "scale": Quantity(
+            flat / (0.87574 * published), "", f"{_LI}: alpha_z of a level plate pushed down"
+        ),
+    }
+
 
 poppy_seed_loose = register_medium(
     Medium(
@@ -104,7 +121,10 @@ poppy_seed_loose = register_medium(
         title="Poppy seed, loosely packed",
         density=_POPPY_DENSITY,
         default_law="rft2d",
-        constants={"rft2d": _fourier(_POPPY_LOOSE, "loosely packed poppy seed")},
+        constants={
+            "rft2d": _fourier(_POPPY_LOOSE, "loosely packed poppy seed"),
+            "rft3d": _rft3d_of(_POPPY_LOOSE),
+        },
     )
 )
 
@@ -114,6 +134,9 @@ poppy_seed_close = register_medium(
         title="Poppy seed, closely packed",
         density=_POPPY_DENSITY,
         default_law="rft2d",
-        constants={"rft2d": _fourier(_POPPY_CLOSE, "closely packed poppy seed")},
+        constants={
+            "rft2d": _fourier(_POPPY_CLOSE, "closely packed poppy seed"),
+            "rft3d": _rft3d_of(_POPPY_CLOSE),
+        },
     )
 )

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import mujoco
 import numpy as np
 
 from mjgranular.law import Law
-from mjgranular.medium import Medium
+from mjgranular.medium import Medium, get_medium
 from mjgranular.models.link import offset
 from mjgranular.referee.motion import Motion
 from mjgranular.referee.runs import MeasuredRun
 from mjgranular.sand import Sand
+from mjgranular.sand.material import law_of
 from mjgranular.scheme import Explicit
 
 TIMESTEP = 5e-5
@@ -20,6 +22,7 @@ TIMESTEP = 5e-5
 
 _SAMPLES = 1e-4  # between two samples [s]
 _HEAVY = 1e6  # inertia of a body that keeps its angle [kg m^2]; chosen
+_HEAVY_BODY = 1e4  # mass of a body that keeps its speed [kg]; chosen
 
 
 def simulate(
@@ -50,6 +53,8 @@ def simulate(
     """
     if run.kind == "drop":
         return _drop(run, medium, law, timestep=timestep, scheme=scheme, longer=longer)
+    if run.kind == "intrude" and law_of(law, get_medium(medium)).adds_mass:
+        return _pushed(run, medium, law, timestep=timestep)
     return _moved(run, medium, law)
 
 
@@ -112,6 +117,38 @@ def _seen(run: MeasuredRun, data: mujoco.MjData) -> tuple[float, float, float]:
     q = float(data.qpos[2])
     _, below = offset(run.body.lowest(q), q)
     return -(float(data.qpos[1]) + below), -float(data.qvel[1]), abs(math.degrees(q))
+
+
+def _pushed(
+    run: MeasuredRun, medium: Medium | str, law: Law | str | None, *, timestep: float
+) -> Motion:
+    """A push at constant speed in which sand is set in motion: mean forces since the row before.
+
+    The body is heavy and is put back on its way after each step; what the sand has taken of its
+    momentum is the force.
+    """
+    spec = run.body.spec()
+    spec.body("link").mass = _HEAVY_BODY
+    spec.option.timestep = timestep
+    model = spec.compile()
+    sand = Sand(model, medium=medium, law=law, bodies="link", scheme="implicit")
+    data = mujoco.MjData(model)
+    gravity = -float(model.opt.gravity[2])
+    place = run.body.touching(math.radians(run.angle))
+
+    def force_at(depth: float) -> float:
+        data.qpos[:], data.qvel[:], data.qacc_warmstart[:] = place, (0.0, -run.speed, 0.0), 0.0
+        data.qpos[1] -= depth
+        sand.step(data)
+        return _HEAVY_BODY * ((data.qvel[1] + run.speed) / timestep + gravity)
+
+    depths = run.motion.depth
+    force = [force_at(depths[0])]
+    for before, depth in pairwise(depths):
+        count = max(1, round(abs(depth - before) / (run.speed * timestep)))
+        way = before + (depth - before) * (np.arange(count) + 0.5) / count
+        force.append(float(np.mean([force_at(at) for at in way])))
+    return Motion(depth=depths, speed=np.full(len(depths), run.speed), force=np.array(force))
 
 
 def _moved(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
