@@ -15,7 +15,7 @@ from mjgranular.law.raised import RATE, cone_under
 from mjgranular.law.rft import RftLaw
 from mjgranular.law.rft2d import Rft2dLaw
 from mjgranular.law.rft3d import Rft3dLaw
-from mjgranular.law.validity import Finding, findings_of
+from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 
 INERTIA = 1.1
