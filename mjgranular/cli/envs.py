@@ -24,7 +24,7 @@ class EnvsCommand:
 
     def run(self) -> int:
         """Runs the command."""
-        from mjgranular.envs.ids import id_of, name_of
+        from mjgranular.envs.ids import id_of, ids_of, name_of
         from mjgranular.envs.known import find_spec
         from mjgranular.envs.tasks import tasks
 
@@ -34,13 +34,14 @@ class EnvsCommand:
                 find_spec(self.id)  # has its module imported, which registers it
             if name not in tasks:
                 raise UnknownNameError("environment", self.id, map(id_of, tasks))
-            row = _row(id_of(name), tasks[name])
+            asked = self.id.rpartition("/")[2].rpartition(":")[2].partition("-v")[0]
+            row = _row(id_of(asked), tasks[name])
             if self.json:
                 print_json(row | {"specification": _text(tasks[name])})
             else:
                 out.print(Markdown(f"# {row['id']}\n\n{_text(tasks[name])}"))
             return 0
-        rows = [_row(id_of(name), task) for name, task in tasks.items()]
+        rows = [_row(one, task) for name, task in tasks.items() for one in ids_of(name)]
         if self.json:
             print_json(rows)
             return 0
@@ -48,6 +49,7 @@ class EnvsCommand:
         table.add_column("id", no_wrap=True)
         table.add_column("what it is")
         table.add_column("sand", no_wrap=True)
+        table.add_column("law", no_wrap=True)
         table.add_column("steps", justify="right")
         for row in rows:
             table.add_row(*(str(value) for value in row.values()))
@@ -56,10 +58,13 @@ class EnvsCommand:
 
 
 def _row(identity: str, task: Any) -> dict[str, Any]:
+    import gymnasium as gym
+
     return {
         "id": identity,
         "title": task.title,
         "medium": str(task.medium),
+        "law": gym.spec(identity).kwargs.get("law") or "its own",
         "max_episode_steps": task.episode,
     }
 
