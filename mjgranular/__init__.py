@@ -27,6 +27,8 @@ from mjgranular.errors import UnknownNameError as UnknownNameError
 from mjgranular.errors import UnstableError as UnstableError
 from mjgranular.law import DepthVelocityLaw as DepthVelocityLaw
 from mjgranular.law import DistributedLinkLaw as DistributedLinkLaw
+from mjgranular.law import DynamicRft2dLaw as DynamicRft2dLaw
+from mjgranular.law import DynamicRft3dLaw as DynamicRft3dLaw
 from mjgranular.law import Law as Law
 from mjgranular.law import LinkLaw as LinkLaw
 from mjgranular.law import Rft2dLaw as Rft2dLaw

@@ -69,7 +69,7 @@ def write_page(file: Path, found: list[list[Comparison]], figures: dict[str, str
     lines += ["## The error that travels with a force", "", *_travels(found), ""]
     for group in found:
         lines += _set(group, figures[group[0].runs.name])
-    lines += _small_bed(found)
+    lines += _small_beds(found)
     lines += _missing()
     file.write_text("\n".join(lines).rstrip() + "\n")
 
@@ -213,22 +213,34 @@ def _sentence(text: str) -> str:
     return text[0].upper() + text[1:] + ("" if text.endswith(".") else ".")
 
 
-def _small_bed(found: list[list[Comparison]]) -> list[str]:
+_SMALLER = (
+    (
+        ("seen", "sphere 1 m/s"),
+        "sphere 25.4 mm, 1 m/s again",
+        "The sphere of 25.4 mm at 1 m/s once more, in a bed of a fifth of the grains, 2.4 spheres "
+        "wide",
+    ),
+    (
+        ("wide_bed", "flat foot 0.5 m/s"),
+        "flat foot 0.5 m/s",
+        "The foot of 30 mm at 0.5 m/s in a bed two feet wide, against one three feet wide",
+    ),
+)
+"""Drops in two beds: the set and run of the larger one, the run of `small_bed`, in words."""
+
+
+def _small_beds(found: list[list[Comparison]]) -> list[str]:
     """What a smaller bed costs: the same drop in both."""
     sets = {group[0].runs.name: group[0].runs for group in found}
-    if not {"seen", "small_bed"} <= sets.keys():
-        return []
-    pairs = (("sphere 1 m/s", "sphere 25.4 mm, 1 m/s again"),)
     lines = ["## What a smaller bed costs", ""]
-    for large, small in pairs:
-        if all(run.name != small for run in sets["small_bed"].runs):
+    for (name, large), small, text in _SMALLER:
+        if not {name, "small_bed"} <= sets.keys():
             return []
-        errors = compare(sets["seen"][large].motion, sets["small_bed"][small].motion)
+        errors = compare(sets[name][large].motion, sets["small_bed"][small].motion)
         lines += [
-            "The sphere of 25.4 mm at 1 m/s once more, in a bed of a fifth of the grains, 2.4 "
-            f"spheres wide: final depth {_percent(errors.final)}, stopping time "
-            f"{_percent(errors.stop)}, trajectory {_percent(errors.trajectory, sign=False)}, "
-            f"greatest force {_percent(errors.peak)}. Laws are judged no better than that there.",
+            f"{text}: final depth {_percent(errors.final)}, stopping time {_percent(errors.stop)}, "
+            f"trajectory {_percent(errors.trajectory, sign=False)}, greatest force "
+            f"{_percent(errors.peak)}. Laws are judged no better than that there.",
             "",
         ]
     return lines

@@ -16,9 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
-from mjgranular import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw, Rft2dLaw, Rft3dLaw
+from mjgranular import (
+    DepthVelocityLaw,
+    DistributedLinkLaw,
+    DynamicRft2dLaw,
+    DynamicRft3dLaw,
+    Law,
+    LinkLaw,
+    Rft2dLaw,
+    Rft3dLaw,
+)
 from mjgranular.errors import GranularError
-from mjgranular.law import DynamicRft2dLaw, DynamicRft3dLaw
 from mjgranular.referee import Errors, MeasuredRun, Motion, RunSet, compare, read_runs, simulate
 
 ROOT = Path(__file__).resolve().parents[1]

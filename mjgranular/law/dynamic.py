@@ -88,6 +88,7 @@ class DynamicRft3dLaw(Rft3dLaw):
 
     inertia: float = INERTIA
     added: float = ADDED
+    cone: float = cone_under(FRICTION)
     rate: float = RATE
 
     @property

@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjgranular import InputError, Rft3dLaw, Sand, add_sand
-from mjgranular.law import DynamicRft2dLaw, DynamicRft3dLaw
+from mjgranular import DynamicRft2dLaw, DynamicRft3dLaw, InputError, Rft3dLaw, Sand, add_sand
 from mjgranular.law.raised import INERTIAL_NUMBER, RATE, cone_under
 from mjgranular.referee import compare, read_runs, simulate
 from mjgranular.scheme import Explicit
