@@ -20,7 +20,10 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 
 RFT2D_DTYPE = np.dtype(
-    [(name, np.float64) for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "rise", "cone")]
+    [
+        (name, np.float64)
+        for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "rise", "cone")
+    ]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
 # Horizontal part of the normal of an element that counts as level: of Treers et al.
