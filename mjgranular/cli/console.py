@@ -33,6 +33,10 @@ class _PlainConsole(Console):
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, markup=False, emoji=False)
 
+    def on_broken_pipe(self) -> None:
+        """Leaves it to the command: rich would end the process with exit status 1."""
+        raise BrokenPipeError
+
     def render_str(self, text: str, **options: Any) -> Text:
         lines = text.split("\n")
         return super().render_str("\n".join(map(one_line, lines)), **options)

@@ -76,6 +76,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         interrupted, 143 when told to end, 141 when nobody reads the output any more.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        try:
+            return _main(given)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # the reader of our output has gone: `mjgranular ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+
+
+def _main(given: Sequence[str]) -> int:
+    """Runs what the arguments ask for."""
     if given in (["--version"], ["-V"]):
         print(f"mjgranular {__version__}")
         return 0
@@ -106,9 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as stop:
         show_error("interrupted")
         return 128 + signal_of(stop)
-    except BrokenPipeError:  # the reader of our output has gone: `mjgranular ... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PIPE_CLOSED
+    except BrokenPipeError:
+        raise
     except OSError as error:  # a path that is too long, a folder that may not be looked into
         if error.filename is None:
             raise

@@ -29,6 +29,8 @@ from mjgranular.experiment.ground import (
     hide_replaced,
     refuse_contradiction,
     refuse_floors,
+    warn_of_carrying,
+    watch_floors,
 )
 from mjgranular.experiment.scenery import add_cut_prints, add_scenery, place_sun
 from mjgranular.experiment.slips import warn_of_slips
@@ -235,6 +237,9 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         InputError: the model cannot be read, or cannot be lifted or thrown.
         UnknownNameError: a name that the model does not have.
         UnstableError: the state left reason.
+
+    Warns:
+        FloorWarning: ground of the model's own has carried it, and `keep_floor` is not said.
     """
     if not isinstance(drop, Drop):
         raise InputError(f"run_drop takes a Drop(path, ...), not {kind_of(drop)}")
@@ -253,6 +258,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     recorder = Recorder(1 + model.nq + model.nv, keep=2048)
     prints = None if sand.memory is None else PrintsRecorder(sand, data, drop.duration)
     watch, rest = RestWatch(), None
+    ground = watch_floors(model, drop.sand)
     check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
     moving = sorted({int(body) for body in sand.elements["body"]})
     begin = data.time
@@ -268,6 +274,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         prints.look(0.0)
     for step in range(1, total + 1):
         sand.step(data)
+        ground.look(data)
         meter.add()
         if tip is not None:
             tip.follow(data)
@@ -282,6 +289,8 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
             rest = watch.since if still else None
         if progress is not None and step % _PROGRESS_STEPS == 0:
             progress(data.time - begin)
+    if not drop.keep_floor:
+        warn_of_carrying(model, ground)
     stop = None if tip is None else tip.stop
     seen = None if prints is None else prints.prints()
     return _result(drop, xml, sand, recorder.rows(), -meter.work, stop, rest, seen, felt)

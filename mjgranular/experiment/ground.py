@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import mujoco
 
-from mjgranular.errors import InputError
+from mjgranular.errors import FloorWarning, InputError, warn_user
 from mjgranular.look import NOT_SHOWN
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all, names_in
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.choice import surface_of
-from mjgranular.surface.floors import describe_floors, find_floors
+from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
 from mjgranular.surface.place import replace_geoms
 
 
@@ -133,6 +133,23 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     if floors:
         names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
         raise InputError(
-            f"{describe_floors(model, floors)}: let the sand replace it with --instead-of {names}, "
-            "or say --keep-floor if it is to stand on that"
+            f"{describe_floors(model, floors, WOULD_CARRY)}: let the sand replace it with "
+            f"--instead-of {names}, or say --keep-floor if it is to stand on that"
+        )
+
+
+def watch_floors(model: mujoco.MjModel, sand: SandSpec) -> FloorWatch:
+    """Watch of a run for ground of the model's own."""
+    return FloorWatch(model, geoms_in_sand(model, sand), surface_of(sand.surface))
+
+
+def warn_of_carrying(model: mujoco.MjModel, watch: FloorWatch) -> None:
+    """Warns at the end of a run of ground that has carried the model."""
+    floors = sorted(watch.floors)
+    if floors:
+        names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
+        warn_user(
+            f"{describe_floors(model, floors, CARRIES)}: let the sand replace it with --instead-of "
+            f"{names}, or say --keep-floor if it is to stand on that",
+            FloorWarning,
         )

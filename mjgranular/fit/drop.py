@@ -21,7 +21,7 @@ from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Implicit
 from mjgranular.surface import Plane
-from mjgranular.surface.floors import describe_floors, find_floors
+from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 
 _STEPS = 100  # of a simulated record, and twice as many; chosen by trying, see `simulate`
 _STEP_RANGE = (1e-5, 5e-4)  # of the time step [s]; chosen
@@ -207,8 +207,8 @@ class ModelTrial(DropTrial):
         floors = find_floors(model, geoms_in_sand(model, SandSpec()), Plane())
         if floors:
             raise InputError(
-                f"run {shown(run.name)}: {describe_floors(model, floors)}: take it out of the "
-                "model, the sand is in its place"
+                f"run {shown(run.name)}: {describe_floors(model, floors, WOULD_CARRY)}: take it "
+                "out of the model, the sand is in its place"
             )
         data = mujoco.MjData(model)
         start_from(model, data, run.keyframe)

@@ -34,6 +34,7 @@ from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import FINE, REFUSED
 from mjgranular.shape.select import body_name
 from mjgranular.surface import Surface
+from mjgranular.surface.floors import warn_of_contacts
 
 _step1 = mujoco.mj_step1
 _step2 = mujoco.mj_step2
@@ -361,15 +362,18 @@ class Sand:
 
         Warns with a `MissedStepWarning` if time has gone on in `data` without this sand, also if it
         has never acted there: `mujoco.mj_step` was called, most likely, where `step` was meant.
+        With a `FloorWarning` if ground of the model's own carries bodies in these contacts.
 
         Raises:
             InputError: names what was changed; or options that the scheme cannot step.
         """
-        self._original.check(self._model, geoms_in_sand(self._model, self._spec))
+        geoms = geoms_in_sand(self._model, self._spec)
+        self._original.check(self._model, geoms)
         self._scheme.check(self._model)
         if data is not None:
             self._check_owner(data)
             self._warn_of_missed_steps(data, began=0.0)
+            warn_of_contacts(self._model, data, geoms, self.surface)
 
     def _warn_of_missed_steps(self, data: mujoco.MjData, began: float | None = None) -> None:
         bound = self._bindings.get(data)

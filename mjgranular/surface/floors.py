@@ -16,6 +16,9 @@ from mjgranular.surface.surface import Surface
 SKIN = 1e-3
 """So far below the sand's surface ground still carries what stands on it [m]; chosen."""
 
+_STEEP = 0.5
+"""Vertical part of a contact's normal from which on it carries; chosen: a wall is steeper."""
+
 _TOLD = 4  # geoms that a message names
 _FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
 
@@ -73,15 +76,55 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     return sorted(found)
 
 
-def describe_floors(model: mujoco.MjModel, floors: Sequence[int]) -> str:
-    """Says what carries the model, in words."""
+class FloorWatch:
+    """Watches contacts for ground of the model's own that carries bodies in place of the sand.
+
+    `find_floors` sees the ground above the sand where the model stands at `qpos0`. This sees the
+    rest: a floor just under the surface, which feet come down to, and ground that is walked onto.
+
+    Args:
+        model: the model.
+        geoms: ids of the geoms that meet the sand.
+        surface: where the sand is.
+
+    Attributes:
+        floors: ids of the geoms that have carried so far.
+    """
+
+    def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
+        sand = surface.geoms(model)
+        self._meets = np.zeros(model.ngeom, bool)
+        self._meets[list(geoms)] = True
+        self._fixed = np.array(
+            [_is_fixed(model, geom) and geom not in sand for geom in range(model.ngeom)], bool
+        )
+        self.floors: set[int] = set()
+
+    def look(self, data: mujoco.MjData) -> None:
+        """Takes in the contacts of a step."""
+        if data.ncon == 0:
+            return
+        contact = data.contact
+        pairs = contact.geom
+        acts = (contact.efc_address >= 0) & (pairs >= 0).all(axis=1)  # a flex has no geom
+        acts &= np.abs(contact.frame[:, 2]) > _STEEP
+        for pair in pairs[acts]:
+            for floor, geom in (pair, pair[::-1]):
+                if self._fixed[floor] and self._meets[geom]:
+                    self.floors.add(int(floor))
+
+
+def describe_floors(model: mujoco.MjModel, floors: Sequence[int], does: str) -> str:
+    """Says what carries the model, in words: `does` is a verb with its object."""
     named = [f"{geom_name(model, geom)} (a {_kind(model, geom)})" for geom in floors]
     if len(named) > _TOLD:
         named[_TOLD:] = [f"{len(named) - _TOLD} more"]
     what = "geoms" if len(floors) > 1 else "geom"
-    return (
-        f"the model's own {what} {', '.join(named)} would carry it at or above the sand's surface"
-    )
+    return f"the model's own {what} {', '.join(named)} {does}"
+
+
+WOULD_CARRY = "would carry it at or above the sand's surface"
+CARRIES = "carries it beside or beneath the sand, which bears the rest"
 
 
 def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
@@ -89,8 +132,22 @@ def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface
     floors = find_floors(model, geoms, surface)
     if floors:
         warn_user(
-            f"{describe_floors(model, floors)}: name in instead_of=[...] what the sand replaces, "
-            "or put that ground deeper",
+            f"{describe_floors(model, floors, WOULD_CARRY)}: name in instead_of=[...] what the "
+            "sand replaces, or put that ground deeper",
+            FloorWarning,
+        )
+
+
+def warn_of_contacts(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], surface: Surface
+) -> None:
+    """Warns where bodies stand on the model's own ground now."""
+    watch = FloorWatch(model, geoms, surface)
+    watch.look(data)
+    if watch.floors:
+        warn_user(
+            f"{describe_floors(model, sorted(watch.floors), CARRIES)}: name in instead_of=[...] "
+            "what the sand replaces, or put that ground deeper",
             FloorWarning,
         )
 

@@ -9,6 +9,7 @@ import pytest
 from mjgranular import Bed, GranularWarning, HeightField, InputError, Plane, Sand, add_sand
 from mjgranular.cli import main
 from mjgranular.cli.view import ViewCommand
+from mjgranular.errors import FloorWarning
 from mjgranular.shape import select_geoms
 from mjgranular.surface.floors import find_floors
 
@@ -154,3 +155,46 @@ def test_view_refuses_it_too(tmp_path):
     assert names == ["floor", "", ""]
     assert not (loaded.geom_contype | loaded.geom_conaffinity)[:2].any()
     assert loaded.geom_group[:2].tolist() == [5, 5]  # not shown
+
+
+LOW = geom("plane", pos="0 0 -0.01")  # beneath the sand, and above the depth that the ball comes to
+
+
+def test_ground_just_beneath_the_sand_is_told_once_it_carries():
+    model = world(LOW)
+    sand = Sand(model, **SAND)
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.105
+    sand.check(data)  # above it
+    while data.time < 0.5:
+        sand.step(data)
+    with pytest.warns(FloorWarning, match=r"'floor' \(a plane\) carries it"):
+        sand.check(data)
+    replaced = Sand(world(LOW), instead_of=["floor"], **SAND)
+    data = mujoco.MjData(replaced.model)
+    while data.time < 0.5:
+        replaced.step(data)
+    replaced.check(data)
+
+
+def test_drop_says_that_ground_beneath_the_sand_has_carried(tmp_path, capfd):
+    path = tmp_path / "low.xml"
+    path.write_text(f"<mujoco><worldbody>{LOW}{BALL.format(x=0)}</worldbody></mujoco>")
+    command = ["drop", str(path), "--height", "0.02", "--duration", "0.3"]
+    told = "'floor' (a plane) carries it beside or beneath the sand"
+    assert main(command) == 0
+    assert told in capfd.readouterr().err.replace("\n", " ")
+    for options in (["--keep-floor"], ["--instead-of", "floor"]):
+        assert main([*command, *options]) == 0
+        assert told not in capfd.readouterr().err.replace("\n", " ")
+
+
+def test_walls_that_bodies_lean_on_do_not_carry():
+    wall = geom("box", "wall", size="0.1 1 1", pos="0.19 0 0")
+    model = world(wall)
+    sand = Sand(model, **SAND)
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.1
+    sand.step(data)
+    assert data.ncon > 0
+    sand.check(data)

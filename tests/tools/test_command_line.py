@@ -293,3 +293,16 @@ def test_environments_are_listed_with_their_specifications(capfd):
     assert "Observation Space" in capfd.readouterr().out
     assert main(["envs", "Nobody"]) == 2
     assert "there are: mjgranular/Ant-v0" in capfd.readouterr().err.replace("\n", " ")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX pipes")
+@pytest.mark.parametrize("command", [["drop", "--help"], ["--version"], ["media"]])
+def test_a_reader_that_goes_away_is_no_traceback(command):
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "mjgranular", *command],
+        stdout=writer, stderr=subprocess.PIPE, text=True, check=False,
+    )  # fmt: skip
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")
