@@ -28,8 +28,8 @@ _STILL = 1e-300
 _ROUNDED = 1.0 + 1e-12  # what is beyond a bound by more is so however it is rounded; chosen
 _THIRD = 1.0 / 3.0
 # Depth over which a facet comes to move sand along, in widths of its geom, beside its own height.
-# Chosen by a foot and a plate that enter simulated grains (`referee/data`): twice as much halves the
-# foot's peak of force, half of it doubles the plate's.
+# Chosen by a foot and a plate that enter simulated grains (`referee/data`): the foot's peak of
+# force is 14 % too low with it, and 49 % with twice as much.
 _ENTRY = 0.125
 # Speed into the sand at which half of what is in front is moved along [m/s]. Chosen, far below what
 # is fast: what rests or creeps moves none, so that rest is what it is without.

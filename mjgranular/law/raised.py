@@ -1,19 +1,20 @@
 """Static resistance beyond that of depth: of stagnant sand under flat faces, and of fast shear.
 
-Both are factors on the static resistance of a facet, known from where it is and how it moves at the
-start of a step. So they change nothing of how a law holds: what rests is resisted by its limits.
+Both are factors on the static resistance of a facet, known from where it is and how it moves at
+the start of a step. So they change nothing of how a law holds: what rests is resisted by its
+limits.
 
-**Stagnant sand.** Under a flat face that is pushed down sand stands still, in a cone (Terzaghi), and
-moves with it: what is resisted is the cone, which is deeper than the face. Its slope is pi/4 + phi/2
-with the friction angle phi, so its mean depth below a face of the width w is w tan(pi/4 + phi/2)/6.
-Kang, Feng, Liu and Blumenfeld (Nature Communications 9, 1101, 2018) measured that: force against
-depth is a line that begins above zero, after a rise over which the cone comes to be.
+**Stagnant sand.** Under a flat face that is pushed down sand stands still, in a cone (Terzaghi),
+and moves with it: what is resisted is the cone, which is deeper than the face. Its slope is pi/4 +
+phi/2 with the friction angle phi, so its mean depth below a face of the width w is w tan(pi/4 +
+phi/2)/6. Kang, Feng, Liu and Blumenfeld (Nature Communications 9, 1101, 2018) measured that: force
+against depth is a line that begins above zero, after a rise over which the cone comes to be.
 
 **Fast shear.** Friction between grains grows with the inertial number I of the flow around the
-facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441, 727, 2006), with I =
-(|v|/w) d sqrt(rho_s / P), grains of the diameter d and the density rho_s, and for the pressure P the
-resistance that the facet meets, xi_n z. The resistance is proportional to the cubic
-xi_n(mu) (`Rft3dLaw`).
+facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441, 727, 2006), with
+I = (|v|/w) d sqrt(rho_s / P), grains of the diameter d and the density rho_s, and for the pressure
+P the resistance that the facet meets, xi_n z. The resistance is proportional to the cubic xi_n(mu)
+(`Rft3dLaw`).
 """
 
 from __future__ import annotations

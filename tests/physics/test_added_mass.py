@@ -71,8 +71,8 @@ def test_entry_follows_the_wet_part():
     _, data, sand = ball(LAYER, depth=0.0, velocity=(0, 0, -2.0), timestep=2e-5)
     while RADIUS - data.qpos[2] < RADIUS / 2:
         sand.step(data)
-    # Of the half sphere the cap with cos from 1/2 to 1, int cos^2 over it; what is less deep than an
-    # eighth of the width moves sand along in proportion to its depth.
+    # Of the half sphere the cap with cos from 1/2 to 1, int cos^2 over it; what is less deep than
+    # an eighth of the width moves sand along in proportion to its depth.
     c, step = np.linspace(0.5, 1.0, 20_001, retstep=True)
     share = np.minimum((c - 0.5) * RADIUS / (2 * RADIUS / 8), 1.0)
     cap = MOVED * 3 * np.sum(c**2 * share) * step

@@ -1,4 +1,4 @@
-"""Stagnant sand, friction by rate of shear, and the laws that have all of it: closed forms, rest."""
+"""Stagnant sand, friction by rate of shear, the laws that have all of it: closed forms, rest."""
 
 from __future__ import annotations
 
