@@ -46,14 +46,19 @@ right. Errors are those of the law with the constants that are said, not of the 
 Each run has a mark:
 """
 
+
+def _is_ball(run: MeasuredRun) -> bool:
+    return run.kind == "drop" and run.body.shape == "sphere"
+
+
 _SITUATIONS: tuple[tuple[str, Callable[[MeasuredRun, float], bool]], ...] = (
     (
-        "plate pushed or drawn, Froude number to 0.4",
+        "plate or ball pushed or drawn, Froude number to 0.4",
         lambda r, g: r.kind != "drop" and r.froude <= 0.4,
     ),
     ("plate pushed or drawn, faster", lambda r, g: r.kind != "drop" and r.froude > 0.4),
-    ("sphere dropped, to 2.5", lambda r, g: r.body.shape == "sphere" and r.froude <= 2.5),
-    ("sphere dropped, faster", lambda r, g: r.body.shape == "sphere" and r.froude > 2.5),
+    ("sphere dropped, to 2.5", lambda r, g: _is_ball(r) and r.froude <= 2.5),
+    ("sphere dropped, faster", lambda r, g: _is_ball(r) and r.froude > 2.5),
     ("flat foot dropped", lambda r, g: r.body.shape == "plate" and r.kind == "drop"),
     ("rod dropped, 5 grains wide or more", lambda r, g: r.body.shape == "capsule" and g >= 5),
     ("rod dropped, thinner", lambda r, g: r.body.shape == "capsule" and g < 5),
