@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from mjgranular.referee import Motion
 
-# Okabe and Ito's colours; dashes for the laws without inertia, dots for those with an added mass.
+# Okabe and Ito's colours; dashes for the laws without inertia, dots for those with an added mass,
+# dashes and dots for those for fast motion.
 _LOOK = {
     "link": ("#AA4499", "--"),
     "link_distributed": ("#AA4499", "-"),
@@ -25,9 +26,11 @@ _LOOK = {
     "rft2d": ("#D55E00", "--"),
     "rft2d inertia": ("#D55E00", "-"),
     "rft2d added": ("#D55E00", ":"),
+    "rft2d_dynamic": ("#E69F00", "-."),
     "rft3d": ("#0072B2", "--"),
     "rft3d inertia": ("#0072B2", "-"),
     "rft3d added": ("#0072B2", ":"),
+    "rft3d_dynamic": ("#009E73", "-."),
 }
 _REST = ("#6B6B6B", ":")
 _WHAT = {
