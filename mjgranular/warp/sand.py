@@ -362,23 +362,17 @@ class WarpSand:
             ],
             [a.damping, a.kick, self.depth, self.speed],
         )
-        of_dofs, places = [self._dof_slots, self._dof_first], [d.xipos, d.subtree_com]
+        of_dofs = [self._dof_slots, self._dof_first]
         self._launch(
             assemble_forces,
             (n, self._model.nv),
-            [
-                *(self._slot_array, *of_dofs, *places, d.cdof, d.cvel),
-                *(a.damping, a.kick, a.passive),
-            ],
+            [self._slot_array, *of_dofs, d.cdof, d.cvel, a.damping, a.kick, a.passive],
             [d.qfrc_passive],
         )
         self._launch(
             assemble_damping,
             (n, len(self._rows)),
-            [
-                *(self._rows, self._columns, self._slot_array, *of_dofs, m.opt.timestep),
-                *(*places, d.cdof, a.damping, a.fluid),
-            ],
+            [self._rows, self._columns, *of_dofs, m.opt.timestep, d.cdof, a.damping, a.fluid],
             [d.efm_fluid],
         )
 
