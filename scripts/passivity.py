@@ -65,13 +65,11 @@ class Weighed:
     counts: Counter[str] = field(default_factory=Counter)
 
 
-def draw(
-    seed: int, number: int, sizes: tuple[int, ...] = SIZES
-) -> tuple[models.Drawn, mujoco.MjModel]:
+def draw(seed: int, number: int, sizes: tuple[int, ...]) -> tuple[str, mujoco.MjModel]:
     """Draws a model that MuJoCo Warp takes, with as many degrees of freedom as one of some numbers.
 
     Returns:
-        The model as it was drawn, and compiled.
+        Arguments of the sand, as they would be written, and the model.
     """
     rng = np.random.default_rng([seed, number])
     while True:

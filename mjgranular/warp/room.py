@@ -35,7 +35,7 @@ def check_room(
     needed = of_all + elements.nbytes
     if needed <= free:
         return
-    advice = f"take at most {max(0, free - elements.nbytes) // of_a_world:,} worlds"
+    advice = f"take at most {max(1, (free - elements.nbytes) // of_a_world):,} worlds"
     if of_all < free:
         advice = coarser(elements, resolution, (free - of_all) // elements.itemsize)
     raise InputError(

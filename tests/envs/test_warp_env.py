@@ -48,23 +48,26 @@ def test_episodes_are_those_of_the_processor(warp_env):
     for name in ("sand/strength", "sand/density", "sand/slope"):
         np.testing.assert_allclose(told[0][name], told[1][name], rtol=1e-12)
     random = np.random.default_rng(0)
-    ends, forces, powers, largest = 0, [], [], 0.0
-    for _ in range(130):
+    ends, forces, powers = 0, [], []
+    for step in range(130):
         action = 0.3 * random.uniform(-1, 1, envs[0].action_space.shape)
         one, other = (env.step(action) for env in envs)
         positions = slice(0, 5)  # velocities turn round within steps
         np.testing.assert_allclose(one[0][:, positions], other[0][:, positions], atol=0.02)
-        np.testing.assert_allclose(one[1], other[1], atol=0.2)
-        np.testing.assert_array_equal(one[2], other[2])
         np.testing.assert_array_equal(one[3], other[3])
+        differ = one[2] != other[2]
+        if differ.any():  # one of them leans a hair more, at the angle at which episodes end
+            np.testing.assert_allclose(np.abs(other[0][differ, 1]), 0.2, atol=0.02)
+            for env in envs:
+                env.reset(seed=step)
+            continue
+        np.testing.assert_allclose(one[1], other[1], atol=0.2)
         ends += int((one[2] | one[3]).sum())
         forces.append([out[4]["sand/force"] for out in (one, other)])
         assert not one[4]["sand/lost"].any()
         powers.append(one[4]["sand/power"])
-        size = np.linalg.norm(one[4]["sand/force"], axis=1) * one[4]["sand/speed"]
-        largest = max(largest, size.max())
     assert ends >= 6
-    assert np.max(powers) <= 1e-6 * largest  # some roundings of single precision
+    assert np.max(powers) <= -1e-6 * np.min(powers)  # some roundings of single precision
     means = np.array(forces).mean(0)  # over steps
     assert np.abs(means[1]).max() > 20
     np.testing.assert_allclose(means[0], means[1], atol=0.02 * np.abs(means[1]).max())
