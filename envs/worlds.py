@@ -66,7 +66,10 @@ class Worlds:
                 f"there is no device {device!r} for MuJoCo Warp here; there is: {known}"
             ) from None
         with wp.ScopedDevice(device):
-            self._m = mjw.put_model(model)
+            try:
+                self._m = mjw.put_model(model)
+            except (NotImplementedError, ValueError) as error:
+                raise InputError(f"MuJoCo Warp does not take the task's model: {error}") from None
             self._d = mjw.put_data(model, mujoco.MjData(model), nworld=count)
             self._sand.attach(self._m, self._d)
             gravity = np.tile(np.array(model.opt.gravity, np.float32), (count, 1))

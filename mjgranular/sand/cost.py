@@ -55,8 +55,21 @@ def warn_of_cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -
     count = len(elements)
     if count <= MANY:
         return
-    advice = "take fewer geoms"
-    if "normal" in (elements.dtype.names or ()):  # facets: they go with its square
-        lower = max(2, math.floor((resolution or RESOLUTION) * math.sqrt(FACETS / count)))
-        advice = f"resolution={lower} would make some {FACETS:,}, or {advice}"
+    advice = coarser(elements, resolution, FACETS)
     warn_user(f"{count:,} elements cost {Cost.of(count, scheme)}: {advice}", CostWarning)
+
+
+def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
+    """Advice in words on how to have fewer elements.
+
+    Args:
+        elements: of the law.
+        resolution: as asked for.
+        most: elements that there are to be, at most.
+    """
+    advice = "take fewer geoms"
+    if "normal" not in (elements.dtype.names or ()):
+        return advice
+    # Facets go with its square.
+    lower = max(2, math.floor((resolution or RESOLUTION) * math.sqrt(most / len(elements))))
+    return f"resolution={lower} would make some {most:,}, or {advice}"

@@ -21,8 +21,8 @@ from mjgranular.warp.grid import in_any_world, in_world
 from mjgranular.warp.motions import (
     Damping,
     Slot,
+    about,
     added_to,
-    arm_of,
     bounded,
     motion_of,
     moved,
@@ -94,18 +94,21 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         # Sand that is higher is a body that is lower.
         lift = height[world % height.shape[0]] * rise
         tree = subtree_com[world, slot.root] - lift
-        centre = xipos[world, slot.body] - lift
-        about_tree = spatial(cvel, world, slot.body)
+        now = spatial(cvel, world, slot.body)
         pose = _Pose(
-            xpos[world, slot.body] - lift, xmat[world, slot.body], centre, tree, about_tree
+            xpos[world, slot.body] - lift,
+            xmat[world, slot.body],
+            xipos[world, slot.body] - lift,
+            tree,
+            now,
         )
-        now = moved(about_tree, centre - tree)
-        ahead = motion_of(slot, chain, cdof, foreseen, centre - tree, world)
+        ahead = motion_of(slot, chain, cdof, foreseen, world)
         level = _Level()
         if wp.static(has_cull):
             depth_here, normal = ceiling(here, pose.position)
             level = _Level(wp.transpose(pose.rotation) * normal, depth_here)
         total = Damping()
+        greatest = float(0.0)
         push, twist = wp.vec3(), wp.vec3()
         deepest, fastest = float(-wp.inf), float(0.0)
         for i in range(slot.first, slot.end):
@@ -118,7 +121,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             found = sample(element, pose, law, here, g)
             deepest = wp.max(deepest, found.depth)
             if found.depth > 0.0:
-                arm = found.point - centre
+                arm = found.point - tree
                 v = velocity_at(ahead, arm)
                 fastest = wp.max(fastest, wp.length(v))
                 c = resistance(found, law, g, v, eps, strong, dense)
@@ -130,10 +133,14 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                     kicked = (dense * mass.before / h * wp.dot(n, start)) * n
                     push += kicked
                     twist += wp.cross(arm, kicked)
+                trace = wp.trace(c)
+                if trace > greatest:
+                    greatest = trace
+                    total = about(total, arm)
                 total = added_to(total, c, arm)
         total = bounded(total, most[s] / h)
         damping[world, s] = total
-        kick[world, s] = wp.spatial_vector(twist, push)
+        kick[world, s] = wp.spatial_vector(twist - wp.cross(total.arm, push), push)
         depth[world, s] = deepest
         speed[world, s] = fastest
 
@@ -160,8 +167,6 @@ def assemble_forces(
     slots: wp.array(dtype=Slot),
     dof_slots: wp.array(dtype=int),
     dof_first: wp.array(dtype=int),
-    xipos: wp.array2d(dtype=wp.vec3),
-    subtree_com: wp.array2d(dtype=wp.vec3),
     cdof: wp.array2d(dtype=wp.spatial_vector),
     cvel: wp.array2d(dtype=wp.spatial_vector),
     damping: wp.array2d(dtype=Damping),
@@ -175,7 +180,7 @@ def assemble_forces(
     total = other[world, i]
     for k in range(dof_first[i], dof_first[i + 1]):
         s = dof_slots[k]
-        arm = arm_of(slots[s], xipos, subtree_com, world)
+        arm = damping[world, s].arm
         now = moved(spatial(cvel, world, slots[s].body), arm)
         wrench = wrench_of(damping[world, s], now)
         kicked = spatial(kick, world, s)
@@ -188,12 +193,9 @@ def assemble_forces(
 def assemble_damping(
     rows: wp.array(dtype=int),
     columns: wp.array(dtype=int),
-    slots: wp.array(dtype=Slot),
     dof_slots: wp.array(dtype=int),
     dof_first: wp.array(dtype=int),
     timestep: wp.array(dtype=float),
-    xipos: wp.array2d(dtype=wp.vec3),
-    subtree_com: wp.array2d(dtype=wp.vec3),
     cdof: wp.array2d(dtype=wp.spatial_vector),
     damping: wp.array2d(dtype=Damping),
     other: wp.array2d(dtype=float),
@@ -206,7 +208,7 @@ def assemble_damping(
     total = float(0.0)
     for m in range(dof_first[i], dof_first[i + 1]):
         s = dof_slots[m]
-        arm = arm_of(slots[s], xipos, subtree_com, world)
+        arm = damping[world, s].arm
         wrench = wrench_of(damping[world, s], moved(right, arm))
         total -= wp.dot(left.angular, wrench.angular)
         total -= wp.dot(velocity_at(left, arm), wrench.linear)
@@ -258,11 +260,12 @@ def wrenches_of_step(
     """Force, moment about the centre of mass and power, at the step's last velocity."""
     world, s = wp.tid()
     slot = slots[s]
-    arm = arm_of(slot, xipos, subtree_com, world)
-    motion = motion_of(slot, chain, cdof, velocity, arm, world)
+    arm = damping[world, s].arm
+    motion = moved(motion_of(slot, chain, cdof, velocity, world), arm)
     wrench = wrench_of(damping[world, s], motion)
     f = wrench.linear + wp.spatial_bottom(kick[world, s])
     turning = wrench.angular + wp.spatial_top(kick[world, s])
+    lever = xipos[world, slot.body] - subtree_com[world, slot.root] - arm
     force[world, s] = f
-    moment[world, s] = turning
+    moment[world, s] = turning - wp.cross(lever, f)
     power[world, s] = wp.dot(f, motion.linear) + wp.dot(turning, motion.angular)

@@ -76,6 +76,20 @@ def up_of(surface: Surface, model: mujoco.MjModel) -> np.ndarray:
     return np.array([0.0, 0.0, 1.0])
 
 
+def check_no_plugins(model: mujoco.MjModel) -> None:
+    """Checks that a model has no plugins that MuJoCo Warp refuses.
+
+    Raises:
+        InputError: says what would be right.
+    """
+    for of in ("body", "actuator", "sensor"):
+        if (getattr(model, f"{of}_plugin") >= 0).any():
+            raise InputError(
+                f"MuJoCo Warp takes no model with a plugin of a {of}, such as add_sand puts into "
+                "one: give WarpSand and put_model the model without it"
+            )
+
+
 def check_model(model: mujoco.MjModel, slots: np.ndarray, chain: np.ndarray, m: Any) -> None:
     """Checks that a model of MuJoCo Warp's is that of a sand, and has a place for it.
 

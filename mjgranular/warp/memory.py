@@ -22,8 +22,6 @@ from mjgranular.warp.records import (
     surface_on_device,
 )
 
-_BYTES = 4 + 4 + 8 + 4  # of a node: height, tile, what skin wants, and the foot there
-
 
 class WarpMemory:
     """Heights of the sand in each world.
@@ -40,7 +38,7 @@ class WarpMemory:
         surface: struct of the surface, with the heights, as kernels read it.
 
     Raises:
-        InputError: more than the device has memory for, or too many geoms.
+        InputError: too many geoms.
     """
 
     def __init__(
@@ -54,7 +52,6 @@ class WarpMemory:
     ) -> None:
         memory, size = relief.memory, relief.memory.size
         blocks = memory.blocks(relief.surroundings)
-        _check_room(memory, count, device)
         if len(footprint.feet) > update.MOST_FEET:
             raise InputError(
                 f"in MuJoCo Warp at most {update.MOST_FEET} geoms press sand down, not "
@@ -150,24 +147,6 @@ class WarpMemory:
     def _launch(self, kernel: Any, dim: Any, *arguments: list[Any]) -> None:
         inputs = [each for part in arguments for each in part]
         wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
-
-
-def _check_room(memory: Any, count: int, device: Any) -> None:
-    """Checks that a device has room for what so many worlds remember.
-
-    Raises:
-        InputError: says how much it has, and which cells would fit.
-    """
-    if not device.is_cuda:
-        return
-    needed, free = _BYTES * count * memory.size**2, device.free_memory
-    if needed > free:
-        fits = memory.cell * (needed / free) ** 0.5
-        raise InputError(
-            f"a memory of {memory.size} by {memory.size} cells in {count} worlds takes "
-            f"{needed / 2**30:.2g} GiB, and {device.alias} has {free / 2**30:.2g} GiB left: take "
-            f"cells of {1.05 * fits:.2g} m, a smaller extent, or fewer worlds"
-        )
 
 
 def _skin_of(footprint: Footprint) -> np.ndarray:

@@ -19,11 +19,14 @@ SLOT_DTYPE = np.dtype(
 Slot = struct("Slot", dict.fromkeys(SLOT_DTYPE.names or (), wp.int32))
 """A body in the sand: its id, its tree's root, its elements, its degrees of freedom in `chain`."""
 
-Damping = struct("Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.mat33})
+Damping = struct(
+    "Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.mat33, "arm": wp.vec3}
+)
 """A symmetric matrix of 6 x 6 for (angular, linear), its blocks; `mixed` is (angular, linear).
 
-It is about the body's centre of mass: about the tree's, a metre away, the damping of a foot that
-stands would be a small difference of large numbers."""
+It is about the point that is resisted most, which `arm` leads to from the centre of the body's
+tree. That one moves least: about any other, the power of what turns about a foot that stands would
+be a small difference of large numbers."""
 
 WarpMotion = struct_of(Motion)
 
@@ -48,41 +51,38 @@ def moved(motion: WarpMotion, arm: wp.vec3):
 
 
 @wp.func
-def arm_of(
-    slot: Slot,
-    xipos: wp.array2d(dtype=wp.vec3),
-    subtree_com: wp.array2d(dtype=wp.vec3),
-    world: int,
-):
-    """From the centre of a body's tree, which MuJoCo's motions are about, to its own."""
-    return xipos[world, slot.body] - subtree_com[world, slot.root]
-
-
-@wp.func
 def motion_of(
     slot: Slot,
     chain: wp.array(dtype=int),
     cdof: wp.array2d(dtype=wp.spatial_vector),
     rates: wp.array2d(dtype=float),
-    arm: wp.vec3,
     world: int,
 ):
-    """The motion of a body about its own centre, from rates of its degrees of freedom."""
+    """The motion of a body about the centre of its tree, from rates of its degrees of freedom."""
     angular, linear = wp.vec3(), wp.vec3()
     for k in range(slot.chain, slot.chain_end):
         axis = spatial(cdof, world, chain[k])
         rate = rates[world, chain[k]]
         angular += rate * axis.angular
         linear += rate * axis.linear
-    return moved(WarpMotion(angular, linear), arm)
+    return WarpMotion(angular, linear)
 
 
 @wp.func
 def added_to(d: Damping, c: wp.mat33, arm: wp.vec3):
     """The damping of a body with that of a point of it added."""
-    r = wp.skew(arm)
+    r = wp.skew(arm - d.arm)
     rc = r * c
-    return Damping(d.turn - rc * r, d.mixed + rc, d.slide + c)
+    return Damping(d.turn - rc * r, d.mixed + rc, d.slide + c, d.arm)
+
+
+@wp.func
+def about(d: Damping, arm: wp.vec3):
+    """The damping of a body about another point."""
+    s = wp.skew(arm - d.arm)
+    crossed = d.mixed * s
+    turn = d.turn + crossed + wp.transpose(crossed) - s * d.slide * s
+    return Damping(turn, d.mixed - s * d.slide, d.slide, arm)
 
 
 @wp.func
@@ -99,12 +99,12 @@ def _norm(c: wp.mat33):
 def bounded(d: Damping, most: float):
     """The damping of a body, made less as it comes near a bound [N s/m]."""
     part = most / (most + _norm(d.slide))
-    return Damping(part * d.turn, part * d.mixed, part * d.slide)
+    return Damping(part * d.turn, part * d.mixed, part * d.slide, d.arm)
 
 
 @wp.func
 def wrench_of(d: Damping, motion: WarpMotion):
-    """Force and moment -C v, as a motion (moment, force)."""
+    """Force and moment -C v of a motion about its point, as a motion (moment, force)."""
     moment = d.turn * motion.angular + d.mixed * motion.linear
     force = wp.transpose(d.mixed) * motion.angular + d.slide * motion.linear
     return WarpMotion(-moment, -force)

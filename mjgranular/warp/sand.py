@@ -32,7 +32,7 @@ from mjgranular.warp.damping import (
     warm_start,
     wrenches_of_step,
 )
-from mjgranular.warp.fit import check_model, slots_of, slots_of_dofs, up_of
+from mjgranular.warp.fit import check_model, check_no_plugins, slots_of, slots_of_dofs, up_of
 from mjgranular.warp.memory import WarpMemory
 from mjgranular.warp.motions import Damping, Slot
 from mjgranular.warp.records import (
@@ -41,6 +41,7 @@ from mjgranular.warp.records import (
     surface_on_device,
     to_device,
 )
+from mjgranular.warp.room import check_room, check_room_to_remember
 
 SOFTNESS = 1e-6
 """Speed over which rest is soft [m/s]. Chosen: what rests moves by about as
@@ -54,6 +55,9 @@ CORRECTIONS = 3
 # 15 cm deep a third were lost within 30 steps without it, and of 300 that were deeper still some
 # with twice as much. A body at rest creeps by its weight over this, 2e-6 m/s in steps of 10 ms.
 _MOST_DAMPING = 5e4
+
+_OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 3)
+"""Bytes of a body in a world: damping, kick, force, moment, and three numbers."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,7 @@ class WarpSand:
         power: of the sand on it [W], never positive but for rounding.
 
     Raises:
-        InputError: what a GPU's step has no place for: the explicit scheme.
+        InputError: what MuJoCo Warp has no place for: the explicit scheme, plugins in the model.
         UnknownNameError: as with `Sand`.
     """
 
@@ -132,9 +136,10 @@ class WarpSand:
                 "in MuJoCo Warp forces always belong to the velocity at the step's end: leave "
                 "scheme out"
             )
+        check_no_plugins(model)
         chosen = choose_sand(model, spec)
         self.law, self.medium, self.surface = chosen.law, chosen.medium, chosen.surface
-        self._model, self._elements = model, chosen.elements
+        self._model, self._elements, self._resolution = model, chosen.elements, spec.resolution
         memory, self._footprint = as_memory(spec.memory), None
         if memory is not None:
             fits = fitting(model, chosen.geoms, memory)
@@ -159,8 +164,8 @@ class WarpSand:
             d: `mujoco_warp.Data`, of any number of worlds.
 
         Raises:
-            InputError: the sand is attached already, the model is another, or it has an integrator
-                or a flag under which sand would be left out.
+            InputError: the sand is attached already, the model is another, it has an integrator or
+                a flag under which sand would be left out, or the device has no room for it.
         """
         if self._attached_to is not None:
             raise InputError(
@@ -170,6 +175,11 @@ class WarpSand:
         model, device = self._model, d.qvel.device
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
+        copied = (d.qfrc_passive, d.efm_fluid, d.efc.D, d.efc.aref)
+        of_a_world = count * _OF_A_BODY + 4 * model.nv + sum(a.capacity for a in copied) // n
+        check_room(device, n, of_a_world, self._elements, self._resolution)
+        if isinstance(self.surface, Relief):
+            check_room_to_remember(device, n, self.surface.memory)
         self._attached_to, self._device, self._size = m, device, (n, count)
 
         law_struct = struct_of_dtype(type(self.law).__name__, self._scene["law"].dtype)
@@ -362,23 +372,17 @@ class WarpSand:
             ],
             [a.damping, a.kick, self.depth, self.speed],
         )
-        of_dofs, places = [self._dof_slots, self._dof_first], [d.xipos, d.subtree_com]
+        of_dofs = [self._dof_slots, self._dof_first]
         self._launch(
             assemble_forces,
             (n, self._model.nv),
-            [
-                *(self._slot_array, *of_dofs, *places, d.cdof, d.cvel),
-                *(a.damping, a.kick, a.passive),
-            ],
+            [self._slot_array, *of_dofs, d.cdof, d.cvel, a.damping, a.kick, a.passive],
             [d.qfrc_passive],
         )
         self._launch(
             assemble_damping,
             (n, len(self._rows)),
-            [
-                *(self._rows, self._columns, self._slot_array, *of_dofs, m.opt.timestep),
-                *(*places, d.cdof, a.damping, a.fluid),
-            ],
+            [self._rows, self._columns, *of_dofs, m.opt.timestep, d.cdof, a.damping, a.fluid],
             [d.efm_fluid],
         )
 

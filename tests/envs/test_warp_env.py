@@ -48,20 +48,26 @@ def test_episodes_are_those_of_the_processor(warp_env):
     for name in ("sand/strength", "sand/density", "sand/slope"):
         np.testing.assert_allclose(told[0][name], told[1][name], rtol=1e-12)
     random = np.random.default_rng(0)
-    ends, forces = 0, []
-    for _ in range(130):
+    ends, forces, powers = 0, [], []
+    for step in range(130):
         action = 0.3 * random.uniform(-1, 1, envs[0].action_space.shape)
         one, other = (env.step(action) for env in envs)
         positions = slice(0, 5)  # velocities turn round within steps
         np.testing.assert_allclose(one[0][:, positions], other[0][:, positions], atol=0.02)
-        np.testing.assert_allclose(one[1], other[1], atol=0.2)
-        np.testing.assert_array_equal(one[2], other[2])
         np.testing.assert_array_equal(one[3], other[3])
+        differ = one[2] != other[2]
+        if differ.any():  # one of them leans a hair more, at the angle at which episodes end
+            np.testing.assert_allclose(np.abs(other[0][differ, 1]), 0.2, atol=0.02)
+            for env in envs:
+                env.reset(seed=step)
+            continue
+        np.testing.assert_allclose(one[1], other[1], atol=0.2)
         ends += int((one[2] | one[3]).sum())
         forces.append([out[4]["sand/force"] for out in (one, other)])
         assert not one[4]["sand/lost"].any()
-        assert (one[4]["sand/power"] <= 1e-3).all()
+        powers.append(one[4]["sand/power"])
     assert ends >= 6
+    assert np.max(powers) <= -1e-6 * np.min(powers)  # some roundings of single precision
     means = np.array(forces).mean(0)  # over steps
     assert np.abs(means[1]).max() > 20
     np.testing.assert_allclose(means[0], means[1], atol=0.02 * np.abs(means[1]).max())
@@ -115,3 +121,13 @@ def test_what_has_no_place_is_said(warp_env):
         )
     with pytest.raises(InputError, match="device"):
         warp_env("Hopper", 2, device="gpu7")
+
+    @dataclass(frozen=True, kw_only=True)
+    class WithoutSlip(Hopper):
+        def robot(self):
+            spec = super().robot()
+            spec.option.noslip_iterations = 3
+            return spec
+
+    with pytest.raises(InputError, match="does not take the task's model: noslip"):
+        warp_env(WithoutSlip(), 2)
