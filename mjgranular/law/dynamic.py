@@ -59,11 +59,13 @@ def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, 
 
 def _constants(law: type[RftLaw], slow: type[RftLaw], medium: Medium) -> dict[str, Any]:
     """A medium's constants for a law: its own, or those of the slow law, with a cone."""
-    if law.name in medium.constants:
-        return constants_of(law, medium)
-    constants = constants_of(law, medium, slow.name)
-    cone = cone_under(constants.get("internal_friction", FRICTION))
-    return {**constants, "cone": cone, "scale": constants.get("scale", 1.0) / (1.0 + cone)}
+    own = law.name in medium.constants
+    constants = constants_of(law, medium, law.name if own else slow.name)
+    cone = constants.get("cone", cone_under(constants.get("internal_friction", FRICTION)))
+    scale = constants.get("scale", 1.0)
+    if not own or "scale" not in constants:
+        scale /= 1.0 + cone
+    return {**constants, "cone": cone, "scale": scale}
 
 
 @register_law

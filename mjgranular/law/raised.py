@@ -38,7 +38,7 @@ RATE = 0.26
 
 _GROWTH = 0.1  # depth over which the cone comes to be, in widths; chosen
 _PACKING = 0.59  # share of a loose bed that is grains: of the beds of `referee`
-_NO_STRESS = 1e-12  # z g below which there is none [m^2/s^2]; chosen
+_NO_STRESS = 1e-9  # below which there is none [Pa]; chosen
 
 
 def cone_under(friction: float) -> float:
@@ -50,15 +50,12 @@ def cone_under(friction: float) -> float:
     return math.tan(math.pi / 4 + math.atan(friction) / 2) / 6
 
 
-def shear_constants(
-    stiffness: float, density: float, grain: float, friction: float, rate: float
-) -> np.ndarray:
-    """What the kernel reads: d sqrt(rho_s / stiffness) [m], and three factors.
+def shear_constants(density: float, grain: float, friction: float, rate: float) -> np.ndarray:
+    """What the kernel reads: d sqrt(rho_s) [kg^(1/2) m^(-1/2)], and three factors.
 
     xi_n(mu + s rate) / xi_n(mu) = 1 + s (a + s (b + s c)) with s = I / (I + I_0).
 
     Args:
-        stiffness: xi_n / g [kg/m^3].
         density: of the bed [kg/m^3].
         grain: diameter of a grain [m].
         friction: mu.
@@ -67,9 +64,9 @@ def shear_constants(
     whole = 894 * friction**3 - 386 * friction**2 + 89 * friction
     first = (3 * 894 * friction**2 - 2 * 386 * friction + 89) * rate
     second, third = (3 * 894 * friction - 386) * rate**2, 894 * rate**3
-    if not (stiffness > 0 and whole > 0):
+    if not (rate > 0 and whole > 0):
         return np.zeros(4)
-    size = grain * math.sqrt(density / _PACKING / stiffness)
+    size = grain * math.sqrt(density / _PACKING)
     return np.array([size, first / whole, second / whole, third / whole])
 
 
@@ -83,7 +80,8 @@ def not_raised(law, facet, pose, centre, normal, up, mean, g):
 def raised_kernel(rate: bool) -> Any:
     """Makes a kernel `raised(law, facet, pose, centre, normal, up, mean, g)`: the factor.
 
-    The law's record has `cone` [widths]; with a rate also `shear` [m] and `rate_1` to `rate_3`.
+    The law's record has `cone` [widths]; with a rate also `stiffness`, xi_n / g [kg/m^3], and
+    `shear` and `rate_1` to `rate_3` (`shear_constants`).
 
     Args:
         rate: whether shear matters.
@@ -107,7 +105,7 @@ def raised_kernel(rate: bool) -> Any:
     @partial(compiled, inline=True)
     def raised_by_shear(law, facet, pose, centre, normal, up, mean, g):
         standing = stagnant(law, facet, normal, up, mean)
-        stress = g * mean * standing
+        stress = law.stiffness * g * mean * standing
         stress = choose(stress > _NO_STRESS, stress, _NO_STRESS)
         v = velocity_at(pose.motion, centre - pose.tree)
         per = law.shear / facet.width

@@ -260,9 +260,7 @@ class Rft3dLaw(RftLaw):
         parameters["added"] = self.added * self.density
         parameters["rise"] = self.rise
         parameters["cone"] = self.cone
-        shear = shear_constants(
-            self.stiffness, self.density, self.grain, self.internal_friction, self.rate
-        )
+        shear = shear_constants(self.density, self.grain, self.internal_friction, self.rate)
         for key, value in zip(("shear", "rate_1", "rate_2", "rate_3"), shear, strict=True):
             parameters[key] = value
         return parameters

@@ -226,3 +226,14 @@ def test_limits_say_how_fast_it_was_confirmed():
     assert froude.most > 2
     assert "docs/validity.md" in froude.source
     assert DynamicRft2dLaw.validity[0].most < froude.most
+
+
+def test_strength_can_be_free_in_a_fit():
+    from mjgranular.fit.constants import Material
+
+    medium = read_runs(DATA / "wide_bed").medium  # with a grain size
+    for law in ("rft3d", "rft3d_dynamic"):
+        material = Material.of(medium, law)
+        assert "strength" in material.names
+        stronger = material.changed({"strength": 1.5}).law
+        assert stronger.scale == pytest.approx(1.5 * material.law.scale)
