@@ -232,7 +232,7 @@ for law in laws.values():
             continue
     for surface in (Plane(), Bed("box"), HeightField("dune")):
         scene = make_scene(made, medium, surface, model)
-        for scheme in ("explicit", "implicit"):
+        for scheme in ("implicit",) if made.adds_mass else ("explicit", "implicit"):
             program = schemes[scheme]().program(made.kernel(surface), scene.dtype)
             print(program.py_func.__qualname__)
 """

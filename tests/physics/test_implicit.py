@@ -155,8 +155,8 @@ class Drawn:
             self.law["linear"] = self.law["quadratic"] = 0.0
         if self.name.startswith("link") or self.name == "rft3d_inertia":
             for found in self.immersed:
-                # Drag of a rod; the inertial push of a facet, before what it moves along.
-                found[-2 if self.name == "rft3d_inertia" else -1] = 0.0
+                # Drag of a rod; the inertial push of a facet, before what it moves along and how.
+                found[-3 if self.name == "rft3d_inertia" else -1] = 0.0
         return self
 
     def inside(self):
