@@ -101,11 +101,16 @@ class LawsCommand:
         table.add_column("parameter", no_wrap=True)
         table.add_column("default", justify="right")
         table.add_column("media with a value")
+        of_media = {
+            medium.name: law.from_medium(medium)
+            for medium in media.values()
+            if medium.key_for(law.name) is not None
+        }
         for name, default in parameters.items():
             known = [
-                f"{medium.name} {medium.constants[law.name][name].value:g}"
-                for medium in media.values()
-                if name in medium.constants.get(law.name, {})
+                f"{medium} {getattr(made, name):g}"
+                for medium, made in of_media.items()
+                if getattr(made, name) != default
             ]
             table.add_row(name, "" if default is None else f"{default}", ", ".join(known))
         out.print(table)

@@ -8,7 +8,7 @@ with the rate of shear (docs/laws/rft.md, docs/validity.md).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.raised import RATE, cone_under
@@ -33,7 +33,6 @@ _CITATION = (
     "sand: W. Kang, Y. Feng, C. Liu, R. Blumenfeld, Nature Communications 9, 1101 (2018)"
 )
 
-
 _WITHIN = 0.25  # error of trajectories up to which a law is an estimate; chosen (docs/validity.md)
 
 
@@ -57,20 +56,31 @@ def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, 
     )
 
 
-def _constants(law: type[RftLaw], slow: type[RftLaw], medium: Medium) -> dict[str, Any]:
-    """A medium's constants for a law: its own, or those of the slow law, with a cone."""
-    own = law.name in medium.constants
-    constants = constants_of(law, medium, law.name if own else slow.name)
-    cone = constants.get("cone", cone_under(constants.get("internal_friction", FRICTION)))
-    scale = constants.get("scale", 1.0)
-    if not own or "scale" not in constants:
-        scale /= 1.0 + cone
-    return {**constants, "cone": cone, "scale": scale}
+class _Dynamic(RftLaw):
+    """What the laws for fast motion share: constants of the quasi-static ones, own findings."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        return findings_of(self.name)
+
+    @classmethod
+    def from_medium(cls, medium: Medium | str) -> Self:
+        medium = get_medium(medium)
+        constants = constants_of(cls, medium)
+        cone = constants.get("cone", cone_under(constants.get("internal_friction", FRICTION)))
+        scale = constants.get("scale", 1.0)
+        if medium.key_for(cls.name) != cls.name or "scale" not in constants:
+            scale /= 1.0 + cone  # the slow law's stiffness is force over depth
+        general = {"density": medium.density}
+        if medium.grain is not None and cls.rate > 0:
+            general["grain"] = medium.grain
+        given = {name: quantity.value for name, quantity in general.items()}
+        return cls(**{**given, **constants, "cone": cone, "scale": scale})
 
 
 @register_law
 @dataclass(frozen=True)
-class DynamicRft3dLaw(Rft3dLaw):
+class DynamicRft3dLaw(_Dynamic, Rft3dLaw):
     """`Rft3dLaw` with what sand in motion adds, all of it switched on.
 
     A medium's constants for `rft3d` serve it: the cone follows from the internal friction, the
@@ -93,22 +103,10 @@ class DynamicRft3dLaw(Rft3dLaw):
     cone: float = cone_under(FRICTION)
     rate: float = RATE
 
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        return findings_of(self.name)
-
-    @classmethod
-    def from_medium(cls, medium: Medium | str) -> Self:
-        medium = get_medium(medium)
-        constants = _constants(cls, Rft3dLaw, medium)
-        if medium.grain is not None:
-            constants = {"grain": medium.grain.value, **constants}
-        return cls(**constants)
-
 
 @register_law
 @dataclass(frozen=True)
-class DynamicRft2dLaw(Rft2dLaw):
+class DynamicRft2dLaw(_Dynamic, Rft2dLaw):
     """`Rft2dLaw` with what sand in motion adds, all of it switched on.
 
     A medium's constants for `rft2d` serve it, as those for `rft3d` serve `DynamicRft3dLaw`. They
@@ -124,13 +122,3 @@ class DynamicRft2dLaw(Rft2dLaw):
     inertia: float = INERTIA
     added: float = ADDED
     cone: float = cone_under(FRICTION)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        return findings_of(self.name)
-
-    @classmethod
-    def from_medium(cls, medium: Medium | str) -> Self:
-        medium = get_medium(medium)
-        constants = _constants(cls, Rft2dLaw, medium)
-        return cls(**{"density": medium.density.value, **constants})

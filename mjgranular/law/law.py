@@ -152,7 +152,7 @@ def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) 
     Args:
         law: a dataclass.
         medium: the medium, or its name.
-        name: under which the medium has them; None for the law's own.
+        name: of a law that has them, where that is another; None for the law's own.
 
     Raises:
         UnknownNameError: the medium has none for this law.

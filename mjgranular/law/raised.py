@@ -24,11 +24,13 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.lanes import choose, root
 from mjgranular.kernel.motion import velocity_at
 from mjgranular.kernel.vector import dot
+from mjgranular.medium.stiffness import FRICTION_CUBIC
 
 INERTIAL_NUMBER = 0.279
 """I_0, at which half of the rise is there: glass beads, Jop, Forterre and Pouliquen 2006."""
@@ -61,13 +63,12 @@ def shear_constants(density: float, grain: float, friction: float, rate: float) 
         friction: mu.
         rate: rise of friction from slow flow to fast.
     """
-    whole = 894 * friction**3 - 386 * friction**2 + 89 * friction
-    first = (3 * 894 * friction**2 - 2 * 386 * friction + 89) * rate
-    second, third = (3 * 894 * friction - 386) * rate**2, 894 * rate**3
+    whole = FRICTION_CUBIC(friction)
     if not (rate > 0 and whole > 0):
         return np.zeros(4)
     size = grain * math.sqrt(density / _PACKING)
-    return np.array([size, first / whole, second / whole, third / whole])
+    rise = FRICTION_CUBIC(Polynomial([friction, rate])) / whole  # by s: Taylor's
+    return np.array([size, *rise.coef[1:]])
 
 
 @partial(compiled, inline=True)

@@ -51,6 +51,7 @@ class RftLaw(Law):
         added: kappa of the added mass; a law without it needs no such field.
         cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); likewise.
         rate: rise of friction from slow flow to fast; likewise.
+        grain: diameter of a grain, without which there is no such rise [m].
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -70,6 +71,7 @@ class RftLaw(Law):
     added: float = 0.0
     cone: float = 0.0
     rate: float = 0.0
+    grain: float = 0.0
     rise: bool
 
     @property
@@ -84,7 +86,8 @@ class RftLaw(Law):
     @property
     def raised(self) -> Any:
         """Kernel: the factor on static resistance (`law.raised`)."""
-        return raised_kernel(self.rate > 0) if self.cone > 0 or self.rate > 0 else not_raised
+        sheared = self.rate > 0 and self.grain > 0
+        return raised_kernel(sheared) if self.cone > 0 or sheared else not_raised
 
     def check_options(self) -> None:
         """Refuses options without meaning."""

@@ -17,6 +17,7 @@ from mjgranular.law.law import register_law
 from mjgranular.law.raised import shear_constants
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium
+from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 
 # Agarwal et al. 2023, supplementary table: coefficients of the monomials of x1, x2, x3 in the order
 # 1, x1, x2, x3, x1^2, x2^2, x3^2, x1 x2, x2 x3, x3 x1, x1^3, x2^3, x3^3, x1 x2^2, x2 x1^2, x2 x3^2,
@@ -242,15 +243,13 @@ class Rft3dLaw(RftLaw):
             gravity: where it was measured [m/s^2].
         """
         plain = cls.from_medium(medium)
-        flat = 0.87574  # |a_z| for a horizontal plate moving down, from the fit
-        scale = force / (flat * area * depth) / (plain.stiffness * gravity)
+        scale = force / (LEVEL_PLATE * area * depth) / (plain.stiffness * gravity)
         return replace(plain, scale=scale)
 
     @property
     def stiffness(self) -> float:
-        """xi_n / g [kg/m^3]: 894 mu^3 - 386 mu^2 + 89 mu times density and scale."""
-        mu = self.internal_friction
-        return self.scale * self.density * (894 * mu**3 - 386 * mu**2 + 89 * mu)
+        """xi_n / g [kg/m^3]: the cubic of the internal friction times density and scale."""
+        return self.scale * self.density * float(FRICTION_CUBIC(self.internal_friction))
 
     def parameters(self, medium: Medium) -> np.ndarray:
         parameters = np.zeros(1, RFT3D_DTYPE)

@@ -16,6 +16,9 @@ from mjgranular.tables import html_table
 _DENSITIES = (10.0, 25000.0)
 _GRAINS = (1e-6, 0.1)
 
+DYNAMIC = "_dynamic"
+"""End of the names of laws for fast motion: that of `rft3d` is `rft3d_dynamic`."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -104,7 +107,7 @@ class Medium:
                     )
                 if not math.isfinite(quantity.value):
                     raise InputError(f"{medium}: {law}.{key} must be finite, not {quantity.value}")
-        if self.default_law not in self.constants:
+        if self.key_for(self.default_law) is None:
             raise InputError(
                 f"{medium}: its default law {shown(self.default_law)} has no constants; "
                 f"it has those of: {listed(sorted(self.constants))}"
@@ -129,19 +132,27 @@ class Medium:
         headings = ("law", "constant", "value", "unit", "source")
         return html_table(f"{self.name}: {self.title}", headings, rows)
 
+    def key_for(self, law: str) -> str | None:
+        """Finds the law under whose name this medium has constants for a law; None if it has none.
+
+        Constants of a quasi-static law serve that for fast motion, whose name is longer by
+        `DYNAMIC`, where it has none of its own.
+        """
+        slow = law.removesuffix(DYNAMIC) if isinstance(law, str) else law
+        return next((name for name in (law, slow) if name in self.constants), None)
+
     def constants_for(self, law: str) -> dict[str, float]:
-        """The values of this medium's constants for a law.
+        """The values of this medium's constants for a law, under the name that `key_for` finds.
 
         Raises:
             UnknownNameError: the medium has no constants for that law; lists those it has.
         """
-        try:
-            constants = self.constants[law]
-        except KeyError:
+        key = self.key_for(law)
+        if key is None:
             raise UnknownNameError(
                 f"constants in medium {shown(self.name)} for law",
                 law,
                 sorted(self.constants),
                 guess=False,
-            ) from None
-        return {key: quantity.value for key, quantity in constants.items()}
+            )
+        return {name: quantity.value for name, quantity in self.constants[key].items()}

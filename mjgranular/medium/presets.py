@@ -6,6 +6,7 @@ import math
 
 from mjgranular.medium.known import register_medium
 from mjgranular.medium.medium import Medium, Quantity
+from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 
 _LINK_PAPER = (
     "Lee and Marghitu, Stopping Time for a Planar Link in Contact with a Granular Material"
@@ -57,7 +58,7 @@ quikrete_medium = register_medium(
         name="quikrete_medium",
         title="Quikrete medium sand",
         density=Quantity(1550.0, "kg/m^3", f"{_AGARWAL}: critical bulk density rho_c"),
-        default_law="rft3d",
+        default_law="rft3d_dynamic",
         constants={
             "rft3d": {
                 "density": Quantity(1550.0, "kg/m^3", f"{_AGARWAL}: rho_c"),
@@ -76,7 +77,7 @@ glass_beads = register_medium(
         title="Glass beads, 250 to 350 um",
         density=Quantity(1520.0, "kg/m^3", f"{_KATSURAGI}: bulk density"),
         grain=Quantity(0.0003, "m", f"{_KATSURAGI}: middle of 250 to 350 um"),
-        default_law="rft2d",
+        default_law="rft2d_dynamic",
         constants={
             "rft2d": {
                 **_fourier(GENERIC_FOURIER, "generic set"),
@@ -104,13 +105,13 @@ def _rft3d_of(fourier: tuple[float, ...]) -> dict[str, Quantity]:
     """Constants of `rft3d` for poppy seeds: a level plate pushed down is resisted as measured."""
     density, mu = _POPPY_DENSITY.value, math.tan(math.radians(_POPPY_FRICTION))
     flat = 1e6 * sum(fourier[:5])  # alpha_z at tilt 0, attack 90 degrees [N/m^3]
-    published = density * 9.81 * (894 * mu**3 - 386 * mu**2 + 89 * mu)
+    published = density * 9.81 * float(FRICTION_CUBIC(mu))
     return {
         "density": _POPPY_DENSITY,
         "internal_friction": Quantity(mu, "", f"{_CHOSEN}: tangent of {_POPPY_FRICTION} degrees"),
         "surface_friction": Quantity(0.4, "", _CHOSEN),
         "scale": Quantity(
-            flat / (0.87574 * published), "", f"{_LI}: alpha_z of a level plate pushed down"
+            flat / (LEVEL_PLATE * published), "", f"{_LI}: alpha_z of a level plate pushed down"
         ),
     }
 
@@ -120,7 +121,7 @@ poppy_seed_loose = register_medium(
         name="poppy_seed_loose",
         title="Poppy seed, loosely packed",
         density=_POPPY_DENSITY,
-        default_law="rft2d",
+        default_law="rft2d_dynamic",
         constants={
             "rft2d": _fourier(_POPPY_LOOSE, "loosely packed poppy seed"),
             "rft3d": _rft3d_of(_POPPY_LOOSE),
@@ -133,7 +134,7 @@ poppy_seed_close = register_medium(
         name="poppy_seed_close",
         title="Poppy seed, closely packed",
         density=_POPPY_DENSITY,
-        default_law="rft2d",
+        default_law="rft2d_dynamic",
         constants={
             "rft2d": _fourier(_POPPY_CLOSE, "closely packed poppy seed"),
             "rft3d": _rft3d_of(_POPPY_CLOSE),
