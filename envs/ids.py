@@ -17,10 +17,6 @@ from mjgranular.given import kind_of
 NAMESPACE = "mjgranular"
 VERSION = 0
 
-DYNAMIC, DYNAMIC_LAW = "Dynamic", "rft3d_dynamic"
-"""What is added to the names of tasks under a law for motion as fast as robots move, and the law.
-Without it a task has its medium's law, which is quasi-static (docs/validity.md)."""
-
 _OURS: tuple[type[Task], ...] = (
     ChainSwim,
     ChainCrawl,
@@ -40,15 +36,9 @@ def id_of(name: str) -> str:
     return f"{NAMESPACE}/{name}-v{VERSION}"
 
 
-def ids_of(name: str) -> list[str]:
-    """The ids of the task of that name: its own, and that under the dynamic law."""
-    return [one for one in (id_of(name), id_of(name + DYNAMIC)) if one in gym.registry]
-
-
 def name_of(identity: str) -> str:
     """The task's name in an id; a name is taken as it is."""
-    name = identity.removeprefix(f"{NAMESPACE}/").removesuffix(f"-v{VERSION}")
-    return name if name in tasks else name.removesuffix(DYNAMIC)
+    return identity.removeprefix(f"{NAMESPACE}/").removesuffix(f"-v{VERSION}")
 
 
 def register_task(task: type[Task]) -> str:
@@ -79,17 +69,14 @@ def register_task(task: type[Task]) -> str:
         task.__qualname__,
     )
     tasks.add(name, task, replace=again)
-    return _register(id_of(name), task, {"task": name})
-
-
-def _register(identity: str, task: type[Task], options: dict[str, str]) -> str:
+    identity = id_of(name)
     if identity not in gym.registry:
         gym.register(
             id=identity,
             entry_point="mjgranular.envs.single:SandEnv",
             vector_entry_point="mjgranular.envs.vector:SandVectorEnv",
             max_episode_steps=task.episode,
-            kwargs=options,
+            kwargs={"task": name},
         )
     return identity
 
@@ -98,6 +85,3 @@ def register() -> None:
     """Makes the package's tasks known; more than once does no harm."""
     for task in _OURS:
         register_task(task)
-        if task is not LinkDrop:  # which has a law of its own, for one link
-            name = task.__name__
-            _register(id_of(name + DYNAMIC), task, {"task": name, "law": DYNAMIC_LAW})

@@ -9,7 +9,6 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from mjgranular.envs.ids import DYNAMIC
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.own import import_own
 
@@ -45,11 +44,8 @@ def find_spec(env_id: Any) -> EnvSpec:
             hint = f"importing {module} has registered no {name}"
             raise UnknownNameError("environment", env_id, own, hint) from None
         known = sorted(gym.registry)
-        every = [one for one in known if one.startswith("mjgranular/")]
-        others = [one for one in known if one not in every]
-        # Those under the dynamic law have the names of the others, and something more.
-        more = DYNAMIC.lower() in name.lower()
-        ours = [one for one in every if more or f"{DYNAMIC}-v" not in one]
+        ours = [one for one in known if one.startswith("mjgranular/")]
+        others = [one for one in known if one not in ours]
         near = difflib.get_close_matches(name, others, n=5, cutoff=0.5)
         hint = f"importing {module} has registered no {name}" if colon else _how(name)
         raise UnknownNameError("environment", env_id, [*near, *ours], hint) from None

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from mjgranular.cli.console import out, print_json
 from mjgranular.errors import UnknownNameError
+from mjgranular.medium import get_medium
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class EnvsCommand:
 
     def run(self) -> int:
         """Runs the command."""
-        from mjgranular.envs.ids import id_of, ids_of, name_of
+        from mjgranular.envs.ids import id_of, name_of
         from mjgranular.envs.known import find_spec
         from mjgranular.envs.tasks import tasks
 
@@ -34,14 +35,13 @@ class EnvsCommand:
                 find_spec(self.id)  # has its module imported, which registers it
             if name not in tasks:
                 raise UnknownNameError("environment", self.id, map(id_of, tasks))
-            asked = self.id.rpartition("/")[2].rpartition(":")[2].partition("-v")[0]
-            row = _row(id_of(asked), tasks[name])
+            row = _row(id_of(name), tasks[name])
             if self.json:
                 print_json(row | {"specification": _text(tasks[name])})
             else:
                 out.print(Markdown(f"# {row['id']}\n\n{_text(tasks[name])}"))
             return 0
-        rows = [_row(one, task) for name, task in tasks.items() for one in ids_of(name)]
+        rows = [_row(id_of(name), task) for name, task in tasks.items()]
         if self.json:
             print_json(rows)
             return 0
@@ -58,13 +58,11 @@ class EnvsCommand:
 
 
 def _row(identity: str, task: Any) -> dict[str, Any]:
-    import gymnasium as gym
-
     return {
         "id": identity,
         "title": task.title,
         "medium": str(task.medium),
-        "law": gym.spec(identity).kwargs.get("law") or "its own",
+        "law": str(task.law or get_medium(task.medium).default_law),
         "max_episode_steps": task.episode,
     }
 

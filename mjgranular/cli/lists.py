@@ -34,11 +34,11 @@ class MediaCommand:
             print_json([asdict(medium) for medium in media.values()])
         else:
             table = Table(title="Media", title_justify="left")
-            for heading in ("name", "what it is", "bulk density [kg/m^3]", "has constants for"):
+            for heading in ("name", "what it is", "bulk density [kg/m^3]", "laws, its own first"):
                 table.add_column(Text(heading))
             for medium in media.values():
                 density = f"{medium.density.value:g}"
-                table.add_row(medium.name, medium.title, density, ", ".join(medium.constants))
+                table.add_row(medium.name, medium.title, density, ", ".join(medium.laws))
             out.print(table)
         return 0
 

@@ -163,11 +163,8 @@ def settings_file(env_id: str) -> Path:
     """The file with the settings that come with the package for an environment."""
     # `module:namespace/Name-v0` is Gymnasium's way to name an environment of a module.
     identity = env_id.rpartition(":")[2]
-    for name in (identity, identity.replace("Dynamic-v", "-v")):  # the same robot's, else
-        own = FOLDER / f"{name}.toml"
-        if own.is_file() and own.is_relative_to(FOLDER):
-            return own
-    return FOLDER / "default.toml"
+    own = FOLDER / f"{identity}.toml"
+    return own if own.is_file() and own.is_relative_to(FOLDER) else FOLDER / "default.toml"
 
 
 def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:

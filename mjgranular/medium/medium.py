@@ -115,10 +115,9 @@ class Medium:
 
     def __repr__(self) -> str:
         """Short; `_repr_html_` and `mjgranular media NAME` have numbers and sources."""
-        others = (law for law in self.constants if law != self.default_law)
         return (
             f"Medium({shown(self.name)}: {one_line(self.title)}, {self.density.value:g} kg/m^3, "
-            f"laws {listed((self.default_law, *others))})"
+            f"laws {listed(self.laws)})"
         )
 
     def _repr_html_(self) -> str:
@@ -131,6 +130,12 @@ class Medium:
         ]
         headings = ("law", "constant", "value", "unit", "source")
         return html_table(f"{self.name}: {self.title}", headings, rows)
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """The law that is used when none is asked for, and others that it has constants of."""
+        others = (law for law in self.constants if law != self.default_law)
+        return (self.default_law, *others)
 
     def key_for(self, law: str) -> str | None:
         """Finds the law under whose name this medium has constants for a law; None if it has none.

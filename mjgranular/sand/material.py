@@ -18,7 +18,7 @@ MEDIUM_OF_LINKS = "play_sand"
 """Taken for slender links: its law is that of links."""
 
 MEDIUM_OF_BODIES = "quikrete_medium"
-"""Taken for all other bodies: its law, `rft3d`, takes every shape."""
+"""Taken for all other bodies: its law, `rft3d_dynamic`, takes every shape."""
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
