@@ -48,11 +48,11 @@ class EnvsCommand:
         table = Table(title="Environments", title_justify="left")
         table.add_column("id", no_wrap=True)
         table.add_column("what it is")
-        table.add_column("sand", no_wrap=True)
-        table.add_column("law", no_wrap=True)
+        table.add_column("sand and its law", min_width=16)
         table.add_column("steps", justify="right")
         for row in rows:
-            table.add_row(*(str(value) for value in row.values()))
+            sand = f"{row['medium']} {row['law']}"
+            table.add_row(row["id"], row["title"], sand, str(row["max_episode_steps"]))
         out.print(table)
         return 0
 

@@ -54,8 +54,8 @@ class Material:
         names = {field.name for field in fields(made)}  # pyright: ignore[reportArgumentType]
         if isinstance(law, Law):
             return cls(made, medium, frozenset(names))
-        own = medium.constants.get(made.name)
-        tables = [own] if own is not None else list(medium.constants.values())
+        key = medium.key_for(made.name)
+        tables = list(medium.constants.values()) if key is None else [medium.constants[key]]
         given = {key for table in tables for key in table if key in names}
         if isinstance(law, str):
             given |= law_in(law)[1].keys()

@@ -64,7 +64,8 @@ def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
     grain = given.get("grain") or (base.grain if base else None)
     assert density is not None
     key = _table(kind, constants)
-    own = {**constants.get(key, {}), **{k: q for k, q in given.items() if k in names}}
+    own = {} if base is None else _constants_of(kind, base)
+    own |= {k: q for k, q in given.items() if k in names}
     if DENSITY in names:
         own[DENSITY] = given.get(DENSITY) or own.get(DENSITY, density)
     stated = set() if not isinstance(law, str) else law_in(law)[1].keys()
@@ -136,6 +137,18 @@ def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> 
     return kind.name
 
 
+def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
+    """A medium's constants of a law, with the values that they have in it."""
+    key = medium.key_for(kind.name)
+    if key is None:
+        return dict(medium.constants.get(_table(kind, medium.constants), {}))
+    law = kind.from_medium(medium)
+    return {
+        name: replace(quantity, value=getattr(law, name))
+        for name, quantity in medium.constants[key].items()
+    }
+
+
 def fitted_medium(
     result: FitResult, name: str, *, source: str = "", title: str | None = None
 ) -> Medium:
@@ -150,7 +163,7 @@ def fitted_medium(
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
     key = _table(kind, before.constants)
-    known = before.constants.get(key, {})
+    known = _constants_of(kind, before)
     constants = {}
     for constant, value in material.constants().items():
         quantity = known.get(constant)
