@@ -27,8 +27,8 @@ _ROBOTS = {
 _ACTIONS = 100
 _SETTLED = 2000  # steps without controls before it counts as settled
 _SANDS: dict[str, dict[str, Any]] = {
-    "sand, default resolution": {},
-    "sand, resolution 4": {"resolution": 4},
+    "sand, default resolution": {"law": "rft3d"},
+    "sand, resolution 4": {"law": "rft3d", "resolution": 4},
 }
 
 

@@ -42,7 +42,8 @@ def way(seconds: float, *, turn: float, cell: float | None) -> float:
     """
     robot = Hexapod()
     spec = robot.spec(0.005)
-    add_sand(spec, medium="poppy_seed_loose", resolution=2, instead_of="floor", memory=cell)
+    sand = {"medium": "poppy_seed_loose", "law": "rft2d", "resolution": 2, "instead_of": "floor"}
+    add_sand(spec, **sand, memory=cell)
     model = spec.compile()
     data, gait = mujoco.MjData(model), Tripod()
     data.qpos[:] = robot.start()

@@ -15,16 +15,13 @@ import argparse
 import json
 import sys
 from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mjgranular import media
 from mjgranular.envs import tasks
-from mjgranular.envs.ids import DYNAMIC, name_of
-from mjgranular.law import get_law
+from mjgranular.envs.ids import name_of
 from mjgranular.learn.evaluate import evaluate, mean_of
 from mjgranular.learn.policies import load_policy, shipped_policies
 from mjgranular.learn.run import Run
@@ -32,8 +29,7 @@ from mjgranular.learn.run import Run
 GROUNDS = {
     "its own": "",
     "its own, time steps half as long": "refine=2",
-    "its own, with the inertial term": "",
-    "its own, under the slow law": "law=rft3d",
+    "its own, under the quasi-static law": "law=rft3d",
     "its own, with memory": "memory=true",
     "half as strong": "randomise={strength=[0.5,0.5]}",
     "twice as strong": "randomise={strength=[2.0,2.0]}",
@@ -41,10 +37,7 @@ GROUNDS = {
     "0.1 rad downhill": "randomise={slope=[-0.1,-0.1]}",
 }
 MEMORY = "its own, with memory"
-SLOW = "its own, under the slow law"
 BURIED = ("ChainSwim",)  # of what swims sand keeps no prints (docs/memory.md)
-INERTIAL = "its own, with the inertial term"
-INERTIA = 1.1  # of Agarwal et al. (docs/laws/rft.md); the laws leave it out unless it is asked for
 MEDIA = ("poppy_seed_loose", "poppy_seed_close", "quikrete_medium", "glass_beads")
 SEEDS = 10
 STORE = Path(__file__).with_suffix(".json")
@@ -57,22 +50,13 @@ def own_medium(environment: str) -> str:
 
 def is_asked(environment: str, ground: str) -> bool:
     """Whether a ground says something about an environment."""
-    name = environment.rpartition("/")[2].removesuffix("-v0")
-    dynamic = name.endswith(DYNAMIC)
-    if ground == MEMORY and name.removesuffix(DYNAMIC) in BURIED:
-        return False
-    if ground in (INERTIAL, "`glass_beads`"):  # which have no constants for the law
-        return not dynamic
-    return dynamic or ground != SLOW
+    return ground != MEMORY or name_of(environment) not in BURIED
 
 
-def measure(run: Run, name: str, ground: str, variant: str) -> dict[str, float]:
+def measure(run: Run, name: str, variant: str) -> dict[str, float]:
     """Means over ten episodes of one policy on one ground."""
     policy = load_policy(name)
     arguments: dict[str, Any] = dict(run.settings.environment)
-    if ground == INERTIAL:
-        law: Any = get_law(None, media[own_medium(run.environment)])
-        arguments["law"] = replace(law, inertia=INERTIA)
     score = evaluate(
         name,
         lambda env: policy.checked(run.environment, env),
@@ -122,7 +106,7 @@ def table(environment: str, members: list[tuple[str, Run]], store: dict[str, Any
             continue
         for name, run in members:
             if ground not in store.setdefault(name, {}):
-                store[name][ground] = measure(run, name, ground, variant)
+                store[name][ground] = measure(run, name, variant)
                 STORE.write_text(json.dumps(store, indent=1) + "\n", encoding="utf-8")
         print(row(ground, [store[name][ground] for name, _ in members]), flush=True)
 

@@ -187,7 +187,7 @@ def impact_table(result: ImpactResult) -> Table:
         if value is not None:
             table.add_row(name, format(value, digits), unit)
 
-    table.add_row("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme}", "")
+    table.add_row("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme_taken}", "")
     row("time step", impact.timestep, "g", "s")
     row("speed of T", impact.speed, "g", "m/s")
     row("angle from the vertical", summary["angle_deg"], "g", "deg")

@@ -131,8 +131,8 @@ class LinkOptions:
     law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
     """The force law; `mjgranular laws` lists what there is, "rft3d scale=1.3" has other parameters
     than the medium, my_laws:Mud is one of your own. Default: the medium's own."""
-    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "explicit"
-    """How forces become a step."""
+    scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """How forces become a step. Default: explicit, or implicit where the law needs it."""
     timestep: Annotated[float, tyro.conf.arg(metavar="S")] = 1e-5
     """Time step of the simulation [s]."""
     duration: Annotated[float, tyro.conf.arg(metavar="S")] = 2.0

@@ -19,8 +19,9 @@ from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import GranularWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read
 from mjgranular.law import laws
+from mjgranular.medium import get_medium
 from mjgranular.sand import Sand, SandSpec
-from mjgranular.sand.material import medium_for
+from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.prepare import fitted
 from mjgranular.scheme import get_scheme
 from mjgranular.surface import Bed, HeightField, Plane
@@ -37,6 +38,7 @@ _MODEL = """
 </mujoco>
 """
 _SURFACES = {"plane": Plane(), "bed": Bed("bed"), "height_field": HeightField("field")}
+_SCHEMES = ["implicit", "explicit"]
 _Work = tuple[str, Callable[[], object]]
 
 
@@ -95,7 +97,8 @@ class WarmCommand(SandOptions):
         named = law_named(self.law)
         for law in [named] if named else laws:
             medium = self.medium or medium_for(law)
-            for scheme in [self.scheme] if self.scheme != "auto" else ["implicit", "explicit"]:
+            every = ["implicit"] if law_of(law, get_medium(medium)).adds_mass else _SCHEMES
+            for scheme in [self.scheme] if self.scheme != "auto" else every:
                 get_scheme(scheme)
                 for name in self.over:
                     sand = SandSpec(medium=medium, law=law, scheme=scheme, surface=_SURFACES[name])

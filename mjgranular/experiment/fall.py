@@ -13,7 +13,7 @@ from mjgranular.errors import InputError, UnstableError, warn_user
 from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Recorder, Trajectory
-from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.experiment.watch import REST_WINDOW, STILL, RestWatch
 from mjgranular.given import kind_of
 from mjgranular.prints import PrintsRecorder
 from mjgranular.sand.report import BodyReport
@@ -57,7 +57,7 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
         density=impact.density,
     )
     bound = impact.largest_step()
-    if impact.scheme == "explicit" and impact.timestep > bound:
+    if impact.scheme_taken == "explicit" and impact.timestep > bound:
         warn_user(
             f"the time step {impact.timestep:g} s is above {bound:.2g} s, the bound below which "
             f"the explicit scheme is sure to be stable for this impact"
@@ -66,14 +66,14 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
 
 
 def _crossing(recent: deque[float]) -> float | None:
-    """Finds the time at which a velocity crosses zero, whose last value is the first not above it.
+    """Finds the time at which a velocity crosses zero, or comes to it, at its last value.
 
     Where the link slides on the static force (E keeps its height while T still sinks), the explicit
     sign of that force makes velocities tremble from step to step, and a velocity that comes down to
     zero slowly touches it early. Then a straight line through the last steps decides.
 
     Args:
-        recent: the velocity at the last steps, at least two; the last is not above zero.
+        recent: the velocity at the last steps, at least two; the last is not above `STILL`.
 
     Returns:
         The crossing, in steps after the last but one; None if the velocity only trembles.
@@ -84,7 +84,7 @@ def _crossing(recent: deque[float]) -> float | None:
         slope, value = np.polyfit(np.arange(len(v)) - (len(v) - 2), v, 1)
         if np.median(np.abs(np.diff(v, 2))) > abs(slope):
             return -value / slope if slope < 0 and value + slope <= 0 else None
-    return last / (last - now) if last > 0 else 0.0
+    return min(last / (last - now), 1.0) if last > max(now, 0.0) else 0.0
 
 
 class _Run:
@@ -158,8 +158,8 @@ class _Run:
                 recent.append(now[3])
                 if self.touchdown is None and before is not None and now[1] >= 0:
                     self.touchdown = timestep * (index - now[1] / (now[1] - before[1]))
-                if self.touchdown is not None and before is not None and now[3] <= 0:
-                    sinking = sinking or before[3] > 0
+                if self.touchdown is not None and before is not None and now[3] <= STILL:
+                    sinking = sinking or before[3] > STILL
                     part = _crossing(recent) if sinking else None
                 else:
                     part = None
@@ -246,6 +246,6 @@ class _Run:
             raise UnstableError(
                 f"the run was stopped at t = {self.steps * self.impact.timestep:.4g} s: the link "
                 f"has more energy than it began with, so the time step "
-                f"{self.impact.timestep:g} s is too large for the {self.impact.scheme} scheme; "
-                f"below {self.impact.largest_step():.2g} s it is sure to be stable"
+                f"{self.impact.timestep:g} s is too large for the {self.impact.scheme_taken} "
+                f"scheme; below {self.impact.largest_step():.2g} s it is sure to be stable"
             )

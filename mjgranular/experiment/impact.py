@@ -41,7 +41,8 @@ class Impact:
         density: of the link [kg/m^3].
         medium: name of the sand.
         law: name of the force law; None for the medium's own.
-        scheme: name of the scheme.
+        scheme: name of the scheme; None for the explicit one, or where the law moves sand along for
+            the implicit one, which it needs.
         timestep: of the simulation [s].
         until: "stop" ends the run when T stops, "rest" when the whole link does.
         duration: the run ends after this time at the latest [s].
@@ -60,7 +61,7 @@ class Impact:
     density: float = 7700.0
     medium: str = "play_sand"
     law: str | None = None
-    scheme: str = "explicit"
+    scheme: str | None = None
     timestep: float = 1e-5
     until: Until = "stop"
     duration: float = 2.0
@@ -109,12 +110,19 @@ class Impact:
         _ = self.link
         medium = get_medium(self.medium)
         get_law(self.law, medium)
-        get_scheme(self.scheme)
+        get_scheme(self.scheme_taken)
 
     @property
     def link(self) -> Projectile:
         """The link, or the body in its place."""
         return Projectile(self.length, self.diameter, self.density, self.body)
+
+    @property
+    def scheme_taken(self) -> str:
+        """Name of the scheme that acts."""
+        if self.scheme is not None:
+            return self.scheme
+        return "implicit" if get_law(self.law, get_medium(self.medium)).adds_mass else "explicit"
 
     def sand(self, model: mujoco.MjModel) -> Sand:
         """The sand, on the link's model."""
@@ -126,7 +134,7 @@ class Impact:
         return SandSpec(
             medium=self.medium,
             law=self.law,
-            scheme=self.scheme,
+            scheme=self.scheme_taken,
             bodies="link",
             memory=self.memory,
         )
@@ -216,7 +224,7 @@ class ImpactResult:
         return {
             "law": self.law,
             "medium": impact.medium,
-            "scheme": impact.scheme,
+            "scheme": impact.scheme_taken,
             "timestep": impact.timestep,
             "body": impact.body,
             "speed": impact.speed,

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.errors import UnknownNameError
+from mjgranular.experiment.watch import STILL
 
 
 class TipWatch:
@@ -58,8 +59,8 @@ class TipWatch:
             self._touchdown = 0.0 if depth > -1e-12 else None
         elif self._touchdown is None and depth >= 0:
             self._touchdown = time - h * depth / (depth - self._old[0])
-        elif self._touchdown is not None and self.stop is None and self._old[1] > 0 >= down:
-            part = self._old[1] / (self._old[1] - down)
+        elif self._touchdown is not None and self.stop is None and self._old[1] > STILL >= down:
+            part = min(self._old[1] / (self._old[1] - down), 1.0)
             when = time - h + part * h - self._touchdown
             self.stop = when, self._old[0] + h * part * self._old[1] / 2
         self._old = depth, down

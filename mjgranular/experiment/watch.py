@@ -9,6 +9,10 @@ import numpy as np
 REST_WINDOW = 0.02
 REST_DISTANCE = 2e-5
 
+STILL = 1e-9
+"""Speed of a point that stands [m/s]. The implicit scheme leaves some 1e-12 of either sign; chosen.
+"""
+
 
 class RestWatch:
     """Watches points.

@@ -87,7 +87,8 @@ class Explicit(Scheme):
         if kernel.added is not None and not self.prescribed:
             raise InputError(
                 "sand that is moved along (the law's `added`) needs scheme='implicit': the "
-                "explicit scheme knows no acceleration"
+                "explicit scheme knows no acceleration; or take a quasi-static law, such as "
+                "law='rft3d'"
             )
         return explicit_program(replace(kernel, added=None), scene)
 

@@ -29,9 +29,9 @@ ROBOT = (
 BODIES = {
     "capsule": (LINK, "play_sand", "link"),
     "rod": ('<geom type="cylinder" size=".01 .1"/>', "play_sand", "link"),
-    "disk": ('<geom type="cylinder" size=".1 .01"/>', "quikrete_medium", "rft3d"),
-    "block": ('<geom type="box" size=".1 .05 .03"/>', "quikrete_medium", "rft3d"),
-    "robot": (ROBOT, "quikrete_medium", "rft3d"),
+    "disk": ('<geom type="cylinder" size=".1 .01"/>', "quikrete_medium", "rft3d_dynamic"),
+    "block": ('<geom type="box" size=".1 .05 .03"/>', "quikrete_medium", "rft3d_dynamic"),
+    "robot": (ROBOT, "quikrete_medium", "rft3d_dynamic"),
 }
 
 OF_RFT3D = "constants for it: poppy_seed_close, poppy_seed_loose, quikrete_medium"
@@ -58,7 +58,7 @@ def after(model, step, count=50):
 @pytest.mark.parametrize("name", BODIES)
 def test_the_bodies_choose_the_medium_and_its_law(name):
     geoms, medium, law = BODIES[name]
-    sand = Sand(model_of(geoms), scheme="explicit")
+    sand = Sand(model_of(geoms))
     assert (sand.medium.name, sand.law.name) == (medium, law)
     assert sand.spec.medium is None
     assert f"medium='{medium}', law='{law}'" in repr(sand)
@@ -95,7 +95,7 @@ def test_every_interface_chooses_the_same(name, tmp_path, capsys):
 
 def test_the_other_follows_from_the_one_that_is_given():
     def chosen(**given):
-        sand = Sand(model_of(LINK), scheme="explicit", **given)
+        sand = Sand(model_of(LINK), **given)
         return sand.medium.name, sand.law.name
 
     assert chosen(law="rft3d") == ("quikrete_medium", "rft3d")
@@ -104,8 +104,8 @@ def test_the_other_follows_from_the_one_that_is_given():
     assert chosen(law="link_distributed") == ("play_sand", "link_distributed")
     assert chosen(law=LinkLaw(1.0, 2.0, 3.0, 1.1)) == ("play_sand", "link")
     assert chosen(law="depth_velocity") == ("glass_beads", "depth_velocity")
-    assert chosen(medium="quikrete_medium") == ("quikrete_medium", "rft3d")
-    assert chosen(medium="glass_beads") == ("glass_beads", "rft2d")
+    assert chosen(medium="quikrete_medium") == ("quikrete_medium", "rft3d_dynamic")
+    assert chosen(medium="glass_beads") == ("glass_beads", "rft2d_dynamic")
 
 
 def test_options_of_a_law_in_mjcf_find_the_medium_too():
@@ -135,11 +135,11 @@ def test_a_refusal_names_the_media_that_would_do():
 
 def test_the_log_says_what_was_chosen(caplog):
     with caplog.at_level(logging.INFO, "mjgranular.sand"):
-        Sand(model_of(ROBOT), scheme="explicit")
-    assert "medium quikrete_medium, law rft3d" in caplog.text
+        Sand(model_of(ROBOT))
+    assert "medium quikrete_medium, law rft3d_dynamic" in caplog.text
     caplog.clear()
     with caplog.at_level(logging.INFO, "mjgranular.sand"):
-        Sand(model_of(ROBOT), SandSpec(medium="quikrete_medium"), scheme="explicit")
+        Sand(model_of(ROBOT), SandSpec(medium="quikrete_medium"))
     assert "quikrete_medium" not in caplog.text
 
 

@@ -65,7 +65,7 @@ def test_every_medium_serves_its_own_law_and_those_it_has_constants_for(name):
     medium = mg.media[name]
     assert medium.name == name
     assert medium.title
-    assert Sand(body(), medium=name, scheme="explicit").law.name == medium.default_law
+    assert Sand(body(), medium=name).law.name == medium.default_law == medium.laws[0]
     for law in medium.constants:
         assert Sand(body(), medium=name, law=law, scheme="explicit").law == mg.laws[
             law
@@ -148,7 +148,7 @@ def test_file_for_the_spatial_law(write):
         name: quikrete_again
         title: copied
         density: {value: 1550, unit: kg/m^3, source: PNAS}
-        default_law: rft3d
+        default_law: rft3d_dynamic
         constants:
           rft3d:
             density: {value: 1550, unit: kg/m^3, source: PNAS}
@@ -159,8 +159,7 @@ def test_file_for_the_spatial_law(write):
     data = mujoco.MjData(model)
     data.qvel[2] = -0.1
     ours, theirs = (
-        Sand(model, medium=m, scheme="explicit").report(data).bodies[0].force
-        for m in (str(path), "quikrete_medium")
+        Sand(model, medium=m).report(data).bodies[0].force for m in (str(path), "quikrete_medium")
     )
     assert ours == pytest.approx(theirs, rel=1e-6)
     assert ours[2] > 1

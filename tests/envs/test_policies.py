@@ -47,10 +47,14 @@ def way(env_id: str, agent: Agent | None, gait: dict[str, float] | None = None) 
     return float(total.mean())
 
 
-def test_there_are_policies_for_five_robots_and_three_in_fast_sand():
-    robots = {name.partition("-v0/")[0] for name in SHIPPED}
-    dynamic = {"ChainSwimDynamic", "ChainCrawlDynamic", "HexapodDynamic"}
-    assert robots == {"ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"} | dynamic
+def first_of(robot: str) -> str:
+    """The first policy of a robot."""
+    return min(name for name in SHIPPED if name.startswith(f"{robot}-v0/"))
+
+
+def test_there_are_three_policies_for_each_of_five_robots():
+    robots = sorted(name.partition("-v0/")[0] for name in SHIPPED)
+    assert robots == sorted(3 * ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -80,7 +84,7 @@ def test_policies_are_faster_than_the_best_of_a_search_among_gaits(robot):
     env_id = f"mjgranular/{robot}-v0"
     scripted = way(env_id, None, BEST_GAITS[robot])
     assert scripted > 0
-    assert way(env_id, load_policy(f"{robot}-v0/ppo-0")) > 1.2 * scripted
+    assert way(env_id, load_policy(first_of(robot))) > 1.2 * scripted
 
 
 def test_the_hopper_hops_and_the_ant_runs():

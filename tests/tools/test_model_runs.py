@@ -1,6 +1,7 @@
 """A user's own model on sand, and intruders on prescribed paths, through the command line."""
 
 import json
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from mjgranular import errors
 from mjgranular.cli import main
-from mjgranular.experiment import Drop, run_drop
+from mjgranular.experiment import Drop, Impact, run_drop, run_impact
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
 from mjgranular.models import Projectile, model_path
 
@@ -63,6 +64,7 @@ def test_energy_into_the_sand_is_what_the_ball_loses(ball):
     drop = Drop(
         ball,
         medium="quikrete_medium",
+        law="rft3d",
         height=0.0,
         velocity=2.0,
         duration=0.05,
@@ -128,7 +130,7 @@ def test_a_model_that_cannot_be_read(tmp_path, capfd):
 
 
 def test_a_plate_pushed_down_meets_the_formula(capfd):
-    assert main(["intrude", "--json", "--points", "6"]) == 0
+    assert main(["intrude", "--law", "rft3d", "--json", "--points", "6"]) == 0
     rows = json.loads(capfd.readouterr().out)
     mu = np.tan(np.radians(34))
     stiffness = 1550 * 9.81 * (894 * mu**3 - 386 * mu**2 + 89 * mu)
@@ -201,6 +203,17 @@ def test_a_chain_of_one_is_the_link(tmp_path, capfd):
         assert chain[key] == pytest.approx(link[key], rel=1e-9)
     assert main(["impact", "--body", "chain:0"]) == 2
     assert "chain:2" in capfd.readouterr().err
+
+
+def test_a_body_that_comes_to_rest_has_stopped():
+    # Under the implicit scheme its velocity ends at 1e-13 m/s, of either sign.
+    options = {"medium": "quikrete_medium", "law": "rft3d", "body": "box"}
+    drop = Impact(speed=1.0, angle=0.35, length=0.06, diameter=0.04, duration=0.2, **options)
+    stops = [run_impact(replace(drop, scheme=name)).stop for name in ("explicit", "implicit")]
+    assert stops[1].time == pytest.approx(stops[0].time, rel=5e-3)
+    assert stops[1].depth == pytest.approx(stops[0].depth, rel=1e-3)
+    assert replace(drop, law=None).scheme_taken == "implicit"
+    assert drop.scheme_taken == "explicit"
 
 
 def test_models_that_come_with_the_package_run():
