@@ -44,7 +44,7 @@ class Shown:
 
 SHOWN = {
     "ChainSwim": Shown("ChainSwim-v0/ppo-0"),
-    "ChainCrawl": Shown("ChainCrawl-v0/ppo-0"),
+    "ChainCrawl": Shown("ChainCrawl-v0/ppo-1"),
     "Hexapod": Shown("Hexapod-v0/ppo-0"),
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),

@@ -23,8 +23,8 @@ STEPS = 100  # of 500: four seconds
 
 # The best of `mjgranular gait ... --search 200 --by x_velocity` (docs/training.md).
 BEST_GAITS = {
-    "ChainSwim": {"amplitude": 1.0, "frequency": 2.4, "waves": 0.8},
-    "ChainCrawl": {"amplitude": 1.0, "frequency": 2.33, "waves": -0.667, "offset": 0.133},
+    "ChainSwim": {"amplitude": 1.0, "frequency": 1.6, "waves": 0.5},
+    "ChainCrawl": {"amplitude": 0.733, "frequency": 0.5, "waves": 0.667, "offset": 0.133},
     "Hexapod": {"stride": 1.0, "lift": 1.0, "press": 0.0, "frequency": 3.25, "duty": 0.7},
 }
 

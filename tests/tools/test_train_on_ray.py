@@ -227,7 +227,7 @@ def test_what_ray_has_trained_is_a_run_as_any_other(session, tmp_path, monkeypat
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_evaluations_and_searches_are_the_same_to_the_bit(session, monkeypatch):
-    policy = Actor("one", CRAWL, {"frame_skip": 2}, load_policy("ChainCrawl-v0/ppo-0"))
+    policy = Actor("one", CRAWL, {"frame_skip": 2}, load_policy("ChainCrawl-v0/ppo-1"))
     draws = Actor("two", ID, {}, "random")
     evaluation = Evaluation([Job(policy, "max_episode_steps=20"), Job(draws)], 3)
     expected = run_evaluation(evaluation)
