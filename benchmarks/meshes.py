@@ -133,6 +133,7 @@ def main(options: Options) -> None:
     model = mujoco.MjModel.from_xml_path(str(options.model))
     exact = Sand(
         model,
+        law="rft3d",
         instead_of=options.instead_of,
         resolution=options.fine,
         scheme=Explicit(half_step=False),
@@ -141,13 +142,18 @@ def main(options: Options) -> None:
     force, moment, sizes = _loads(exact, states)
     law = exact.law
     assert isinstance(law, Rft3dLaw)
-    cases: dict[str, dict[str, Any]] = {"default": {}}
-    cases |= {f"resolution {n}": {"resolution": n} for n in options.resolutions}
+    cases: dict[str, dict[str, Any]] = {"default": {"law": law}}
+    cases |= {f"resolution {n}": {"law": law, "resolution": n} for n in options.resolutions}
     cases["triangles"] = {"law": OnTriangles(**vars(law))}
     print("| | facets | " + " | ".join(f"{moment}: us, ratio" for moment in _MOMENTS), end=" | ")
     print("force: median, 95 % [%] | moment: median, 95 % [%] |")
     for name, given in cases.items():
-        sand = Sand(model, instead_of=options.instead_of, scheme=Explicit(half_step=False), **given)
+        sand = Sand(
+            model,
+            instead_of=options.instead_of,
+            scheme=Explicit(half_step=False),
+            **given,
+        )
         mine, turned, _ = _loads(sand, states)
         off = 100 * np.linalg.norm(mine - force, axis=1) / np.linalg.norm(force, axis=1)
         twist = 100 * np.linalg.norm(turned - moment, axis=1) / sizes

@@ -64,7 +64,7 @@ class TravellingWave(Gait):
 
 @dataclass(frozen=True)
 class CrawlingWave(TravellingWave):
-    """A sine wave in the vertical plane, which runs from tail to head as an inchworm's does."""
+    """A sine wave in the vertical plane; most of a wave from head to tail is what gets ahead."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "amplitude": (0.2, 1.0),
@@ -74,8 +74,8 @@ class CrawlingWave(TravellingWave):
     }
 
     amplitude: float = 0.6
-    frequency: float = 1.5
-    waves: float = -1.0
+    frequency: float = 1.0
+    waves: float = 2 / 3
     offset: float = 0.0
 
 

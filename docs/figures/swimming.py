@@ -86,7 +86,7 @@ class Swimmer:
         links: number of links.
         resolution: how finely each is cut; None for the default.
         medium: a medium's name.
-        law: a law, its name, or None for the medium's own.
+        law: a law, or its name.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class Swimmer:
         links: int = 20,
         resolution: int | None = None,
         medium: str = "quikrete_medium",
-        law: str | Law | None = None,
+        law: str | Law = "rft3d",
     ) -> None:
         radius, length = LENGTH / SLENDERNESS / 2, LENGTH / links
         # The chain gives joints and mass; capsules that are wider than long, each around a whole

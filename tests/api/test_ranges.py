@@ -38,9 +38,9 @@ CASES = [
 @pytest.mark.parametrize(("text", "options", "said"), CASES)
 def test_a_slip_is_named_in_python_and_in_mjcf(text, options, said):
     with pytest.warns(RangeWarning, match=said):
-        Sand(mujoco.MjModel.from_xml_string(text), scheme="explicit", **options)
+        Sand(mujoco.MjModel.from_xml_string(text), **options)
     spec = mujoco.MjSpec.from_string(text)
-    add_sand(spec, scheme="explicit", **options)
+    add_sand(spec, **options)
     with pytest.warns(RangeWarning, match=said):
         mujoco.MjData(spec.compile())
 
@@ -58,7 +58,7 @@ def test_a_slip_is_named_in_python_and_in_mjcf(text, options, said):
 def test_a_slip_is_named_on_the_command_line(tmp_path, capsys, text, options, said):
     path = tmp_path / "robot.xml"
     path.write_text(text)
-    main(["drop", str(path), *options, "--scheme", "explicit", "--duration", "0.01"])
+    main(["drop", str(path), *options, "--duration", "0.01"])
     assert said in " ".join(capsys.readouterr().err.split())
 
 
@@ -68,8 +68,8 @@ def test_what_people_use_is_no_slip():
         warnings.simplefilter("error")
         for name in media:
             if name != "play_sand":
-                Sand(model, medium=name, scheme="explicit")
-        Sand(model, surface=Plane(height=0.4), scheme="explicit")
+                Sand(model, medium=name)
+        Sand(model, surface=Plane(height=0.4))
 
 
 @pytest.mark.parametrize(

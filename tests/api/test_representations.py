@@ -16,7 +16,7 @@ XML = (
 
 @pytest.fixture
 def sand():
-    return Sand(mujoco.MjModel.from_xml_string(XML), scheme="explicit")
+    return Sand(mujoco.MjModel.from_xml_string(XML), law="rft3d", scheme="explicit")
 
 
 def test_short_lines(sand):

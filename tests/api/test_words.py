@@ -86,7 +86,12 @@ def test_all_ways_in_give_the_same_law(
 
 
 def test_surfaces_and_schemes_in_words() -> None:
-    sand = mg.Sand(block(), surface="plane height=0.1 slope=0.2", scheme="explicit half_step=false")
+    sand = mg.Sand(
+        block(),
+        law="rft3d",
+        surface="plane height=0.1 slope=0.2",
+        scheme="explicit half_step=false",
+    )
     assert sand.surface == mg.Plane(height=0.1, slope=0.2)
     assert sand.scheme == mg.Explicit(half_step=False)
     with pytest.raises(InputError, match="the surface 'bed' needs geom="):

@@ -15,7 +15,7 @@ from mjgranular.prints import Cover, Prints, PrintsRecorder, Replay
 
 CELL = 0.02
 MEMORY = Memory(cell=CELL, extent=1.2)
-SAND = {"medium": "quikrete_medium", "scheme": "explicit", "memory": MEMORY}
+SAND = {"law": "rft3d", "scheme": "explicit", "memory": MEMORY}
 BALL = '<body pos="0.03 0.05 0.06"><freejoint/><geom name="b" size="0.06" mass="4"/></body>'
 RISE = 0.2  # of the ramp, a height field of 2 m
 

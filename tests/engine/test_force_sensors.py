@@ -55,7 +55,7 @@ ROBOT = """
     <framelinacc objtype="body" objname="foot"/><subtreelinvel body="load"/>
   </sensor>
 </mujoco>"""
-MEDIUM: dict[str, Any] = {"medium": "quikrete_medium", "bodies": ["load", "foot"]}
+MEDIUM: dict[str, Any] = {"medium": "quikrete_medium", "law": "rft3d", "bodies": ["load", "foot"]}
 
 
 def make_spec(integrator: str = "IMPLICITFAST", xml: str = ROBOT) -> mujoco.MjSpec:

@@ -183,7 +183,7 @@ def test_a_solver_that_is_none(door, solver):
 @pytest.mark.parametrize("scheme", ["explicit", "implicit"])
 @pytest.mark.parametrize("door", DOORS)
 def test_a_time_step_that_is_none(door, scheme, timestep):
-    run = Run(boxes(), door, scheme=scheme)
+    run = Run(boxes(), door, scheme=scheme, law="rft3d")
     run.step()
     run.model.opt.timestep = timestep
     with pytest.raises((InputError, mujoco.FatalError), match=r"opt\.timestep.*positive number"):
@@ -192,7 +192,7 @@ def test_a_time_step_that_is_none(door, scheme, timestep):
 
 @pytest.mark.parametrize("door", DOORS)
 def test_the_explicit_scheme_was_chosen_for_fine_steps(door):
-    run = Run(boxes('timestep="1e-5"').replace('timestep="2e-3"', ""), door)
+    run = Run(boxes('timestep="1e-5"').replace('timestep="2e-3"', ""), door, law="rft3d")
     run.step()
     run.model.opt.timestep = 2e-5
     run.step()

@@ -155,7 +155,7 @@ def settled(model, sand, steps):
 def test_a_fall_ends_where_it_ends_on_the_processor_and_no_step_gives_energy(warp):
     model = scene(warp)
     given = {
-        "medium": "quikrete_medium",
+        "law": "rft3d",
         "bodies": ("box", "rod", "thigh", "foot"),
         "instead_of": ("dunes", "tray"),
     }

@@ -171,7 +171,7 @@ def test_blobs_of_every_shape(geom, reach):
 
 def test_the_figure_says_what_it_shows(facets, rods, blobs):
     for sand, words in (
-        (facets, f"{len(facets.elements)} facets of 2 geoms on 2 bodies, rft3d law"),
+        (facets, f"{len(facets.elements)} facets of 2 geoms on 2 bodies, rft3d_dynamic law"),
         (rods, "40 rods of 2 geoms on 2 bodies, link_distributed law"),
         (blobs, "2 blobs of 2 geoms on 2 bodies, depth_velocity law"),
     ):
@@ -312,7 +312,11 @@ def test_the_command_counts(foot_file, facets, capfd):
     assert main(["elements", str(foot_file), "--json"]) == 0
     printed = json.loads(capfd.readouterr().out)
     number = len(facets.elements)
-    assert (printed["law"], printed["kind"], printed["elements"]) == ("rft3d", "facets", number)
+    assert (printed["law"], printed["kind"], printed["elements"]) == (
+        facets.law.name,
+        "facets",
+        number,
+    )
     assert [row["geom"] for row in printed["geoms"]] == ["sole", "shin"]
     sole, shin = printed["geoms"]
     assert sole["area"] == pytest.approx(8 * (0.08 * 0.05 + 0.05 * 0.015 + 0.015 * 0.08))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mjgranular import DepthVelocityLaw, Sand
+from mjgranular import DepthVelocityLaw, DynamicRft3dLaw, Sand
 from mjgranular.cli import main
 from mjgranular.law import get_law
 from mjgranular.medium import get_medium
@@ -116,14 +116,16 @@ def test_a_medium_of_rft3d_carries_the_strength(place, model_of_a_ball, capsys):
     runs(place, medium)
     command = ["fit", "runs.yaml", "--free", "strength", "--hold-out", "fast", "--out", "m.yaml"]
     assert main(command) == 0
-    constants = get_medium("m.yaml").constants["rft3d"]
+    constants = get_medium("m.yaml").constants["rft3d_dynamic"]
     assert constants["surface_friction"].value == 0.3
     assert constants["internal_friction"].source == (
         get_medium("quikrete_medium").constants["rft3d"]["internal_friction"].source
     )
     sand = Sand(model_of_a_ball, medium="m.yaml")
     strength = json.loads((place / "m.fit.json").read_text())["result"]["values"]["strength"]
-    assert sand.law.scale == strength != 1.0
+    before = DynamicRft3dLaw.from_medium("quikrete_medium").scale
+    assert sand.law.scale == pytest.approx(strength * before)
+    assert strength != 1.0
 
 
 @pytest.fixture
