@@ -55,7 +55,7 @@ CORRECTIONS = 3
 # factorizes the sum of inertia and damping in single precision. Chosen: of 1,500 Hoppers up to
 # 15 cm deep a third were lost within 30 steps without it, and of 300 that were deeper still some
 # with twice as much. Rest of a body is softer where its sand would be damped by more.
-_MOST_DAMPING = 5e4
+_MOST_DAMPING = 2e4
 
 _OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 4)
 """Bytes of a body in a world: damping, kick, force, moment, and four numbers."""
