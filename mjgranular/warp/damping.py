@@ -33,6 +33,9 @@ from mjgranular.warp.motions import (
 from mjgranular.warp.resistance import resistance_of
 from mjgranular.warp.translate import struct_of, translated
 
+_STILL = 1e-3
+"""Speed of what is at rest, in parts of the softness. Chosen."""
+
 _Pose, _Level = struct_of(Pose), struct_of(Level)
 
 
@@ -64,6 +67,8 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         surface: surface_struct,
         chain: wp.array(dtype=int),
         most: wp.array(dtype=float),
+        first: bool,
+        time: wp.array(dtype=float),
         strength: wp.array(dtype=float),
         density: wp.array(dtype=float),
         height: wp.array(dtype=float),
@@ -82,6 +87,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         kick: wp.array2d(dtype=wp.spatial_vector),
         depth: wp.array2d(dtype=float),
         speed: wp.array2d(dtype=float),
+        limit: wp.array2d(dtype=float),
     ):
         world, s = wp.tid()
         slot = slots[s]
@@ -107,6 +113,11 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         if wp.static(has_cull):
             depth_here, normal = ceiling(here, pose.position)
             level = _Level(wp.transpose(pose.rotation) * normal, depth_here)
+        bound = most[s] / h
+        soft = eps
+        if not first or time[world] > 0.0:  # else the limit is that of another episode
+            soft = wp.max(eps, limit[world, s] / bound)
+        limits = float(0.0)
         total = Damping()
         greatest = float(0.0)
         push, twist = wp.vec3(), wp.vec3()
@@ -123,10 +134,13 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             if found.depth > 0.0:
                 arm = found.point - tree
                 v = velocity_at(ahead, arm)
+                start = velocity_at(now, arm)
+                if first and _turned_back(v, start, eps):
+                    v = start
                 fastest = wp.max(fastest, wp.length(v))
-                c = resistance(found, law, g, v, eps, strong, dense)
+                c = resistance(found, law, g, v, soft, strong, dense)
+                limits += wp.trace(c) * wp.sqrt(wp.dot(v, v) + soft * soft)
                 if wp.static(adds_mass):
-                    start = velocity_at(now, arm)
                     mass = added(found, start, h)
                     n = mass.normal
                     c += (dense * mass.mass / h) * wp.outer(n, n)
@@ -138,13 +152,24 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                     greatest = trace
                     total = about(total, arm)
                 total = added_to(total, c, arm)
-        total = bounded(total, most[s] / h)
+        total = bounded(total, bound)
+        limit[world, s] = limits
         damping[world, s] = total
         kick[world, s] = wp.spatial_vector(twist - wp.cross(total.arm, push), push)
         depth[world, s] = deepest
         speed[world, s] = fastest
 
     return resist
+
+
+@wp.func
+def _turned_back(foreseen: wp.vec3, now: wp.vec3, eps: float):
+    """Whether a velocity is foreseen against that of now, of what is not at rest already.
+
+    What has just come to a stop is not going to turn: faces that trail have no resistance, and a
+    step that began with them would end far from where it should.
+    """
+    return wp.dot(foreseen, now) < 0.0 and wp.length(now) > _STILL * eps
 
 
 @wp.func
@@ -233,13 +258,17 @@ def warm_start(
     disabled: int,
     qvel: wp.array2d(dtype=float),
     qacc_warmstart: wp.array2d(dtype=float),
+    time: wp.array(dtype=float),
+    creep: wp.array2d(dtype=float),
     foreseen: wp.array2d(dtype=float),
 ):
-    """Velocities that the step would end with if accelerations were those of the last one."""
+    """Velocities that the step would end with if it went on as the last one."""
     world, i = wp.tid()
     change = timestep[world % timestep.shape[0]] * qacc_warmstart[world, i]
     if disabled != 0 or not wp.isfinite(change):  # of a world that was lost, say
         change = 0.0
+    if time[world] > 0.0 and creep[world, i] != 0.0:  # not those of another episode
+        change = creep[world, i]
     foreseen[world, i] = qvel[world, i] + change
 
 
@@ -269,3 +298,50 @@ def wrenches_of_step(
     force[world, s] = f
     moment[world, s] = turning - wp.cross(lever, f)
     power[world, s] = wp.dot(f, motion.linear) + wp.dot(turning, motion.angular)
+
+
+@wp.kernel(enable_backward=False)
+def stop_creep(
+    roots: wp.array(dtype=int),
+    root_first: wp.array(dtype=int),
+    slots: wp.array(dtype=Slot),
+    row_first: wp.array(dtype=int),
+    columns: wp.array(dtype=int),
+    timestep: wp.array(dtype=float),
+    tolerance: wp.array(dtype=float),
+    dof_length: wp.array(dtype=float),
+    inertia: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    velocity: wp.array2d(dtype=float),
+    power: wp.array2d(dtype=float),
+    creep: wp.array2d(dtype=float),
+    qacc: wp.array2d(dtype=float),
+):
+    """Stops robots that only creep, one thread a world and robot; keeps how they would have crept.
+
+    Forces of the law have been found that all but balance what loads the robot: it could as well
+    stand still. One creeps that is slower than MuJoCo's tolerance of sleep, and gains less energy
+    in the step than the sand takes.
+    """
+    world, r = wp.tid()
+    h = timestep[world % timestep.shape[0]]
+    first, end = root_first[r], root_first[r + 1]
+    taken, gained, fastest = float(0.0), float(0.0), float(0.0)
+    for s in range(slots.shape[0]):
+        if slots[s].root == roots[r]:
+            taken -= h * power[world, s]
+    for i in range(first, end):
+        v = velocity[world, i]
+        fastest = wp.max(fastest, dof_length[i] * wp.abs(v))
+        for k in range(row_first[i], row_first[i + 1]):
+            j = columns[k]
+            gained += inertia[world, k] * v * (velocity[world, j] - qvel[world, j])
+            if j != i:
+                gained += inertia[world, k] * velocity[world, j] * (v - qvel[world, i])
+    slow = fastest < tolerance[world % tolerance.shape[0]]
+    stops = slow and taken > 0.0 and gained <= taken
+    for i in range(first, end):
+        creep[world, i] = 0.0
+        if stops:
+            creep[world, i] = velocity[world, i]
+            qacc[world, i] = -qvel[world, i] / h

@@ -97,8 +97,8 @@ def _norm(c: wp.mat33):
 
 @wp.func
 def bounded(d: Damping, most: float):
-    """The damping of a body, made less as it comes near a bound [N s/m]."""
-    part = most / (most + _norm(d.slide))
+    """The damping of a body, made less where it is above a bound [N s/m]."""
+    part = wp.min(1.0, most / _norm(d.slide))
     return Damping(part * d.turn, part * d.mixed, part * d.slide, d.arm)
 
 

@@ -29,6 +29,7 @@ from mjgranular.warp.damping import (
     assemble_forces,
     foresee,
     resist_kernel,
+    stop_creep,
     warm_start,
     wrenches_of_step,
 )
@@ -53,11 +54,11 @@ CORRECTIONS = 3
 # Damping of a body in a time step, in parts of the mass of its tree, at most: MuJoCo Warp
 # factorizes the sum of inertia and damping in single precision. Chosen: of 1,500 Hoppers up to
 # 15 cm deep a third were lost within 30 steps without it, and of 300 that were deeper still some
-# with twice as much. A body at rest creeps by its weight over this, 2e-6 m/s in steps of 10 ms.
-_MOST_DAMPING = 5e4
+# with twice as much. Rest of a body is softer where its sand would be damped by more.
+_MOST_DAMPING = 2e4
 
-_OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 3)
-"""Bytes of a body in a world: damping, kick, force, moment, and three numbers."""
+_OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 4)
+"""Bytes of a body in a world: damping, kick, force, moment, and four numbers."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,8 @@ class _Arrays:
     foreseen: wp.array  # velocities that the step is foreseen to end with, (nworld, nv)
     damping: wp.array  # of each body in the sand, (nworld, bodies)
     kick: wp.array  # and the momentum of sand that moves along already, per time
+    limit: wp.array  # of static resistance to each body at its elements, summed up [N]
+    creep: wp.array  # velocities that robots were stopped from, else zero, (nworld, nv)
     passive: wp.array  # other passive forces, (nworld, nv)
     fluid: wp.array  # damping by fluids, in the sparsity of the inertia matrix
     regularization: wp.array  # of constraints, before the metric is known
@@ -176,7 +179,7 @@ class WarpSand:
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
         copied = (d.qfrc_passive, d.efm_fluid, d.efc.D, d.efc.aref)
-        of_a_world = count * _OF_A_BODY + 4 * model.nv + sum(a.capacity for a in copied) // n
+        of_a_world = count * _OF_A_BODY + 8 * model.nv + sum(a.capacity for a in copied) // n
         check_room(device, n, of_a_world, self._elements, self._resolution)
         if isinstance(self.surface, Relief):
             check_room_to_remember(device, n, self.surface.memory)
@@ -208,6 +211,9 @@ class WarpSand:
         )
         self._rows = integers(np.repeat(np.arange(model.nv), model.M_rownnz))
         self._columns = integers(model.M_colind)
+        self._row_first = integers([*model.M_rowadr, len(model.M_colind)])
+        roots, first = np.unique(model.body_rootid[model.dof_bodyid], return_index=True)
+        self._roots, self._root_first = integers(roots), integers([*first, model.nv])
 
         most = _MOST_DAMPING * model.body_subtreemass[self._slots["root"]]
         self._most = wp.array(most, dtype=float, device=device)
@@ -223,6 +229,8 @@ class WarpSand:
             foreseen=zeros((n, model.nv), float),
             damping=zeros((n, count), Damping),
             kick=zeros((n, count), wp.spatial_vector),
+            limit=zeros((n, count), float),
+            creep=zeros((n, model.nv), float),
             passive=wp.zeros_like(d.qfrc_passive),
             fluid=wp.zeros_like(d.efm_fluid),
             regularization=wp.zeros_like(d.efc.D),
@@ -320,10 +328,10 @@ class WarpSand:
         self._launch(
             warm_start,
             (self._size[0], self._model.nv),
-            [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart],
+            [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart, d.time, a.creep],
             [a.foreseen],
         )
-        self._resist_all(m, d)
+        self._resist_all(m, d, first=True)
         for _ in range(self._corrections):
             mjw.fwd_actuation(m, d)
             mjw.fwd_acceleration(m, d, factorize=True)
@@ -351,6 +359,16 @@ class WarpSand:
             ],
             [self.force, self.moment, self.power],
         )
+        self._launch(
+            stop_creep,
+            (self._size[0], len(self._roots)),
+            [
+                *(self._roots, self._root_first, self._slot_array, self._row_first, self._columns),
+                *(m.opt.timestep, m.opt.sleep_tolerance, m.dof_length),
+                *(d.M, d.qvel, a.foreseen, self.power),
+            ],
+            [a.creep, d.qacc],
+        )
         if self._memory is not None:
             self._memory.update(m, d, self.height, self._up)
 
@@ -358,7 +376,7 @@ class WarpSand:
         shape = (self._size[0], self._model.nv)
         self._launch(foresee, shape, [m.opt.timestep, d.qvel, d.qacc], [self._arrays.foreseen])
 
-    def _resist_all(self, m: Any, d: Any) -> None:
+    def _resist_all(self, m: Any, d: Any, *, first: bool = False) -> None:
         """Damping at the velocities that are foreseen; its forces and its part of the metric."""
         a, n = self._arrays, self._size[0]
         self._launch(
@@ -366,11 +384,12 @@ class WarpSand:
             self._size,
             [
                 *(self._slot_array, self._element_array, self._laws, self._surface),
-                *(self._chain_array, self._most, self.strength, self.density, self.height),
+                *(self._chain_array, self._most, first, d.time),
+                *(self.strength, self.density, self.height),
                 *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
                 *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, a.foreseen),
             ],
-            [a.damping, a.kick, self.depth, self.speed],
+            [a.damping, a.kick, self.depth, self.speed, a.limit],
         )
         of_dofs = [self._dof_slots, self._dof_first]
         self._launch(

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import mjgranular
-from mjgranular import DepthVelocityLaw, Explicit, InputError, Plane, Sand
+from mjgranular import DepthVelocityLaw, Explicit, InputError, Plane, Sand, envs
+from mjgranular.envs.ground import place
 
 pytestmark = pytest.mark.slow
 mjw = pytest.importorskip("mujoco_warp")
@@ -206,6 +207,73 @@ def test_a_box_rests(warp, timestep):
     for _ in range(round(1.0 / timestep)):
         mjw.step(m, d)
     assert np.abs(d.qpos.numpy()[0, :7] - start).max() <= 2e-6
+
+
+@pytest.mark.parametrize("name", ["Hopper", "HalfCheetah", "Walker2d", "Ant"])
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass'")
+def test_a_robot_rests(warp, name):
+    """On limbs that are loaded to the sand's limit, or bent against the limits of their joints."""
+    task = envs.SandVectorEnv(name, 1).task
+    spec = task.scene()
+    (given,) = place(spec, task.sands)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    spec.option.timestep = 0.01
+    model = warp.coupled(spec).compile()
+    falling = Sand(model, given, scheme="implicit")
+    data = settled(model, falling, 600)
+    sand = warp.WarpSand(model, given)
+    m, d = put(model, data.qpos[None], 0 * data.qvel[None], sand)
+    for _ in range(50):
+        mjw.step(m, d)
+    start = d.qpos.numpy()
+    for _ in range(100):
+        mjw.step(m, d)
+    assert np.abs(d.qpos.numpy() - start).max() <= 1e-7
+    weight = model.body_mass.sum() * 9.81
+    assert sand.force.numpy()[0, :, 2].sum() == pytest.approx(weight, rel=1e-2)
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_what_rests_gives_way_where_it_does_on_the_processor(warp):
+    """A box is pushed more and more, by what it can stand at first."""
+    model = scene(warp)
+    given = {"medium": "quikrete_medium", "bodies": "box", "instead_of": ("dunes", "tray")}
+    reference = Sand(model, **given, scheme="implicit")
+    data = settled(model, reference, 250)
+    data.qvel[:] = 0.0
+    sand = warp.WarpSand(model, **given)
+    m, d = put(model, data.qpos[None], data.qvel[None], sand)
+    places = []
+    for step in range(300):
+        push = np.zeros((1, model.nbody, 6), np.float32)
+        push[0, model.body("box").id, 0] = 0.1 * step
+        d.xfrc_applied.assign(push)
+        data.xfrc_applied[:] = push[0]
+        reference.step(data)
+        mjw.step(m, d)
+        places.append((data.qpos[0], d.qpos.numpy()[0, 0]))
+    right, found = (np.array(places) - places[0]).T
+    began = [int(np.flatnonzero(x > 1e-4)[0]) for x in (right, found)]
+    assert 20 < began[0] < 280
+    assert abs(began[1] - began[0]) <= 2
+    assert found[-1] == pytest.approx(right[-1], rel=0.02)
+
+
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_what_creeps_is_stopped_under_the_tolerance_of_sleep(warp):
+    model = scene(warp)
+    given = {"medium": "quikrete_medium", "bodies": "box", "instead_of": ("dunes", "tray")}
+    data = settled(model, Sand(model, **given, scheme="implicit"), 250)
+    speeds = []
+    for tolerance in (model.opt.sleep_tolerance, 0.0):
+        model.opt.sleep_tolerance = tolerance
+        sand = warp.WarpSand(model, **given)
+        m, d = put(model, data.qpos[None], 0 * data.qvel[None], sand)
+        for _ in range(50):
+            mjw.step(m, d)
+        speeds.append(np.abs(d.qvel.numpy()[0, :6]).max())
+    assert speeds[0] <= 1e-12 < speeds[1] < 1e-5
 
 
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
