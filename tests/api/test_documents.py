@@ -91,23 +91,27 @@ def site(tmp_path_factory):
     return {str(page.relative_to(folder)): page.read_text() for page in folder.rglob("*.html")}
 
 
+@pytest.mark.slow
 def test_pages_need_nothing_from_elsewhere(site):
     assert "index.html" in site
     for page, text in site.items():
         assert not re.search(r"<(?:script|link|img|video)[^>]+(?:src|href)=\"?https?:", text), page
 
 
+@pytest.mark.slow
 def test_formulas_are_markup(site):
     """None is left to a script."""
     assert "<math" in site["laws/link.html"]
     assert [page for page, text in site.items() if "arithmatex" in text] == []
 
 
+@pytest.mark.slow
 def test_the_reference_is_made_from_docstrings(site):
     text = site["reference/sand.html"]
     assert "One <code>Sand</code> serves any number of <code>MjData</code>" in text
 
 
+@pytest.mark.slow
 def test_notebooks_are_pages(site):
     assert "torso at" in site["notebooks/own_robot.html"]
     assert 'href="notebooks/own_robot.html"' in site["index.html"]

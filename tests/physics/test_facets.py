@@ -732,6 +732,7 @@ def test_box_wholly_in_the_sand_is_exact(name, law):
     assert own.max() < 1e-5
 
 
+@pytest.mark.slow
 @each_shape
 @each_law
 @both_depths

@@ -165,7 +165,10 @@ class Drawn:
         return p / np.linalg.norm(p) * self.rng.uniform(0.05, 0.95)
 
 
-@pytest.mark.parametrize("name", SANDS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name == "rft3d" else pytest.mark.slow) for name in SANDS],
+)
 def test_in_motion_a_law_answers_both_schemes_alike(kernels, name):
     # Flat facets only: those of round bodies are pieces of a skin that turns.
     drawn = Drawn(
