@@ -183,7 +183,8 @@ def test_a_fall_ends_where_it_ends_on_the_processor_and_no_step_gives_energy(war
                 power += forces[world, k] @ linear + moments[world, k] @ velocity[:3]
                 largest += np.linalg.norm(forces[world, k]) * np.linalg.norm(linear)
                 largest += np.linalg.norm(moments[world, k]) * np.linalg.norm(velocity[:3])
-            assert power <= 1e-6 * largest  # some roundings of single precision
+            # Some roundings of single precision; what is stopped keeps one of its speed.
+            assert power <= 1e-6 * largest + 1e-6
     reference = settled(model, Sand(model, **given, scheme="implicit"), 150)
     box = d.qpos.numpy()[:, 2]
     assert box[0] == pytest.approx(reference.qpos[2], abs=0.02 * (0.06 - reference.qpos[2]))
@@ -238,7 +239,7 @@ def test_a_robot_rests(warp, name):
 def test_what_rests_gives_way_where_it_does_on_the_processor(warp):
     """A box is pushed more and more, by what it can stand at first."""
     model = scene(warp)
-    given = {"medium": "quikrete_medium", "bodies": "box", "instead_of": ("dunes", "tray")}
+    given = {"law": "rft3d", "bodies": "box", "instead_of": ("dunes", "tray")}
     reference = Sand(model, **given, scheme="implicit")
     data = settled(model, reference, 250)
     data.qvel[:] = 0.0
