@@ -183,7 +183,7 @@ def test_a_fall_ends_where_it_ends_on_the_processor_and_no_step_gives_energy(war
                 power += forces[world, k] @ linear + moments[world, k] @ velocity[:3]
                 largest += np.linalg.norm(forces[world, k]) * np.linalg.norm(linear)
                 largest += np.linalg.norm(moments[world, k]) * np.linalg.norm(velocity[:3])
-            # Roundings of single precision; what is stopped keeps some 1e-9 m/s of them.
+            # Some roundings of single precision; what is stopped keeps one of its speed.
             assert power <= 1e-6 * largest + 1e-6
     reference = settled(model, Sand(model, **given, scheme="implicit"), 150)
     box = d.qpos.numpy()[:, 2]
@@ -239,7 +239,7 @@ def test_a_robot_rests(warp, name):
 def test_what_rests_gives_way_where_it_does_on_the_processor(warp):
     """A box is pushed more and more, by what it can stand at first."""
     model = scene(warp)
-    given = {"medium": "quikrete_medium", "bodies": "box", "instead_of": ("dunes", "tray")}
+    given = {"law": "rft3d", "bodies": "box", "instead_of": ("dunes", "tray")}
     reference = Sand(model, **given, scheme="implicit")
     data = settled(model, reference, 250)
     data.qvel[:] = 0.0
@@ -257,7 +257,7 @@ def test_what_rests_gives_way_where_it_does_on_the_processor(warp):
     right, found = (np.array(places) - places[0]).T
     began = [int(np.flatnonzero(x > 1e-4)[0]) for x in (right, found)]
     assert 20 < began[0] < 280
-    assert abs(began[1] - began[0]) <= 4
+    assert abs(began[1] - began[0]) <= 2
     assert found[-1] == pytest.approx(right[-1], rel=0.02)
 
 

@@ -732,6 +732,13 @@ def test_box_wholly_in_the_sand_is_exact(name, law):
     assert own.max() < 1e-5
 
 
+@pytest.mark.parametrize("name", ["capsule", "cube"])
+def test_the_default_is_as_good_as_a_fine_mesh(name):
+    own, pressed = force_errors(name, "rft3d", submerged=True)
+    assert rms(own) < 0.01
+    assert pressed.max() < 0.01
+
+
 @pytest.mark.slow
 @each_shape
 @each_law
@@ -741,6 +748,7 @@ def test_default_is_within_two_percent_of_a_fine_mesh(name, law, submerged):
     assert own.max() <= 0.02
 
 
+@pytest.mark.slow
 @each_shape
 @each_law
 @both_depths
@@ -750,6 +758,7 @@ def test_default_is_near_a_fine_mesh(name, law, submerged):
     assert pressed.max() < 0.01
 
 
+@pytest.mark.slow
 @each_shape
 @each_law
 @both_depths
