@@ -12,6 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import mjgranular  # isort: skip  # noqa: F401
 import importlib.util
 import json
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,6 +28,12 @@ from mjgranular.models import Link
 
 # Processes that tests start see the installed package and not the folder they are started in.
 os.environ["PYTHONSAFEPATH"] = "1"
+
+# Signals as in a terminal, also where nohup or a shell's background job has them ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for name in ("SIGTERM", "SIGHUP"):
+    if hasattr(signal, name):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 FOLDER = Path(__file__).resolve().parent
 
