@@ -148,12 +148,7 @@ def main(options: Options) -> None:
     print("| | facets | " + " | ".join(f"{moment}: us, ratio" for moment in _MOMENTS), end=" | ")
     print("force: median, 95 % [%] | moment: median, 95 % [%] |")
     for name, given in cases.items():
-        sand = Sand(
-            model,
-            instead_of=options.instead_of,
-            scheme=Explicit(half_step=False),
-            **given,
-        )
+        sand = Sand(model, instead_of=options.instead_of, scheme=Explicit(half_step=False), **given)
         mine, turned, _ = _loads(sand, states)
         off = 100 * np.linalg.norm(mine - force, axis=1) / np.linalg.norm(force, axis=1)
         twist = 100 * np.linalg.norm(turned - moment, axis=1) / sizes

@@ -13,6 +13,7 @@ from mjgranular.cli.console import out, print_json
 from mjgranular.cli.options import law_named
 from mjgranular.law import Law, check_constants, law_in, laws
 from mjgranular.medium import Medium, get_medium, media
+from mjgranular.sand.material import has_constants
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class LawsCommand:
         of_media = {
             medium.name: law.from_medium(medium)
             for medium in media.values()
-            if medium.key_for(law.name) is not None
+            if has_constants(medium, law)
         }
         for name, default in parameters.items():
             known = [

@@ -62,7 +62,7 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
     try:
         return get_law(law, medium)
     except UnknownNameError as error:
-        others = [name for name in media if _has_constants(media[name], law)]
+        others = [name for name in media if has_constants(media[name], law)]
         if error.kind == "law" or not others:
             raise
         hint = f"media with constants for it: {listed(others)}"
@@ -80,7 +80,7 @@ def medium_for(law: str | Law | type[Law]) -> Medium:
     kind = type(law) if isinstance(law, Law) else law
     first = (MEDIUM_OF_LINKS, MEDIUM_OF_BODIES)
     for name in (*first, *(name for name in media if name not in first)):
-        if _has_constants(media[name], kind):
+        if has_constants(media[name], kind):
             return media[name]
     return media[MEDIUM_OF_LINKS]
 
@@ -113,7 +113,7 @@ def elements_of(
         ) from None
 
 
-def _has_constants(medium: Medium, law: str | Law | type[Law] | None) -> bool:
+def has_constants(medium: Medium, law: str | Law | type[Law] | None) -> bool:
     """Tells whether a law can be made of a medium's constants."""
     try:
         get_law(law, medium)

@@ -19,7 +19,7 @@ from mjgranular.sand.chosen import choose_sand, geoms_in_sand
 from mjgranular.sand.cost import warn_of_cost
 from mjgranular.sand.remembering import kernel_under, remembering
 from mjgranular.sand.spec import SandSpec, combined
-from mjgranular.scheme import Auto, Explicit, Implicit, Scheme, get_scheme
+from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
 from mjgranular.scheme.scheme import STEP, SchemeChoice
 from mjgranular.surface import Surface
@@ -80,9 +80,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     scheme.check(model)
     chosen = choose_sand(model, spec)
     medium, law, surface, elements = chosen.medium, chosen.law, chosen.surface, chosen.elements
-    if isinstance(scheme, Auto) and law.adds_mass:
-        scheme = Implicit()  # the only one that can
-    scheme = scheme.scheme_for(model, len(elements))
+    scheme = scheme.scheme_for(model, len(elements), adds_mass=law.adds_mass)
     scheme.check(model)
     memory, footprint = as_memory(spec.memory), None
     if memory is not None:

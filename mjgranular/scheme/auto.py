@@ -22,8 +22,10 @@ MANY_ELEMENTS = 5000
 _FINE_OF_MANY = 1e-4  # [s]
 
 
-def choose_scheme(timestep: float, elements: int) -> tuple[Scheme, str]:
-    """Chooses the scheme for a time step [s] and a number of elements, and says why."""
+def choose_scheme(timestep: float, elements: int, adds_mass: bool) -> tuple[Scheme, str]:
+    """Chooses the scheme for a time step [s], a number of elements and a law, and says why."""
+    if adds_mass:
+        return Implicit(), "the law moves sand along, which the explicit scheme cannot"
     if timestep <= FINE_STEP:
         return Explicit(longest_step=FINE_STEP), (
             f"the time step of {timestep:g} s is fine enough for forces as they come, which "
@@ -38,13 +40,18 @@ def choose_scheme(timestep: float, elements: int) -> tuple[Scheme, str]:
 
 @dataclass(frozen=True)
 class Auto(SchemeChoice):
-    """`Implicit`, unless the time step is fine or the elements are many: then `Explicit`."""
+    """`Implicit`, unless the time step is fine or the elements are many: then `Explicit`.
+
+    A law that moves sand along, as those for fast motion do, always has `Implicit`.
+    """
 
     name: ClassVar[str] = "auto"
     title: ClassVar[str] = "implicit, or explicit for fine steps and very many elements"
 
-    def scheme_for(self, model: mujoco.MjModel, elements: int) -> Scheme:
-        chosen, reason = choose_scheme(model.opt.timestep, elements)
+    def scheme_for(
+        self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
+    ) -> Scheme:
+        chosen, reason = choose_scheme(model.opt.timestep, elements, adds_mass)
         _logger.info("scheme %s: %s", chosen.name, reason)
         return chosen
 

@@ -53,8 +53,10 @@ class SchemeChoice(ABC):
     title: ClassVar[str]
 
     @abstractmethod
-    def scheme_for(self, model: mujoco.MjModel, elements: int) -> Scheme:
-        """The scheme for a model with so many elements."""
+    def scheme_for(
+        self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
+    ) -> Scheme:
+        """The scheme for a model with so many elements, and for a law (`Law.adds_mass`)."""
 
     @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:
@@ -109,7 +111,9 @@ class Scheme(SchemeChoice):
             scene: record of two: `law`, made by its `parameters`, and `surface`.
         """
 
-    def scheme_for(self, model: mujoco.MjModel, elements: int) -> Scheme:
+    def scheme_for(
+        self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
+    ) -> Scheme:
         return self
 
     def workspace(
