@@ -24,6 +24,7 @@ from mjgranular.sand.chosen import choose_sand
 from mjgranular.sand.remembering import kernel_under, remembering
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Auto, Implicit, get_scheme
+from mjgranular.warp.constraints import Constraints
 from mjgranular.warp.damping import (
     assemble_damping,
     assemble_forces,
@@ -72,8 +73,6 @@ class _Arrays:
     creep: wp.array  # velocities that robots were stopped from, else zero, (nworld, nv)
     passive: wp.array  # other passive forces, (nworld, nv)
     fluid: wp.array  # damping by fluids, in the sparsity of the inertia matrix
-    regularization: wp.array  # of constraints, before the metric is known
-    reference: wp.array
 
 
 class WarpSand:
@@ -233,9 +232,8 @@ class WarpSand:
             creep=zeros((n, model.nv), float),
             passive=wp.zeros_like(d.qfrc_passive),
             fluid=wp.zeros_like(d.efm_fluid),
-            regularization=wp.zeros_like(d.efc.D),
-            reference=wp.zeros_like(d.efc.aref),
         )
+        self._constraints = Constraints(d)
         self._control_before, self._sensor_before = m.callback.control, m.callback.sensor
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
         m.has_fluid = True  # else the damping is not looked at
@@ -318,13 +316,9 @@ class WarpSand:
         if self._control_before is not None:
             self._control_before(m, d)
         a = self._arrays
-        for saved, own in (
-            (a.passive, d.qfrc_passive),
-            (a.fluid, d.efm_fluid),
-            (a.regularization, d.efc.D),
-            (a.reference, d.efc.aref),
-        ):
-            wp.copy(saved, own)
+        wp.copy(a.passive, d.qfrc_passive)
+        wp.copy(a.fluid, d.efm_fluid)
+        self._constraints.find(m, d)
         self._launch(
             warm_start,
             (self._size[0], self._model.nv),
@@ -333,14 +327,10 @@ class WarpSand:
         )
         self._resist_all(m, d, first=True)
         for _ in range(self._corrections):
-            mjw.fwd_actuation(m, d)
-            mjw.fwd_acceleration(m, d, factorize=True)
-            mjw.solve(m, d)
-            # The metric has changed these, and will again.
-            wp.copy(d.efc.D, a.regularization)
-            wp.copy(d.efc.aref, a.reference)
+            self._constraints.solve(m, d)
             self._foresee(m, d)
             self._resist_all(m, d)
+        self._constraints.prepare(m, d)
 
     def _on_sensor(self, m: Any, d: Any, stage: Any) -> None:
         """Reads the forces that acted, once accelerations are known."""
