@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Unpack
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
