@@ -264,8 +264,8 @@ class Loader:
                 digest.update(ctypes.string_at(_pointer(model + offset), size))
         return digest.digest()
 
-    def _switches(self, model: int) -> np.ndarray:
-        """A copy of the options from the integrator on, without the flag that disables contacts.
+    def _switches(self, model: int) -> bytes:
+        """The options from the integrator on, without the flag that disables contacts.
 
         Sand does not look at contacts when it is prepared, and MuJoCo's compiler makes an `mjData`
         with that flag set before there is one for the user.
@@ -273,7 +273,7 @@ class Loader:
         text = ctypes.string_at(model + self._layout.integrator, _SWITCHES)
         switches = np.frombuffer(text, np.int32).copy()
         switches[DISABLEFLAGS_BEHIND_INTEGRATOR // switches.itemsize] &= ~_NO_CONTACTS
-        return switches
+        return switches.tobytes()
 
     def _hide(self, model: int, geoms: tuple[int, ...]) -> bool:
         """Hides geoms that are drawn otherwise; says whether any were to be seen."""

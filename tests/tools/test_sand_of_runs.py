@@ -17,7 +17,7 @@ from mjgranular.errors import GranularWarning, OutputError
 from mjgranular.learn.compare import compare
 from mjgranular.learn.policies import load_policy, shipped_policies
 from mjgranular.learn.run import Run, begin_run, open_run
-from mjgranular.learn.sands import arguments_for, as_variant, changes, sands_made, sands_of
+from mjgranular.learn.sands import Sands, arguments_for, as_variant, changes, sands_made, sands_of
 from mjgranular.learn.settings import Settings, change, find_settings
 from mjgranular.learn.train import train
 from mjgranular.medium import Medium, media
@@ -73,6 +73,13 @@ def edited(run: Run, to: Path, **content: Any) -> Path:
     return to
 
 
+def only(sands: Sands | None) -> dict[str, Any]:
+    """The one sand that there is."""
+    assert sands is not None
+    (sand,) = sands
+    return sand
+
+
 def weights(run: Run) -> np.ndarray:
     parameters = load_policy(run.path).model.state_dict().values()
     return np.concatenate([p.numpy().ravel() for p in parameters])
@@ -80,7 +87,7 @@ def weights(run: Run) -> np.ndarray:
 
 def test_a_run_and_its_checkpoints_say_what_its_sand_is(whole_and_broken):
     whole, broken = whole_and_broken
-    (sand,) = open_run(whole.path).sand or ()
+    sand = only(open_run(whole.path).sand)
     assert (sand["medium"], sand["law"], sand["memory"]) == ("quikrete_medium", "rft3d", None)
     assert sand["surface"] == "plane height=0.0 slope=0.0 uphill=0.0"
     assert sand["constants"]["density"] == media["quikrete_medium"].density.value
@@ -197,7 +204,7 @@ def test_all_sands_of_an_environment_are_noted():
     spec = mujoco.MjSpec.from_string(BODY)
     mjgranular.add_sand(spec, surface="plane slope=0.1", memory="cell=0.02", law="rft3d scale=2")
     model = spec.compile()
-    (sand,) = sands_of(SimpleNamespace(unwrapped=SimpleNamespace(model=model))) or ()
+    sand = only(sands_of(SimpleNamespace(unwrapped=SimpleNamespace(model=model))))
     assert (sand["surface"], sand["memory"]) == (
         "plane height=0.0 slope=0.1 uphill=0.0",
         "cell=0.02",
@@ -205,7 +212,7 @@ def test_all_sands_of_an_environment_are_noted():
     assert (sand["law"], sand["constants"]["scale"]) == ("rft3d", 2)
     bare = mujoco.MjModel.from_xml_string(BODY)
     own = SimpleNamespace(model=bare, bed=mjgranular.Sand(bare, law="rft3d"))
-    (held,) = sands_of(SimpleNamespace(unwrapped=own)) or ()
+    held = only(sands_of(SimpleNamespace(unwrapped=own)))
     assert (held["medium"], held["law"]) == ("quikrete_medium", "rft3d")
 
 
