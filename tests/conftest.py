@@ -107,6 +107,12 @@ def chain_model() -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(FOLDER / "data" / "chain.xml"))
 
 
+@pytest.fixture(scope="session")
+def most_work_given() -> Callable[..., float]:
+    """The most work that sand gives in a step to a body that is pushed at random: `pushes.py`."""
+    return _load("pushes").most_work_given
+
+
 @pytest.fixture
 def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[Medium], Medium]:
     """`register_medium`, undone after the test."""

@@ -11,8 +11,10 @@ from mjgranular.extras import need
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES
 from mjgranular.learn.blocks import Actor
+from mjgranular.learn.evaluate import parse_variant
 from mjgranular.learn.policies import Policy, load_policy
 from mjgranular.learn.run import Run
+from mjgranular.learn.sands import Sands, arguments_for, as_variant
 
 
 def find_actor(
@@ -59,6 +61,30 @@ def find_actor(
             "--agent it is the policy that acts"
         )
     return Actor(agent, env_id, arguments, agent, gait)
+
+
+def doubt_of(actor: Actor, variant: str, now: Sands | None) -> str | None:
+    """A sentence on a policy that is not on the sand that it was trained on; None if it is.
+
+    Args:
+        actor: who acts.
+        variant: `name=value,...`, changes of the environment's arguments: what the user has asked
+            for in it goes without a word.
+        now: the sand of the environment, with the variant; None where it is not known.
+    """
+    run = actor.who.run if isinstance(actor.who, Policy) else None
+    if run is None or actor.environment != run.environment:
+        return None
+    changes = parse_variant(variant)
+    other = run.other_sand(now, changes)
+    if other is None:
+        return None
+    if run.sand is None:
+        return f"{actor.name} {other}; --on law=NAME is for another"
+    restored = arguments_for(run.sand, run.environment, {**actor.arguments, **changes})
+    if restored is None:
+        return f"{actor.name} {other}; its environment cannot be given that any more"
+    return f"{actor.name} {other}; --on {as_variant(restored)} gives it what it was begun on"
 
 
 def _policy(what: str, policy: Policy, environment: str | None, trust: bool) -> Actor:

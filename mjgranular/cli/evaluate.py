@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,14 +12,15 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular.cli.agents import find_actor
+from mjgranular.cli.agents import doubt_of, find_actor
 from mjgranular.cli.console import out, print_json, progress_bar
 from mjgranular.cli.engines import BlockEngineOptions, kept, tell_interrupted
-from mjgranular.errors import InputError
+from mjgranular.errors import InputError, warn_user
 from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.learn import environments
 from mjgranular.learn.blocks import Evaluation, Job, run_evaluation
 from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, parse_variant
+from mjgranular.learn.sands import sands_of
 from mjgranular.pool import Journal, Mapped
 
 _SPEED = "x_velocity"
@@ -104,9 +106,13 @@ class EvaluateCommand(BlockEngineOptions):
             for what in self.policies
         ]
         jobs = [Job(actor, variant) for actor in actors for variant in ("", *self.on)]
+        doubts = []
         for actor, variant in jobs:  # a mistake in one is told before the others are run
             given = {**actor.arguments, **parse_variant(variant)}
-            environments.one(actor.environment, given).close()
+            with closing(environments.one(actor.environment, given)) as env:
+                doubts.append(doubt_of(actor, variant, sands_of(env)))
+        for doubt in dict.fromkeys(filter(None, doubts)):
+            warn_user(doubt)
         return Evaluation(jobs, self.seeds, self.first_seed)
 
     def _scores(self, evaluation: Evaluation, journal: Journal) -> list[Score] | Mapped:

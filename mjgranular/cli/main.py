@@ -97,6 +97,10 @@ def _main(given: Sequence[str]) -> int:
     if given and not given[0].startswith("-") and given[0] not in COMMANDS:
         show_error(str(UnknownNameError("command", given[0], COMMANDS)))
         return 2
+    twice = _given_twice(given)
+    if twice is not None:  # the first would be dropped without a word
+        show_error(f"{twice} is given twice: give it once, with all of its values behind it")
+        return 2
     command = tyro.cli(
         _Command,
         prog="mjgranular",
@@ -131,6 +135,17 @@ def _main(given: Sequence[str]) -> int:
             raise
         show_error(one_line(str(error)))  # of an environment that draws itself
         return 2
+
+
+def _given_twice(given: Sequence[str]) -> str | None:
+    """The first option that is given a second time; None if none is."""
+    seen = set()
+    for argument in given:
+        name = argument.partition("=")[0].replace("_", "-")
+        if name.startswith("--") and name in seen:
+            return name
+        seen.add(name)
+    return None
 
 
 def _is_text(argument: str) -> bool:

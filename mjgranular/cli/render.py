@@ -14,7 +14,13 @@ from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.drop import FILM
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.impact import VIDEO, film_impact
-from mjgranular.errors import GranularError, GranularWarning, InputError, OutputError
+from mjgranular.errors import (
+    GranularError,
+    GranularWarning,
+    InputError,
+    OutputError,
+    warn_user,
+)
 from mjgranular.experiment.drop import load, memory_of, surface_drawn
 from mjgranular.experiment.folder import (
     ResultFolder,
@@ -152,12 +158,16 @@ class RenderCommand:
 
     def _policy(self, film: Film) -> Draw:
         """How to film a policy."""
-        from mjgranular.cli.agents import find_actor
+        from mjgranular.cli.agents import doubt_of, find_actor
         from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
         from mjgranular.learn.film import film_episode
+        from mjgranular.learn.sands import sands_made
 
         actor = find_actor(str(self.run_folder), trust=self.trust)
         arguments = {**actor.arguments, **parse_variant(self.on)}
+        doubt = doubt_of(actor, self.on, sands_made(actor.environment, arguments))
+        if doubt is not None:
+            warn_user(doubt)
 
         def draw(folder: ResultFolder, name: str) -> list[GranularError]:
             with progress_bar("filming", film.seconds * film.fps, remaining=True) as show:

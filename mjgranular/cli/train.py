@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -19,11 +20,12 @@ from mjgranular.cli.console import (
     show_warp_compilation,
 )
 from mjgranular.cli.tuning import SearchOptions, is_search, search_anew, search_on
-from mjgranular.errors import InputError, MissingExtraError
+from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
 from mjgranular.learn.on_ray import check_training
 from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.sands import sands_of
 from mjgranular.learn.settings import Settings, change, find_settings
 from mjgranular.learn.train import Training, train
 from mjgranular.pool import Workers
@@ -174,8 +176,18 @@ class TrainCommand(SearchOptions):
             settings = replace(settings, processes=True)
         seed = 0 if self.seed is None else self.seed
         # A mistake in the arguments of the environment is found before a folder is made.
-        environments.one(self.environment, settings.environment).close()
+        self._look(environments.one(self.environment, settings.environment))
         return self.environment, settings, seed
+
+    def _look(self, env: Any) -> None:
+        """Says so where a policy is trained without sand."""
+        with closing(env):
+            sands = sands_of(env)
+        if sands == []:
+            name = _short(str(self.environment)).rpartition("-v")[0]
+            there = importlib.import_module("mjgranular.envs.tasks").tasks
+            ours = f"mjgranular/{name}-v0" if name in there else "what `mjgranular envs` lists"
+            warn_user(f"{self.environment} has no sand in its model: {ours} has")
 
     def _begun(self) -> Run:
         environment, settings, seed = self._asked()

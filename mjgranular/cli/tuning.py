@@ -119,7 +119,8 @@ def search_on(path: Path, on: Workers, *, trust: bool, as_json: bool) -> int:
     """Goes on with the search in a folder."""
     study = open_study(path)
     tuning = study.tuning
-    Run(path, tuning.environment, tuning.settings, tuning.seed, {}, trust).check_environment()
+    run = Run(path, tuning.environment, tuning.settings, tuning.seed, {}, trusted=trust)
+    run.check_environment()
     check_place(study.tuning, on)
     if study.is_finished():
         err.print(

@@ -11,10 +11,15 @@ from mjgranular.engine.config import KEYS, read_config
 from mjgranular.engine.library import config_texts, instance_name, plugin_slot
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.given import check_data, check_model
+from mjgranular.law import Law
+from mjgranular.medium import Medium
 from mjgranular.relief.heights import Heights, heights_of
-from mjgranular.relief.memory import as_memory
+from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.relief.relief import place_in_plane
 from mjgranular.sand.chosen import geoms_in_sand
+from mjgranular.sand.material import material_of
+from mjgranular.sand.spec import SandSpec
+from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of
 
 NAME = "mjgranular.sand"
@@ -53,9 +58,29 @@ def bodies_of_sands(model: mujoco.MjModel) -> Iterator[tuple[str, set[int]]]:
         InputError: what is written for one cannot be read, or does not fit the model.
     """
     for name in sands_in(model):
-        texts = config_texts(model._address, instance_of(model, name), KEYS)
-        geoms = geoms_in_sand(model, read_config(texts).sand)
+        geoms = geoms_in_sand(model, _spec_of(model, instance_of(model, name)))
         yield name, {int(model.geom_bodyid[geom]) for geom in geoms}
+
+
+def material_in(
+    model: mujoco.MjModel, name: str = "sand"
+) -> tuple[Medium, Law, Surface, Memory | None]:
+    """The sand that a model has inside `mj_step`, with what follows from its defaults.
+
+    Args:
+        model: the model.
+        name: of the instance.
+
+    Returns:
+        Its medium, law with its constants, surface without memory, and memory.
+
+    Raises:
+        UnknownNameError: the model has no such sand; lists those it has.
+        InputError: what is written for it cannot be read, or does not fit the model.
+    """
+    sand = _spec_of(model, instance_of(model, name))
+    medium, law = material_of(model, geoms_in_sand(model, sand), sand)
+    return medium, law, surface_of(sand.surface), as_memory(sand.memory)
 
 
 def relief_of(
@@ -80,7 +105,7 @@ def relief_of(
     check_model(model, "relief_of")
     check_data(data, "relief_of")
     instance = instance_of(model, name)
-    sand = read_config(config_texts(model._address, instance, KEYS)).sand
+    sand = _spec_of(model, instance)
     memory = as_memory(sand.memory)
     if memory is None:
         raise InputError(
@@ -92,3 +117,8 @@ def relief_of(
         middle = place_in_plane(surface_of(sand.surface), model, point)
     first = int(model.plugin_stateadr[instance])
     return heights_of(data.plugin_state[first : first + memory.state_size], memory, middle)
+
+
+def _spec_of(model: mujoco.MjModel, instance: int) -> SandSpec:
+    """The sand as it is written in a model."""
+    return read_config(config_texts(model._address, instance, KEYS)).sand

@@ -33,7 +33,7 @@ from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.fork import LOADER
-from mjgranular.kernel.options import NO_PASSIVE_FORCES
+from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE_FORCES
 from mjgranular.look import NOT_SHOWN, TILE, TILES, PlaneLook, radius_of
 from mjgranular.medium import media
 from mjgranular.names import name_of
@@ -52,6 +52,7 @@ _PREFIXES = (
     "body_", "geom_", "jnt_", "dof_", "hfield_", "mesh_vert", "mesh_face", "mesh_pos", "mesh_quat",
 )  # fmt: skip
 _SWITCHES = 64  # bytes of `opt` from the integrator on: solver, Jacobian, flags
+_NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 _SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_adr")
 _SITES = ("site_bodyid", "site_type", "site_size")
 _NAMES = ("qpos0", "plugin", *_SENSORS, *_SITES, "sensor_type", "sensor_needstage")
@@ -254,7 +255,7 @@ class Loader:
     def _key(self, model: int, instance: int, texts: dict[str, str]) -> bytes:
         """Digest of all that the sand is made of."""
         digest = hashlib.blake2b(self._sizes(model), digest_size=16)
-        digest.update(ctypes.string_at(model + self._layout.integrator, _SWITCHES))
+        digest.update(self._switches(model))
         digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
         if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it chooses by the time step
             digest.update(ctypes.string_at(model + self._layout.timestep, 8))
@@ -262,6 +263,17 @@ class Loader:
             if not name.startswith(_NO_MATTER):
                 digest.update(ctypes.string_at(_pointer(model + offset), size))
         return digest.digest()
+
+    def _switches(self, model: int) -> bytes:
+        """The options from the integrator on, without the flag that disables contacts.
+
+        Sand does not look at contacts when it is prepared, and MuJoCo's compiler makes an `mjData`
+        with that flag set before there is one for the user.
+        """
+        text = ctypes.string_at(model + self._layout.integrator, _SWITCHES)
+        switches = np.frombuffer(text, np.int32).copy()
+        switches[DISABLEFLAGS_BEHIND_INTEGRATOR // switches.itemsize] &= ~_NO_CONTACTS
+        return switches.tobytes()
 
     def _hide(self, model: int, geoms: tuple[int, ...]) -> bool:
         """Hides geoms that are drawn otherwise; says whether any were to be seen."""

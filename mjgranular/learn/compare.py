@@ -17,6 +17,7 @@ from mjgranular.learn.blocks import Actor, Evaluation, Job, run_evaluation
 from mjgranular.learn.evaluate import FIRST_SEED, Mean, Score, check_seeds, mean_of
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.sands import sands_made
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import train
 from mjgranular.pool import Mapped, Workers, map_tasks
@@ -119,7 +120,7 @@ def compare(
 
     Raises:
         UnknownNameError: no such robot.
-        OutputError: a run in the folder was begun with other settings.
+        OutputError: a run in the folder was begun with other settings, or on other sand.
     """
     if robot not in GROUNDS:
         raise UnknownNameError("robot to compare grounds with", robot, GROUNDS)
@@ -183,6 +184,9 @@ def _run(
         raise OutputError(
             f"{path} holds a run with other settings: choose another folder with --out"
         )
+    other = run.other_sand(sands_made(run.environment, run.arguments))
+    if other is not None:
+        raise OutputError(f"{path} {other}; choose another folder with --out")
     return run
 
 

@@ -244,7 +244,7 @@ def built(run: Run, model: Any, runners: int) -> Any:
                 name,
                 env_config={
                     "environment": run.environment,
-                    "arguments": dict(settings.environment),
+                    "arguments": run.arguments,
                     "scaling": (
                         settings.normalize_observations,
                         settings.normalize_rewards,

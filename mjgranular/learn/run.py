@@ -8,9 +8,9 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from mjgranular.errors import (
 )
 from mjgranular.experiment.folder import CONFIG, TRAINING
 from mjgranular.learn.normalizer import FILE as NORMALIZER
+from mjgranular.learn.sands import Sands, changes, read_sands, sands_made, told
 from mjgranular.learn.settings import Settings
 from mjgranular.pool.versions import versions
 from mjgranular.saved import is_text, number, read_json, read_text
@@ -51,7 +52,10 @@ class Run:
         settings: resolved.
         seed: all random numbers follow from it.
         versions: of the packages that it was begun with.
+        sand: of its environment when it was begun; None where that is not known, for one of a
+            version that did not note it.
         trusted: whether the user vouches for it, so that what it names may be executed.
+        restored: arguments that give the environment the sand that it had when the run was begun.
     """
 
     path: Path
@@ -59,7 +63,14 @@ class Run:
     settings: Settings
     seed: int
     versions: dict[str, Any]
+    sand: Sands | None = None
     trusted: bool = False
+    restored: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Of the environment, as it is made to be trained in."""
+        return {**self.settings.environment, **self.restored}
 
     @property
     def name(self) -> str:
@@ -71,6 +82,7 @@ class Run:
         return {
             "command": TRAINING,
             "environment": self.environment,
+            "sand": self.sand,
             "seed": self.seed,
             "settings": self.settings.as_json(),
             "versions": self.versions,
@@ -135,6 +147,30 @@ class Run:
         folder = self.newest_checkpoint()
         return 0 if folder is None else read_state(folder)[0]
 
+    def other_sand(self, now: Sands | None, settled: Iterable[str] = ()) -> str | None:
+        """Says how sand differs from what the run was begun on, or that this is not known.
+
+        Args:
+            now: the sand of an environment; None where it is not known.
+            settled: names of arguments that the user has changed himself.
+
+        Returns:
+            The end of a sentence that begins with the run; None where nothing differs, or where
+            nobody can know it.
+        """
+        if now is None:
+            return None
+        if self.sand is not None:
+            found = changes(self.sand, now, settled)
+            return f"was begun on other sand: {', '.join(found)}" if found else None
+        chosen = {"law", *settled} if "law" in self.settings.environment else {*settled}
+        if not now or "law" in chosen or "medium" in chosen:
+            return None
+        return (
+            f"does not say what sand it was begun on: here that is {told(now)}, and before version "
+            "0.2 no law was for fast motion"
+        )
+
     def check_environment(self) -> None:
         """Makes sure that nothing is imported only because a stranger's file names it.
 
@@ -161,6 +197,8 @@ def begin_run(
 ) -> Run:
     """Makes the folder of a new run. Of two processes that try at once one is refused.
 
+    The environment is made once, for its sand to be noted.
+
     Args:
         path: the folder.
         environment: Gymnasium's id.
@@ -170,6 +208,7 @@ def begin_run(
 
     Raises:
         OutputError: the folder has something in it, or cannot be written to.
+        GranularError: the environment cannot be made; says why.
     """
     path = Path(path)
     if not 0 <= seed < 2**31:
@@ -177,12 +216,14 @@ def begin_run(
     if not is_text(environment):
         raise InputError(f"an environment has a name that can be printed, not {environment!r}")
     packages = ("ray",) if engine == "ray" else ()
-    run = Run(path, environment, settings, seed, current_versions(*packages), trusted=True)
     started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
     if path.exists() and not path.is_dir():
         raise OutputError(f"cannot write to {path}: it is not a folder")
     if (path / CONFIG).exists():  # a run at work is locked, and told of as a run all the same
         raise _held(path)
+    sand = sands_made(environment, settings.environment)
+    made_with = current_versions(*packages)
+    run = Run(path, environment, settings, seed, made_with, sand, trusted=True)
     with files.locked(path):
         files.remove_leftovers(path, (CONFIG,))
         if any(file.name != files.LOCK for file in path.iterdir()):
@@ -232,6 +273,7 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
         ):
             raise OutputError(f"{CONFIG}: versions must name packages and their versions")
         settings = Settings.from_json(content.get("settings"))
+        sand = read_sands(content.get("sand"), CONFIG)
     except MissingExtraError:
         raise
     except GranularError as error:
@@ -239,7 +281,7 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
             f"{path} holds no training run ({error}); make one with mjgranular train ENV --out "
             f"{path}"
         ) from None
-    return Run(path, str(environment), settings, seed, made_with, trust)
+    return Run(path, str(environment), settings, seed, made_with, sand, trust)
 
 
 def read_state(checkpoint: Path) -> tuple[int, float]:

@@ -7,13 +7,13 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mjgranular import files
-from mjgranular.errors import InputError, warn_user
+from mjgranular.errors import InputError, OutputError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.extras import need
 from mjgranular.learn import environments
@@ -34,6 +34,7 @@ from mjgranular.learn.run import (
     Run,
     current_versions,
 )
+from mjgranular.learn.sands import arguments_for, as_variant, sands_made
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
 from mjgranular.learn.weights import policy_arguments
 from mjgranular.pool import Workers
@@ -75,6 +76,9 @@ def train(
     the run's seed and the number of steps, whether the process goes on or another one does. So a
     run that was killed and resumed gives the same policy, to the last bit, as one that was not.
 
+    Where the environment has other sand by now than the run was begun on, as when a default has
+    changed, it goes on upon that which it was begun on.
+
     Args:
         run: what to train.
         report: called at every step of the environments; on Ray after each rollout.
@@ -87,8 +91,9 @@ def train(
 
     Raises:
         InputError: the environment, the algorithm or its arguments do not go together.
-        OutputError: the environment's module would be executed only because a file names it; or a
-            checkpoint cannot be written or read; those before it are whole.
+        OutputError: the environment's module would be executed only because a file names it; it
+            cannot have the sand any more that the run was begun on; or a checkpoint cannot be
+            written or read; those before it are whole.
         UnstableError: the policy's numbers are not finite any more.
     """
     torch = need("torch", extra="train", purpose="Training a policy")
@@ -96,6 +101,7 @@ def train(
     # Networks of this size are quicker on one thread; the other cores step environments.
     torch.set_num_threads(1)
     run.check_environment()
+    run = _on_its_sand(run)
     there = run  # as this process has it
     check_training(run.settings, on)
     if on is not None and on.engine == "ray":
@@ -158,6 +164,30 @@ def _warn_of_versions(run: Run) -> None:
         )
 
 
+def _on_its_sand(run: Run) -> Run:
+    """The run, with arguments that restore the sand that it was begun on, if need be.
+
+    Raises:
+        OutputError: none do.
+    """
+    now = sands_made(run.environment, run.arguments)
+    other = run.other_sand(now)
+    if other is None or now is None:
+        return run
+    if run.sand is None:
+        if run.checkpoints():
+            warn_user(f"{run.path} {other}; it goes on upon that")
+        return run
+    restored = arguments_for(run.sand, run.environment, run.arguments)
+    if restored is None:
+        raise OutputError(
+            f"{run.path} {other}; its environment cannot be given that any more: train anew, with "
+            "another --out"
+        )
+    warn_user(f"{run.path} {other}; it goes on with what it was begun on, {as_variant(restored)}")
+    return replace(run, restored=restored)
+
+
 def environments_of(run: Run, *, threads: int | None = None, warp: str | None = None) -> Any:
     """The environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
@@ -166,7 +196,7 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
     settings = run.settings
     env = environments.for_training(
         run.environment,
-        settings.environment,
+        run.arguments,
         num_envs=settings.num_envs,
         processes=settings.processes,
         threads=threads,

@@ -17,6 +17,7 @@ from mjgranular.learn.episodes import run_episodes
 from mjgranular.learn.evaluate import mean_of
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import Run, begin_run, open_run
+from mjgranular.learn.sands import sands_made
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.train import train
 from mjgranular.signals import Stopped
@@ -143,6 +144,9 @@ def _run(task: Task) -> Run:
     asked = (task.environment, task.seed, task.settings.as_json())
     if (run.environment, run.seed, run.settings.as_json()) != asked:
         raise OutputError(f"{path} holds a run with other settings: move it away")
+    other = run.other_sand(sands_made(run.environment, run.arguments))
+    if other is not None:
+        raise OutputError(f"{path} {other}; move it away")
     return replace(run, trusted=True)
 
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import program_address
-from mjgranular.law import Law, make_scene
+from mjgranular.law import Law, laws, make_scene
 from mjgranular.law.kernel import LawKernel
 from mjgranular.medium import Medium
+from mjgranular.medium.medium import DYNAMIC
 from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.update import update_program
@@ -75,11 +76,12 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         InputError: geoms that the law has no elements for, or a model that the scheme cannot step.
     """
     scheme = get_scheme(spec.scheme)
-    if within:
-        scheme = _scheme_within_step(scheme, model)
-    scheme.check(model)
+    if not within:
+        scheme.check(model)
     chosen = choose_sand(model, spec)
     medium, law, surface, elements = chosen.medium, chosen.law, chosen.surface, chosen.elements
+    if within:
+        scheme = _scheme_within_step(scheme, model, law)
     scheme = scheme.scheme_for(model, len(elements), adds_mass=law.adds_mass)
     scheme.check(model)
     memory, footprint = as_memory(spec.memory), None
@@ -129,21 +131,32 @@ def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
     return combined(spec, {"memory": fitting(model, geoms_in_sand(model, spec), memory)})
 
 
-def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel) -> SchemeChoice:
+def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -> SchemeChoice:
     """The scheme where it acts inside `mj_step`, which RK4 calls four times a step.
 
     Raises:
-        InputError: RK4, and a scheme whose forces belong to the end of the step.
+        InputError: RK4, and a law or a scheme whose forces belong to the end of the step.
     """
-    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 and not isinstance(scheme, Explicit):
-        if not (isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP):
+    if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+        fine = isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP
+        if law.adds_mass or not (fine or isinstance(scheme, Explicit)):
             raise InputError(
                 "a force that belongs to the end of the step has no place in the four stages of "
                 "the integrator RK4: set the model's integrator to implicitfast, implicit or "
-                "Euler, or scheme='explicit' with steps of microseconds"
+                f"Euler, or {_without_end_of_step(law)}scheme='explicit' with steps of microseconds"
             )
-        scheme = Explicit()
+        if fine:
+            scheme = Explicit()
     if isinstance(scheme, Explicit):
         # Between mj_step1 and mj_step2 RK4 is Euler and refused; within mj_step it is itself.
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     return scheme
+
+
+def _without_end_of_step(law: Law) -> str:
+    """Names what is to be taken with the explicit scheme in place of a law that it cannot do."""
+    if not law.adds_mass:
+        return ""
+    slow = law.name.removesuffix(DYNAMIC)
+    named = f"law={slow!r}" if slow in laws and slow != law.name else "a law without added mass"
+    return f"{named}, which is quasi-static, and "

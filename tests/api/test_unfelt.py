@@ -165,4 +165,4 @@ def test_touch_sensors_of_bodies_in_the_sand_are_told_to_be_numb(own):
     numb = [
         str(one.message) for one in said if "touch sensor sole reads contacts" in str(one.message)
     ]
-    assert bool(numb) is not own
+    assert len(numb) == (0 if own else 1)  # once, though MuJoCo's compiler makes data of its own

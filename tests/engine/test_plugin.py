@@ -221,6 +221,34 @@ def test_runge_kutta_is_refused_by_what_acts_at_the_end_of_the_step(scheme: str)
         mujoco.MjData(spec.compile())
 
 
+@pytest.mark.parametrize("scheme", ["auto", "implicit", "explicit"])
+@pytest.mark.parametrize(
+    ("law", "instead"),
+    [
+        ("rft3d_dynamic", "law='rft3d', which is quasi-static, and scheme='explicit'"),
+        ("rft3d added=2", "a law without added mass, which is quasi-static, and scheme='explicit'"),
+    ],
+)
+def test_the_way_out_of_runge_kutta_is_told_for_the_law_at_hand(
+    scheme: str, law: str, instead: str
+) -> None:
+    spec = Link().spec()
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.timestep = 1e-6
+    add_sand(spec, law=law, medium="quikrete_medium", scheme=scheme)
+    with pytest.raises(ValueError, match=f"implicitfast, implicit or Euler, or {instead}"):
+        mujoco.MjData(spec.compile())
+
+
+def test_the_way_out_of_runge_kutta_is_one() -> None:
+    spec = Link().spec()
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.timestep = 1e-6
+    add_sand(spec, law="rft3d", medium="quikrete_medium", scheme="explicit")
+    model = spec.compile()
+    mujoco.mj_step(model, mujoco.MjData(model))
+
+
 def test_two_media_in_two_beds() -> None:
     spec = mujoco.MjSpec.from_string(TWO_BEDS)
     add_sand(spec, law=DepthVelocityLaw(stiffness=100), surface=Bed("left"))

@@ -157,22 +157,13 @@ def test_rest_is_exact(law, timestep):
     assert np.abs(data.qpos - at).max() < 1e-8
 
 
-def test_the_sand_takes_energy_and_gives_none():
+def test_the_sand_takes_energy_and_gives_none(most_work_given):
     law = replace(DynamicRft3dLaw.from_medium("quikrete_medium"), grain=1e-3)
     model, data = plate(0.01, (0.0, 0.0, 0.0))
     model.opt.timestep = 4e-3
-    sand, rng, most = Sand(model, law=law), np.random.default_rng(0), -math.inf
-    for _ in range(300):
-        data.xfrc_applied[1] = rng.normal(size=6) * (8, 8, 8, 0.1, 0.1, 0.1)
-        mujoco.mj_step1(model, data)
-        pushed = data.xfrc_applied[1].copy()
-        sand.apply(data)
-        wrench = data.xfrc_applied[1] - pushed
-        rotation = data.xmat[1].reshape(3, 3).copy()
-        mujoco.mj_step2(model, data)
-        motion = np.concatenate([data.qvel[:3], rotation @ data.qvel[3:]])
-        most = max(most, wrench @ motion * model.opt.timestep)
-        data.xfrc_applied[1] = 0
+    most = most_work_given(
+        Sand(model, law=law), model, data, pushes=(8, 8, 8, 0.1, 0.1, 0.1), steps=300
+    )
     assert most < 1e-12
 
 

@@ -460,6 +460,7 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
         (["evaluate", ID, "--agent", "nobody"], "no agent 'nobody'; there are: policy, zero"),
         (["evaluate", ID, "--agent", "gait"], "no scripted gait for Pendulum-v1"),
         (["evaluate", ID, "--agent", "zero", "--on", "g"], "NAME=VALUE,NAME=VALUE"),
+        (["evaluate", ID, "--on", "g=1", "--on", "g=2"], "--on is given twice: give it once, with"),
         (["evaluate", ID, "--agent", "zero", "--seeds", "1"], "at least 2 seeds, not 1"),
     ],
 )
