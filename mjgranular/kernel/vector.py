@@ -145,6 +145,13 @@ def norm(a):
 
 
 @partial(compiled, inline=True)
+def across(u):
+    """A unit vector across a unit vector."""
+    other = vector(0.0, u.z, -u.y) if abs(u.x) < 0.7 else vector(-u.z, 0.0, u.x)
+    return other / norm(other)
+
+
+@partial(compiled, inline=True)
 def outer(a, b):
     """Outer product: the matrix a b^T."""
     return vector(a.x * b, a.y * b, a.z * b)

@@ -24,7 +24,7 @@ from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.vector import cross, diagonal, dot, norm, outer, vector
+from mjgranular.kernel.vector import across, cross, diagonal, dot, norm, outer, vector
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.law.patch_slope import leading_slope, wet_slope
 
@@ -250,10 +250,3 @@ def load_of(depth, h1, h2, mean, c, a, b):
         return share * max(depth, 0.0), s, t
     wet, _, _ = wet_part(depth + s * h1 + t * h2, (1.0 - abs(s)) * h1, (1.0 - abs(t)) * h2)
     return share * wet, s, t
-
-
-@partial(compiled, inline=True)
-def across(u):
-    """A unit vector across a unit vector."""
-    other = vector(0.0, u.z, -u.y) if abs(u.x) < 0.7 else vector(-u.z, 0.0, u.x)
-    return other / norm(other)

@@ -126,18 +126,15 @@ class Solver:
         steps: in which an element was in the sand.
         evaluations: of all forces, in these steps together.
         most: in one step.
-        softened: steps that had to make do with a softer rest.
-        unfinished: steps that left more than a millionth of the momentum at hand unbalanced; their
-            forces are scaled down until they give no energy.
-        residual: what the last step left, in parts of the momentum that it moved; infinite where
-            it was not known by the end what holds and what slides.
+        unfinished: steps in which the law's forces leave more than a millionth of the momentum at
+            hand unbalanced; they are made with a damping near these forces that takes energy.
+        residual: what the last step left, in parts of the momentum at hand.
         worst: of all steps.
     """
 
     steps: int
     evaluations: int
     most: int
-    softened: int
     unfinished: int
     residual: float
     worst: float

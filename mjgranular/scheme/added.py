@@ -9,6 +9,10 @@ rest. By the end of the step all of it moves as the element does, and the elemen
 This is linear in v', with m n n^T beside the inertias of the bodies in the Jacobian. Sand that is
 left behind keeps its momentum. Nothing is carried from step to step: m and m' follow from where the
 element is and the velocity that has brought it there.
+
+Sand in motion pushes on what slows down. As m is at least m', that gives no more than it loses,
+
+    h f n.v' <= m' (n.v)^2 / 2 - m (n.v')^2 / 2 .
 """
 
 from __future__ import annotations
@@ -33,21 +37,26 @@ class Momentum(NamedTuple):
 
 @cache
 def momentum_kernel(kernel: LawKernel) -> Any:
-    """Makes a kernel `note_momentum(tile, h)`: looks at what elements move along.
+    """Makes a kernel `note_momentum(tile, live, h)`: looks at what elements move along.
 
-    It is asked at the start of a step of `h` seconds, when velocities in tiles are those.
+    It is asked at the start of a step of `h` seconds, when velocities in tiles are those. Of the
+    first `live` elements it returns the energy of the sand that moves with them [J].
     """
     added, lanes, first = kernel.added, kernel.lanes, added_row(kernel) * kernel.lanes
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     write = column(Momentum, lanes).write
 
     @compiled
-    def note_momentum(tile, h):
+    def note_momentum(tile, live, h):
+        energy = 0.0
         for lane in range(lanes):
             v = read(tile, VELOCITY * lanes + lane)
             sand = added(read_sample(tile, SAMPLE * lanes + lane), v, h)
-            rate, start = sand.mass / h, sand.before * dot(sand.normal, v) / h
-            write(tile, first + lane, Momentum(sand.normal, rate, start))
+            speed = dot(sand.normal, v)
+            momentum = sand.before * speed
+            write(tile, first + lane, Momentum(sand.normal, sand.mass / h, momentum / h))
+            energy += 0.5 * momentum * speed if lane < live else 0.0
+        return energy
 
     return note_momentum
 

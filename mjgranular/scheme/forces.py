@@ -13,9 +13,10 @@ from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.lanes import total_of
 from mjgranular.kernel.memory import held
 from mjgranular.kernel.motion import velocity_at
-from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, vector
+from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, norm, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
+from mjgranular.law.secant import secant
 from mjgranular.scheme.added import added_kernel, momentum_kernel
 from mjgranular.scheme.layout import (
     ARM,
@@ -64,6 +65,7 @@ class TileKernels:
             mismatch.
         follow: kernel `follow(tile, motion, wrench, eps)`: the forces that the derivatives say for
             the body's motion, and adds these to those of the body; the greatest `turn`.
+        damp: as `respond`, with secants of the forces (`law.secant`) in place of derivatives.
     """
 
     size: int
@@ -72,11 +74,12 @@ class TileKernels:
     respond: Any
     add: Any
     follow: Any
+    damp: Any
 
 
 @partial(compiled, inline=True)
-def _no_momentum(tile, h):
-    pass
+def _no_momentum(tile, live, h):
+    return 0.0
 
 
 @cache
@@ -93,12 +96,13 @@ def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
     @partial(compiled, inline=True)
     def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
         w.heads[number].body, w.heads[number].live = body.body, live
-        note_momentum(tile, w.h)
+        w.moving += note_momentum(tile, live, w.h)
 
     sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
 
     @compiled
     def sample(table, w):
+        w.moving = 0.0
         return sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
 
     return TileKernels(
@@ -108,6 +112,7 @@ def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
         respond_kernel(kernel),
         add_kernel(kernel.lanes),
         follow_kernel(kernel),
+        damp_kernel(kernel),
     )
 
 
@@ -213,6 +218,35 @@ def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
 
 def respond_kernel(kernel: LawKernel) -> Any:
     """See `TileKernels.respond`."""
+    return with_momentum(kernel, resistance_kernel(kernel))
+
+
+def damp_kernel(kernel: LawKernel) -> Any:
+    """See `TileKernels.damp`. Multipliers have to be those of the velocities."""
+    resist, lanes = resistance_kernel(kernel), kernel.lanes
+    read, slopes = column(Vector, lanes).read, column(Matrix, lanes)
+    read_slope, write_slope = slopes.read, slopes.write
+
+    @compiled
+    def damp(tile, record, g, eps):
+        resist(tile, record, g, eps)
+        for lane in range(lanes):
+            v = read(tile, VELOCITY * lanes + lane)
+            speed = norm(v)
+            # What has no velocity has no secant: softened rest has its derivative there.
+            moves = speed > _HARD
+            inverse = 1.0 / speed if moves else 0.0
+            force = inverse * read(tile, FORCE * lanes + lane)
+            slope = read_slope(tile, SLOPE * lanes + lane)
+            slope = secant(force, slope, inverse * v) if moves else slope
+            write_slope(tile, SLOPE * lanes + lane, slope)
+
+    return with_momentum(kernel, damp)
+
+
+@cache
+def resistance_kernel(kernel: LawKernel) -> Any:
+    """Makes a kernel `resist(tile, law, g, eps)`: `respond` without sand that is moved along."""
     lanes = kernel.lanes
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     write = column(Response, lanes).write
@@ -231,7 +265,11 @@ def respond_kernel(kernel: LawKernel) -> Any:
 
         return respond_all
 
-    respond = by_complexity(kernel, in_lanes, soft=True)
+    return by_complexity(kernel, in_lanes, soft=True)
+
+
+def with_momentum(kernel: LawKernel, respond: Any) -> Any:
+    """A kernel of forces on a tile that has sand that is moved along in it."""
     if kernel.added is None:
         return respond
     add_momentum = added_kernel(kernel)

@@ -16,9 +16,10 @@ reading:
                    whatever the number of elements
     constraints    what MuJoCo's constraints add to them
     newton         Newton's method, with friction multipliers
-    continuation   where it begins, and how soft rest is: forces that hold grow to their limit over
-                   a speed far below anything visible
-    passivity      where it stops short: no energy from the sand
+    damping        forces as damping: slower, and never lost
+    solver         who of the two looks from where, and how soft rest is: forces that hold grow to
+                   their limit over a speed far below anything visible
+    passivity      where they stop short: no energy from the sand
 
 Nothing of our own is carried from step to step: the force is a function of MuJoCo's state, so that
 what is copied, saved or reset goes on alike, to the last bit.
@@ -60,7 +61,7 @@ from mjgranular.kernel.vector import cross, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
-from mjgranular.scheme.continuation import lane_vector, solver_kernel
+from mjgranular.scheme.solver import lane_vector, solver_kernel
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.forces import tile_kernels
 from mjgranular.scheme.layout import FORCE, INDEX
@@ -86,8 +87,8 @@ class Implicit(Scheme):
     """Forces at the end of the step: holds still, for steps of any size.
 
     Attributes:
-        evaluations: of all forces in one step, after which no finer softness is begun: it makes do
-            with a softer rest for this step, and counts it (`Report.solver`).
+        evaluations: of all forces in one step, after which a step for which the law's forces are
+            not found is made with a damping near them, and counted (`Report.solver`).
     """
 
     name: ClassVar[str] = "implicit"
@@ -95,7 +96,7 @@ class Implicit(Scheme):
     whole_state: ClassVar[bool] = True
     integrators: ClassVar[tuple[str, ...]] = ("EULER", "IMPLICIT", "IMPLICITFAST", "DISCRETE")
 
-    evaluations: int = 80
+    evaluations: int = 160
 
     def __post_init__(self) -> None:
         check_count("Implicit: evaluations", self.evaluations)
@@ -135,7 +136,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
     Args:
         kernel: of the law.
         scene_dtype: record of law and surface.
-        most: evaluations after which no finer softness is begun.
+        most: evaluations after which a step that is lost is made with damping.
     """
     sample_all = tile_kernels(kernel, scene_dtype).sample
     find_velocity = solver_kernel(kernel, scene_dtype, most)
@@ -166,7 +167,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             prepare_constraints(w)
             mark_wet(w)
             begin(w)
-            done, error, softened = find_velocity(table, w)
+            done, error = find_velocity(table, w)
             warm_start(w)
             share = passive_share(w, error)
             write_body_wrenches(w, bodies, share)
@@ -175,7 +176,6 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
             statistics.steps += 1
             statistics.evaluations += done
             statistics.most = max(statistics.most, done)
-            statistics.softened += softened
             statistics.unfinished += not error <= _UNFINISHED
             statistics.residual = error
             statistics.worst = max(statistics.worst, error)

@@ -17,18 +17,10 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import SCENE, records
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.balance import (
-    add_stiffness,
-    balance,
-    find_motions,
-    motion_of,
-    sum_wrenches,
-)
-from mjgranular.scheme.dense import add_scaled, clear, inner, solve
-from mjgranular.scheme.forces import NEXT, tile_kernels
-from mjgranular.scheme.wrenches import gravity_of
+from mjgranular.scheme.dense import add_scaled, inner, solve
+from mjgranular.scheme.evaluation import evaluation_kernel, following_kernel
+from mjgranular.scheme.forces import NEXT
 
 # Square of the difference of a multiplier and its velocity's: where the force may be taken for the
 # law's, and where the residual may be trusted to fall along a step. Chosen.
@@ -64,61 +56,8 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         kernel: of the law.
         scene_dtype: record of law and surface.
     """
-    of_tiles = tile_kernels(kernel, scene_dtype)
-    move, respond, add, follow = of_tiles.move, of_tiles.respond, of_tiles.add, of_tiles.follow
-    scene_records = records(scene_dtype)
-
-    @compiled
-    def evaluate(table, w, eps, update, loose):
-        """Sets residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
-
-        Args:
-            table: of addresses.
-            w: the workspace.
-            eps: softness [m/s].
-            update: of multipliers: `NEXT`, those after a step of Newton's method to this velocity;
-                `FRESH` and `SAME` as for a `Search`.
-            loose: see there [m/s].
-
-        Returns:
-            (size of the residual, greatest mismatch).
-        """
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        g = gravity_of(table)
-        find_motions(w, w.velocity)
-        for b in range(w.nbody):
-            clear(w.wrench[b])
-            clear(w.stiffness[b])
-        mismatch = 0.0
-        for i in range(w.count):
-            tile, body = w.tiles[i], w.heads[i].body
-            move(tile, motion_of(w, body), update, eps, loose)
-            respond(tile, law, g, eps)
-            mismatch = max(mismatch, add(tile, w.wrench[body], w.stiffness[body]))
-        sum_wrenches(w)
-        error, of_losses = balance(w, update)
-        add_stiffness(w)
-        return error, max(mismatch, of_losses)
-
-    @compiled
-    def follow_all(w, eps):
-        """Sets the residual at `w.velocity` with forces that follow it by their derivative.
-
-        The forces of `evaluate` at the velocity before are changed to these.
-
-        Returns:
-            (size of the residual, greatest turn: `law.kernel`).
-        """
-        find_motions(w, w.velocity)
-        for b in range(w.nbody):
-            clear(w.wrench[b])
-        turn = 0.0
-        for i in range(w.count):
-            body = w.heads[i].body
-            turn = max(turn, follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps))
-        sum_wrenches(w)
-        return balance(w, NEXT)[0], turn
+    evaluate = evaluation_kernel(kernel, scene_dtype)
+    follow_all = following_kernel(kernel, scene_dtype)
 
     @compiled
     def newton(table, w, search):

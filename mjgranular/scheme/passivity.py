@@ -1,11 +1,12 @@
 """Passivity: over a step the sand gives no energy, also where the solver stops short.
 
 With the sand's momentum j = h J^T f and the velocity v' that the step ends with, its work is
-j . v'. At a solution no element's force has a positive part in it. Where Newton's method stops
-short, forces are bounded by the law's, but need not oppose the velocities that they lead to: then
-the largest share sigma of them is taken with
+j . v'. At a solution no element's force has a positive part in it, but for what sand in motion
+gives of its energy E (`scheme.added`). Where the solver stops short, forces are bounded by the
+law's, but need not oppose the velocities that they lead to: then the largest share sigma of them is
+taken with
 
-    j . v'(sigma) <= 0,    A (v'(sigma) - v) = h (q + q_c(v'(sigma))) + sigma j.
+    j . v'(sigma) <= E,    A (v'(sigma) - v) = h (q + q_c(v'(sigma))) + sigma j.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _ROUNDING = 1e-15  # of a share
 
 @compiled
 def passive_share(w, error):
-    """The share of the sand's momentum that gives no energy; 1 if the whole gives none.
+    """The share of the sand's momentum that gives no more energy than there is; mostly 1, the whole.
 
     First by the velocity found and its residual, whose size is measured with the diagonal of the
     inertia alone, which may be far too little for long chains of light bodies: a margin of a
@@ -44,21 +45,22 @@ def passive_share(w, error):
         w: the workspace, with the velocity that was found.
         error: size of its residual, in parts of `w.scale`.
     """
+    most = w.moving + _NO_ENERGY
     if (w.descends != 0 or w.nefc == 0) and error < _TRUSTED:
         work = inner(w.sand, w.velocity)
-        if work + 1e3 * error * w.scale * size_of(w, w.sand) <= _NO_ENERGY:
+        if work + 1e3 * error * w.scale * size_of(w, w.sand) <= most:
             return 1.0
-        if expected_work(w) <= _NO_ENERGY:
+        if expected_work(w) <= most:
             return 1.0
     whole = work_of_share(w, 1.0)
-    if whole <= _NO_ENERGY:
+    if whole <= most:
         return 1.0
     none = work_of_share(w, 0.0)
-    if none >= 0.0:
+    if none >= w.moving:
         return 0.0
-    less = max(whole / (whole - none), _ROUNDING)
+    less = max((whole - w.moving) / (whole - none), _ROUNDING)
     while less < 1.0:
-        if work_of_share(w, 1.0 - less) <= 0.0:
+        if work_of_share(w, 1.0 - less) <= w.moving:
             return 1.0 - less
         less *= 2.0
     return 0.0

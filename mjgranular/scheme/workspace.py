@@ -26,7 +26,6 @@ STATISTICS_DTYPE = np.dtype(
         ("steps", np.int64),  # with an element in the sand
         ("evaluations", np.int64),  # of forces and derivatives, in all of them
         ("most", np.int64),  # in one step
-        ("softened", np.int64),  # steps that made do with a softer rest
         ("unfinished", np.int64),  # steps that left too much unbalanced
         ("residual", np.float64),  # of the last, in parts of the momentum that it moves; or inf
         ("worst", np.float64),  # of all
@@ -60,6 +59,7 @@ _INTEGERS: tuple[str, ...] = (
 _REALS: tuple[str, ...] = (
     "h",  # time step [s]
     "scale",  # size of the momentum at hand
+    "moving",  # energy of sand that is moved along at the start of the step [J]
 )
 
 
@@ -97,6 +97,9 @@ _OWN = {
     "constraint": (_F, ("nv",)),  # h q_c
     "residual": (_F, ("nv",)),  # R
     "change": (_F, ("nv",)),  # of the velocity, in a step of Newton's method
+    "near": (_F, ("nv",)),  # velocity that damping has led to
+    "found": (_F, ("nv",)),  # the one before on that way,
+    "gap": (_F, ("nv",)),  # and the change that led to it
     "rate": (_F, ("nv",)),  # (v' - v) / h
     "acceleration": (_F, ("nv",)),  # a = K (v' - v) / h, that of the constraints
     "trial": (_F, ("nv",)),  # for what is needed for a moment: these four

@@ -1,0 +1,52 @@
+"""The secant of a force: a damping that gives it at one velocity, and takes energy at any other.
+
+A force F(v) that opposes the velocity has secants, symmetric matrices that are not negative, with
+C v = -F(v):
+
+    C = F F^T / -(F.v) + P S P,    P = 1 - v v^T / |v|^2 .
+
+The first term alone would do. The second keeps other directions from being free: S is what the
+force changes by when the motion turns, the symmetric part of -dF/dv, and in no direction less than
+|F| / |v|. A force -C v' at another velocity v' takes energy, whatever v' is, and is the law's own
+where v' is v. Both engines have it from here (`scheme.damping`, `warp.resistance`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.vector import across, cross, dot, norm, outer
+
+# A force that is all but perpendicular to the motion has no secant; its power counts as at least
+# this share of |F| |v|. Chosen.
+LEAST_POWER = 0.02
+
+
+@partial(compiled, inline=True)
+def secant(force, slope, u):
+    """C of a force that moves along u.
+
+    Args:
+        force: F / |v| [N s/m].
+        slope: minus its derivative by the velocity, a matrix [N s/m].
+        u: v / |v|.
+    """
+    size, power = norm(force), -dot(force, u)
+    resists = power > 0.0
+    inverse = 1.0 / max(power, LEAST_POWER * size) if resists else 0.0
+    least = size if resists else 0.0
+    # S by its two eigenvalues.
+    a = across(u)
+    b = cross(u, a)
+    by_a, by_b = slope @ a, slope @ b
+    aa, bb, ab = dot(a, by_a), dot(b, by_b), 0.5 * (dot(a, by_b) + dot(b, by_a))
+    middle, half = 0.5 * (aa + bb), 0.5 * (aa - bb)
+    radius = math.sqrt(half * half + ab * ab)
+    first, second = max(middle + radius, least), max(middle - radius, least)
+    middle = 0.5 * (first + second)
+    part = 0.5 * (first - second) / radius if radius > 0.0 else 0.0
+    aa, bb, ab = middle + part * half, middle - part * half, part * ab
+    turn = outer(aa * a + ab * b, a) + outer(ab * a + bb * b, b)
+    return outer(inverse * force, force) + turn

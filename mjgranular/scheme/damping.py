@@ -1,0 +1,83 @@
+"""Forces as damping by their secants: slower than Newton's method, and never lost.
+
+With C the secants of the forces at a velocity (`law.secant`), the balance
+
+    A (v' - v) = h (q + q_c(v') - J^T C J v')
+
+is linear but for MuJoCo's constraints, and whatever v' it gives, the sand takes energy. Forces and
+secants are looked at there, and so on: a fixed point has the law's own forces. Each velocity is
+mixed with the one before (D. G. Anderson, J. ACM 12 (1965), of depth one): where an element comes
+to a stop in the step its velocity shrinks by a factor, and that is foreseen.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mjgranular.kernel.compiled import compiled
+from mjgranular.law.kernel import LawKernel
+from mjgranular.scheme.dense import add_scaled, copy, inner, solve
+from mjgranular.scheme.evaluation import evaluation_kernel, following_kernel
+from mjgranular.scheme.forces import FRESH
+
+# How much of the velocity before is mixed in, at most and at least: less than nothing goes beyond
+# the one that was found. Chosen; steps in MuJoCo Warp are alike with -1 and -10.
+MOST_BEFORE, LEAST_BEFORE = 0.5, -3.0
+
+
+@cache
+def damping_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """Makes the kernel `damp(table, w, eps, steps)` for a law and a surface.
+
+    Args:
+        kernel: of the law.
+        scene_dtype: record of law and surface.
+    """
+    evaluate = evaluation_kernel(kernel, scene_dtype, damped=True)
+    follow_all = following_kernel(kernel, scene_dtype)
+
+    @compiled
+    def damp(table, w, eps, steps):
+        """Goes some steps from `w.velocity`; ends where damping balances the momenta.
+
+        Args:
+            table: of addresses.
+            w: the workspace.
+            eps: softness [m/s].
+            steps: how many, each an evaluation.
+
+        Returns:
+            The residual with the law's own forces, one step before the last.
+        """
+        error = 0.0
+        for step in range(steps):
+            error, _ = evaluate(table, w, eps, FRESH, eps)
+            solved = solve(w.jacobian, w.residual, w.change)
+            if not (solved and inner(w.change, w.change) < math.inf):  # forces that are no numbers
+                break
+            mixed = share_of_before(w) if 0 < step < steps - 1 else 0.0
+            copy(w.gap, w.change)
+            add_scaled(w.velocity, -1.0, w.change)
+            for j in range(w.nv):
+                found = w.velocity[j]
+                w.velocity[j] = found + mixed * (w.found[j] - found)
+                w.found[j] = found
+        follow_all(w, eps)
+        return error
+
+    return damp
+
+
+@compiled
+def share_of_before(w):
+    """The share of the velocity found before that makes the two gaps cancel best, as momenta."""
+    product = square = 0.0
+    for j in range(w.nv):
+        fall = w.change[j] - w.gap[j]
+        product += w.change[j] * fall / w.weight[j]
+        square += fall * fall / w.weight[j]
+    return min(max(product / square, LEAST_BEFORE), MOST_BEFORE) if square > 0.0 else 0.0
