@@ -19,7 +19,9 @@ def most_work_given(
     pushes: Sequence[float],
     steps: int,
 ) -> float:
-    """Pushes body 1, which is free, by another wrench at each step; the most that the sand gives.
+    """Pushes body 1, free and at rest, by another wrench at each step; what the sand has given.
+
+    In a single step sand that moves along may give of the energy that it was given before.
 
     Args:
         sand: the sand.
@@ -29,9 +31,9 @@ def most_work_given(
         steps: how many.
 
     Returns:
-        The greatest work of the sand in a step, at the velocity that the step ends with [J].
+        The greatest work of the sand since the beginning, at velocities that steps end with [J].
     """
-    rng, most = np.random.default_rng(0), -math.inf
+    rng, total, most = np.random.default_rng(0), 0.0, -math.inf
     for _ in range(steps):
         data.xfrc_applied[1] = rng.normal(size=6) * pushes
         mujoco.mj_step1(model, data)
@@ -41,6 +43,7 @@ def most_work_given(
         rotation = data.xmat[1].reshape(3, 3).copy()
         mujoco.mj_step2(model, data)
         motion = np.concatenate([data.qvel[:3], rotation @ data.qvel[3:]])
-        most = max(most, wrench @ motion * model.opt.timestep)
+        total += wrench @ motion * model.opt.timestep
+        most = max(most, total)
         data.xfrc_applied[1] = 0
     return most

@@ -48,14 +48,45 @@ def ball(law, *, depth, velocity, timestep=1e-3, gravity=0.0, integrator="Euler"
     return model, data, Sand(model, law=law, scheme="implicit", resolution=24)
 
 
+@pytest.mark.parametrize("push", [3.0, -3.0])
 @pytest.mark.parametrize("direction", [(0, 0, -1), (1, 0, 0), (0.6, 0.0, 0.8)])
-def test_a_push_within_the_sand_moves_both(direction):
+def test_a_push_within_the_sand_moves_both(direction, push):
+    # And one that brakes has to brake both.
     _, data, sand = ball(LAYER, depth=0.2, velocity=np.array(direction))
-    data.xfrc_applied[1, :3] = 3.0 * np.array(direction)
+    data.xfrc_applied[1, :3] = push * np.array(direction)
     for _ in range(10):
         sand.step(data)
     speed = data.qvel[:3] @ np.array(direction)
-    assert speed == pytest.approx(1.0 + 3.0 * 0.01 / (MASS + MOVED), rel=1e-3)
+    assert speed == pytest.approx(1.0 + push * 0.01 / (MASS + MOVED), rel=1e-3)
+
+
+def test_a_body_that_brakes_takes_no_support_from_another():
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco>
+      <option timestep="0.002"/>
+      <worldbody>
+        <body name="block" pos="0 0 0.04">
+          <freejoint/><geom type="box" size="0.06 0.06 0.04" mass="2"/>
+        </body>
+        <body name="plough" pos="1 0 -0.05">
+          <joint type="slide" axis="1 0 0"/><geom type="box" size="0.01 0.1 0.05" mass="0.5"/>
+        </body>
+      </worldbody>
+    </mujoco>""")
+    data = mujoco.MjData(model)
+    sand = Sand(model, law=LAW, scheme="implicit")
+    for _ in range(250):
+        sand.step(data)
+    at, given = data.qpos.copy(), 0.0
+    data.joint(1).qvel = 1.0
+    for _ in range(5):
+        data.joint(1).qfrc_applied = -400.0
+        sand.step(data)
+        push = sand.report(data)["plough"].force[0]
+        given = max(given, push * data.joint(1).qvel[0])
+    assert given > 1.0  # by the sand in front of the plough [W]
+    # The softness of rest, with something in the same sand that moves at 1 m/s.
+    assert np.abs(data.qpos[:7] - at[:7]).max() < 1e-7
 
 
 @pytest.mark.parametrize("timestep", [1e-4, 1e-3, 3e-3, 0.02])
