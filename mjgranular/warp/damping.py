@@ -17,6 +17,7 @@ from typing import Any
 import warp as wp
 
 from mjgranular.law.kernel import LawKernel, Level, Pose
+from mjgranular.scheme.damping import LEAST_BEFORE, MOST_BEFORE
 from mjgranular.warp.grid import in_any_world, in_world
 from mjgranular.warp.motions import (
     Damping,
@@ -83,6 +84,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         cvel: wp.array2d(dtype=wp.spatial_vector),
         cdof: wp.array2d(dtype=wp.spatial_vector),
         foreseen: wp.array2d(dtype=float),
+        found: wp.array2d(dtype=float),
         damping: wp.array2d(dtype=Damping),
         kick: wp.array2d(dtype=wp.spatial_vector),
         depth: wp.array2d(dtype=float),
@@ -109,6 +111,9 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             now,
         )
         ahead = motion_of(slot, chain, cdof, foreseen, world)
+        sure = now  # what foresight sets out from
+        if not first:
+            sure = motion_of(slot, chain, cdof, found, world)
         level = _Level()
         if wp.static(has_cull):
             depth_here, normal = ceiling(here, pose.position)
@@ -129,19 +134,20 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                 deepest = wp.max(deepest, least)
                 if not (least > 0.0):
                     continue
-            found = sample(element, pose, law, here, g)
-            deepest = wp.max(deepest, found.depth)
-            if found.depth > 0.0:
-                arm = found.point - tree
+            place = sample(element, pose, law, here, g)
+            deepest = wp.max(deepest, place.depth)
+            if place.depth > 0.0:
+                arm = place.point - tree
                 v = velocity_at(ahead, arm)
                 start = velocity_at(now, arm)
-                if first and _turned_back(v, start, eps):
-                    v = start
+                before = velocity_at(sure, arm)
+                if _turned_back(v, before, eps):
+                    v = before
                 fastest = wp.max(fastest, wp.length(v))
-                c = resistance(found, law, g, v, soft, strong, dense)
+                c = resistance(place, law, g, v, soft, strong, dense)
                 limits += wp.trace(c) * wp.sqrt(wp.dot(v, v) + soft * soft)
                 if wp.static(adds_mass):
-                    mass = added(found, start, h)
+                    mass = added(place, start, h)
                     n = mass.normal
                     c += (dense * mass.mass / h) * wp.outer(n, n)
                     kicked = (dense * mass.before / h * wp.dot(n, start)) * n
@@ -164,7 +170,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
 
 @wp.func
 def _turned_back(foreseen: wp.vec3, now: wp.vec3, eps: float):
-    """Whether a velocity is foreseen against that of now, of what is not at rest already.
+    """Whether foresight goes against what it set out from, of what is not at rest already.
 
     What has just come to a stop is not going to turn: faces that trail have no resistance, and a
     step that began with them would end far from where it should.
@@ -250,6 +256,43 @@ def foresee(
     """Velocities that the step ends with at these accelerations."""
     world, i = wp.tid()
     foreseen[world, i] = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
+
+
+@wp.kernel(enable_backward=False)
+def foresee_anew(
+    again: bool,
+    root_first: wp.array(dtype=int),
+    row_first: wp.array(dtype=int),
+    timestep: wp.array(dtype=float),
+    inertia: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    qacc: wp.array2d(dtype=float),
+    gap: wp.array2d(dtype=float),
+    found: wp.array2d(dtype=float),
+    foreseen: wp.array2d(dtype=float),
+):
+    """Velocities that the step ends with at these accelerations, mixed with those found before.
+
+    One thread a world and robot. As on the processor (`scheme.damping`): with such a share of the
+    velocities before that the gaps between what was foreseen and found cancel best, as momenta.
+    """
+    world, r = wp.tid()
+    h = timestep[world % timestep.shape[0]]
+    product, square = float(0.0), float(0.0)
+    for i in range(root_first[r], root_first[r + 1]):
+        change = foreseen[world, i] - qvel[world, i] - h * qacc[world, i]
+        fall = change - gap[world, i]
+        gap[world, i] = change
+        weight = inertia[world, row_first[i + 1] - 1]
+        product += weight * change * fall
+        square += weight * fall * fall
+    mixed = float(0.0)
+    if again and square > 0.0:
+        mixed = wp.clamp(product / square, wp.static(LEAST_BEFORE), wp.static(MOST_BEFORE))
+    for i in range(root_first[r], root_first[r + 1]):
+        ended = qvel[world, i] + h * qacc[world, i]
+        foreseen[world, i] = ended + mixed * (found[world, i] - ended)
+        found[world, i] = ended
 
 
 @wp.kernel(enable_backward=False)

@@ -28,6 +28,7 @@ from mjgranular.warp.damping import (
     assemble_damping,
     assemble_forces,
     foresee,
+    foresee_anew,
     resist_kernel,
     stop_creep,
     warm_start,
@@ -66,6 +67,8 @@ class _Arrays:
     """What a step writes, on the device: made once, as CUDA graphs ask."""
 
     foreseen: wp.array  # velocities that the step is foreseen to end with, (nworld, nv)
+    found: wp.array  # the velocities found before these on the way,
+    gap: wp.array  # and by how much others had been foreseen
     damping: wp.array  # of each body in the sand, (nworld, bodies)
     kick: wp.array  # and the momentum of sand that moves along already, per time
     limit: wp.array  # of static resistance to each body at its elements, summed up [N]
@@ -100,7 +103,8 @@ class WarpSand:
         depth: of its deepest element below the surface [m], negative above, shape (nworld,
             bodies).
         speed: greatest of its elements in the sand [m/s].
-        power: of the sand on it [W], never positive but for rounding.
+        power: of the sand on it [W], never positive but for rounding and for what sand that is moved
+            along gives back.
 
     Raises:
         InputError: what MuJoCo Warp has no place for: the explicit scheme, plugins in the model.
@@ -177,7 +181,7 @@ class WarpSand:
         self._cold = int(m.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
         n, count = d.nworld, len(self._slots)
         copied = (d.qfrc_passive, d.efm_fluid, d.efc.D, d.efc.aref)
-        of_a_world = count * _OF_A_BODY + 8 * model.nv + sum(a.capacity for a in copied) // n
+        of_a_world = count * _OF_A_BODY + 16 * model.nv + sum(a.capacity for a in copied) // n
         check_room(device, n, of_a_world, self._elements, self._resolution)
         if isinstance(self.surface, Relief):
             check_room_to_remember(device, n, self.surface.memory)
@@ -225,6 +229,8 @@ class WarpSand:
         self.force, self.moment = zeros((n, count), wp.vec3), zeros((n, count), wp.vec3)
         self._arrays = _Arrays(
             foreseen=zeros((n, model.nv), float),
+            found=zeros((n, model.nv), float),
+            gap=zeros((n, model.nv), float),
             damping=zeros((n, count), Damping),
             kick=zeros((n, count), wp.spatial_vector),
             limit=zeros((n, count), float),
@@ -325,9 +331,17 @@ class WarpSand:
             [a.foreseen],
         )
         self._resist_all(m, d, first=True)
-        for _ in range(self._corrections):
+        for correction in range(self._corrections):
             self._constraints.solve(m, d)
-            self._foresee(m, d)
+            self._launch(
+                foresee_anew,
+                (self._size[0], len(self._roots)),
+                [
+                    *(correction > 0, self._root_first, self._row_first, m.opt.timestep),
+                    *(d.M, d.qvel, d.qacc),
+                ],
+                [a.gap, a.found, a.foreseen],
+            )
             self._resist_all(m, d)
         self._constraints.prepare(m, d)
 
@@ -376,7 +390,7 @@ class WarpSand:
                 *(self._chain_array, self._most, first, d.time),
                 *(self.strength, self.density, self.height),
                 *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
-                *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, a.foreseen),
+                *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, a.foreseen, a.found),
             ],
             [a.damping, a.kick, self.depth, self.speed, a.limit],
         )
