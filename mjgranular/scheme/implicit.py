@@ -61,13 +61,13 @@ from mjgranular.kernel.vector import cross, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
-from mjgranular.scheme.solver import lane_vector, solver_kernel
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.forces import tile_kernels
 from mjgranular.scheme.layout import FORCE, INDEX
 from mjgranular.scheme.metric import is_unforeseen, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes
+from mjgranular.scheme.solver import lane_vector, solver_kernel
 from mjgranular.scheme.status import BAD_METRIC, BAD_STATE, FINE, check_options
 from mjgranular.scheme.workspace import (
     DISCRETE,

@@ -27,7 +27,7 @@ _ROUNDING = 1e-15  # of a share
 
 @compiled
 def passive_share(w, error):
-    """The share of the sand's momentum that gives no more energy than there is; mostly 1, the whole.
+    """The share of the sand's momentum that gives no more energy than there is; 1 if all does.
 
     First by the velocity found and its residual, whose size is measured with the diagonal of the
     inertia alone, which may be far too little for long chains of light bodies: a margin of a

@@ -103,7 +103,7 @@ class WarpSand:
         depth: of its deepest element below the surface [m], negative above, shape (nworld,
             bodies).
         speed: greatest of its elements in the sand [m/s].
-        power: of the sand on it [W], never positive but for rounding and for what sand that is moved
+        power: of the sand on it [W], not positive but for rounding and for what sand that is moved
             along gives back.
 
     Raises:

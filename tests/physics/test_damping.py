@@ -88,7 +88,8 @@ def test_what_is_not_solved_ends_near_what_a_longer_search_finds():
             count = unfinished
         ends.append((np.array(found), np.array(lost)))
     (found, lost), (right, never) = ends
-    assert 5 < lost.sum() < 60 and never.sum() <= 3
+    assert 5 < lost.sum() < 60
+    assert never.sum() <= 3
     error = np.linalg.norm(found - right, axis=1) / np.linalg.norm(right - qvel, axis=1)
     # With forces scaled down until they gave no energy it was 1 for most.
     assert np.median(error[lost]) <= 0.2
