@@ -5,9 +5,9 @@ With C the secants of the forces at a velocity (`law.secant`), the balance
     A (v' - v) = h (q + q_c(v') - J^T C J v')
 
 is linear but for MuJoCo's constraints, and whatever v' it gives, the sand takes energy. Forces and
-secants are looked at there, and so on: a fixed point has the law's own forces. Each velocity is
-mixed with the one before (D. G. Anderson, J. ACM 12 (1965), of depth one): where an element comes
-to a stop in the step its velocity shrinks by a factor, and that is foreseen.
+secants are looked at there, and so on: a fixed point has the law's own forces. The way from one
+velocity to the next is prolonged (as D. G. Anderson, J. ACM 12 (1965), mixes them, of depth one):
+where an element comes to a stop in the step its velocity shrinks by a factor each time.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from mjgranular.scheme.dense import add_scaled, copy, inner, solve
 from mjgranular.scheme.evaluation import evaluation_kernel, following_kernel
 from mjgranular.scheme.forces import FRESH
 
-# How much of the velocity before is mixed in, at most and at least: less than nothing goes beyond
-# the one that was found. Chosen; steps in MuJoCo Warp are alike with -1 and -10.
-MOST_BEFORE, LEAST_BEFORE = 0.5, -3.0
+FURTHEST = 3.0
+"""How far beyond the velocity found the next one may be, in parts of the change between the last
+two. Chosen; steps in MuJoCo Warp are alike with 1 and 10. Never between the two: a box that slides
+to a stop is wrong by half as much again then."""
 
 
 @cache
@@ -80,4 +81,4 @@ def share_of_before(w):
         fall = w.change[j] - w.gap[j]
         product += w.change[j] * fall / w.weight[j]
         square += fall * fall / w.weight[j]
-    return min(max(product / square, LEAST_BEFORE), MOST_BEFORE) if square > 0.0 else 0.0
+    return min(max(product / square, -FURTHEST), 0.0) if square > 0.0 else 0.0

@@ -17,7 +17,7 @@ from typing import Any
 import warp as wp
 
 from mjgranular.law.kernel import LawKernel, Level, Pose
-from mjgranular.scheme.damping import LEAST_BEFORE, MOST_BEFORE
+from mjgranular.scheme.damping import FURTHEST
 from mjgranular.warp.grid import in_any_world, in_world
 from mjgranular.warp.motions import (
     Damping,
@@ -288,7 +288,7 @@ def foresee_anew(
         square += weight * fall * fall
     mixed = float(0.0)
     if again and square > 0.0:
-        mixed = wp.clamp(product / square, wp.static(LEAST_BEFORE), wp.static(MOST_BEFORE))
+        mixed = wp.clamp(product / square, wp.static(-FURTHEST), 0.0)
     for i in range(root_first[r], root_first[r + 1]):
         ended = qvel[world, i] + h * qacc[world, i]
         foreseen[world, i] = ended + mixed * (found[world, i] - ended)

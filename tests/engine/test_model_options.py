@@ -298,6 +298,8 @@ def test_a_starved_solver_gives_no_energy(solver, warmstart):
     )
     model = mujoco.MjModel.from_xml_string(xml)
     for seed in range(6):
-        sand, data = Sand(model, scheme="implicit", **SAND), mujoco.MjData(model)
+        # Sand that is moved along may give what it has.
+        sand = Sand(model, scheme="implicit", law="rft3d", **SAND)
+        data = mujoco.MjData(model)
         data.qvel[:] = np.random.default_rng(seed).normal(size=model.nv)
         assert max(work_of_step(sand, data) for _ in range(60)) <= 1e-12

@@ -58,7 +58,7 @@ class Worlds:
         if isinstance(surface, HeightField):
             self.data.qpos[[2, 9]] += 0.03
         fields = {"surface": surface or Plane(), "memory": memory}
-        self.sand = warp.WarpSand(self.model, **fields)
+        self.sand = warp.WarpSand(self.model, corrections=6, **fields)
         self.m = mjw.put_model(self.model)
         self.d = mjw.put_data(self.model, self.data, nworld=count)
         self.sand.attach(self.m, self.d)

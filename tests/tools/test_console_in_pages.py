@@ -30,7 +30,7 @@ RFT3D = """
     internal_friction: {value: 0.6, source: guessed}
     surface_friction: {value: 0.3, source: guessed}
 """
-# What makes a command short: the last value of an option counts.
+# What makes a command short, in place of what the page has for these options.
 SHORT = {
     "compare": "--total-steps 64 --policies 1 --seeds 2 --set n_steps=32 num_envs=2 batch_size=64 "
     "environment.max_episode_steps=50",
@@ -91,13 +91,24 @@ def shortened(command):
     if words == ["warm"]:  # all there is
         return [*words, "--law", "link", "--scheme", "explicit"]
     if "--resume" in words:
-        return [*words, "--total-steps", "128"] if "--total-steps" in words else words
+        return with_options(words, "--total-steps 128") if "--total-steps" in words else words
     if "--vary" in words:  # has no points, and its own options where it has --of
         words += [] if "--of" in words else ["--timestep", "5e-5"]
         return [*words, "--workers", "1", *(["--sample", "3"] if "--sample" in words else [])]
     if words[0] == "reproduce" and "--out" in words:
         words += ["--workers", "1"]
-    return [*words, *SHORT.get(words[0], "").split()]
+    return with_options(words, SHORT.get(words[0], ""))
+
+
+def with_options(words, options):
+    """A command with these options, in place of those of the same name."""
+    for option in re.findall(r"--[a-z-]+", options):
+        if option in words:
+            first = words.index(option)
+            following = words[first + 1 :]
+            count = next((k for k, word in enumerate(following) if word.startswith("--")), None)
+            words = words[:first] + ([] if count is None else following[count:])
+    return [*words, *options.split()]
 
 
 @pytest.mark.slow
