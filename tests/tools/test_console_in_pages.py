@@ -93,10 +93,11 @@ def shortened(command):
     if "--resume" in words:
         return with_options(words, "--total-steps 128") if "--total-steps" in words else words
     if "--vary" in words:  # has no points, and its own options where it has --of
-        words += [] if "--of" in words else ["--timestep", "5e-5"]
-        return [*words, "--workers", "1", *(["--sample", "3"] if "--sample" in words else [])]
+        words = words if "--of" in words else with_options(words, "--timestep 5e-5")
+        words = with_options(words, "--sample 3") if "--sample" in words else words
+        return with_options(words, "--workers 1")
     if words[0] == "reproduce" and "--out" in words:
-        words += ["--workers", "1"]
+        words = with_options(words, "--workers 1")
     return with_options(words, SHORT.get(words[0], ""))
 
 
