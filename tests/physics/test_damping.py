@@ -100,7 +100,7 @@ def test_what_is_not_solved_ends_near_what_a_longer_search_finds():
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 @pytest.mark.parametrize("law", ["rft3d", "rft3d_dynamic"])
 def test_next_to_no_step_of_what_tumbles_is_left_unfinished(law):
-    # 20 and 38 of some 1,350 steps with continuation in the softness, 7 and 1 with damping.
+    # 20 and 38 of some 1,350 steps with continuation in the softness, 4 and 3 with damping.
     model = mujoco.MjModel.from_xml_string(BOX.format(timestep=1e-2))
     sand, data = Sand(model, law=law, medium="quikrete_medium"), mujoco.MjData(model)
     rng = np.random.default_rng(0)
