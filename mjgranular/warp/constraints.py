@@ -7,6 +7,7 @@ it has not; limits of a robot that lies would be some thousand times as stiff.
 
 # Kernels take arrays in Warp's language, of which type checkers of Python know little.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportAssignmentType=false
 
 from typing import Any
 
