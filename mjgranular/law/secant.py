@@ -21,7 +21,7 @@ from mjgranular.kernel.vector import across, cross, dot, norm, outer
 
 # A force that is all but perpendicular to the motion has no secant; its power counts as at least
 # this share of |F| |v|. Chosen.
-LEAST_POWER = 0.02
+_LEAST_POWER = 0.02
 
 
 @partial(compiled, inline=True)
@@ -35,7 +35,7 @@ def secant(force, slope, u):
     """
     size, power = norm(force), -dot(force, u)
     resists = power > 0.0
-    inverse = 1.0 / max(power, LEAST_POWER * size) if resists else 0.0
+    inverse = 1.0 / max(power, _LEAST_POWER * size) if resists else 0.0
     least = size if resists else 0.0
     # S by its two eigenvalues.
     a = across(u)

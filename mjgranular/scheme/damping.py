@@ -13,7 +13,7 @@ where an element comes to a stop in the step its velocity shrinks by a factor ea
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -60,12 +60,12 @@ def damping_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
             solved = solve(w.jacobian, w.residual, w.change)
             if not (solved and inner(w.change, w.change) < math.inf):  # forces that are no numbers
                 break
-            mixed = share_of_before(w) if 0 < step < steps - 1 else 0.0
+            beyond = beyond_the_last(w) if 0 < step < steps - 1 else 0.0
             copy(w.gap, w.change)
             add_scaled(w.velocity, -1.0, w.change)
             for j in range(w.nv):
                 found = w.velocity[j]
-                w.velocity[j] = found + mixed * (w.found[j] - found)
+                w.velocity[j] = found + beyond * (found - w.found[j])
                 w.found[j] = found
         follow_all(w, eps)
         return error
@@ -74,11 +74,23 @@ def damping_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
 
 @compiled
-def share_of_before(w):
-    """The share of the velocity found before that makes the two gaps cancel best, as momenta."""
+def beyond_the_last(w):
+    """The part by which the way from the last velocity found to this one is prolonged."""
     product = square = 0.0
     for j in range(w.nv):
-        fall = w.change[j] - w.gap[j]
+        fall = w.gap[j] - w.change[j]
         product += w.change[j] * fall / w.weight[j]
         square += fall * fall / w.weight[j]
-    return min(max(product / square, -FURTHEST), 0.0) if square > 0.0 else 0.0
+    return prolonged(product, square)
+
+
+@partial(compiled, inline=True)
+def prolonged(product, square):
+    """The part by which a way is prolonged, from 0 to `FURTHEST`: there the next gap is least.
+
+    Args:
+        product: of the gap between the velocity looked at and the one found there, and what that
+            gap has fallen by since the step before; both as momenta.
+        square: of what it has fallen by, likewise.
+    """
+    return min(max(product / square, 0.0), FURTHEST) if square > 0.0 else 0.0

@@ -98,8 +98,8 @@ _OWN = {
     "residual": (_F, ("nv",)),  # R
     "change": (_F, ("nv",)),  # of the velocity, in a step of Newton's method
     "near": (_F, ("nv",)),  # velocity that damping has led to
-    "found": (_F, ("nv",)),  # the one before on that way,
-    "gap": (_F, ("nv",)),  # and the change that led to it
+    "found": (_F, ("nv",)),  # the one that its last linear balance had,
+    "gap": (_F, ("nv",)),  # and how far from that it was looked at
     "rate": (_F, ("nv",)),  # (v' - v) / h
     "acceleration": (_F, ("nv",)),  # a = K (v' - v) / h, that of the constraints
     "trial": (_F, ("nv",)),  # for what is needed for a moment: these four

@@ -17,7 +17,7 @@ from typing import Any
 import warp as wp
 
 from mjgranular.law.kernel import LawKernel, Level, Pose
-from mjgranular.scheme.damping import FURTHEST
+from mjgranular.scheme.damping import prolonged
 from mjgranular.warp.grid import in_any_world, in_world
 from mjgranular.warp.motions import (
     Damping,
@@ -38,6 +38,7 @@ _STILL = 1e-3
 """Speed of what is at rest, in parts of the softness. Chosen."""
 
 _Pose, _Level = struct_of(Pose), struct_of(Level)
+prolonged_by = translated(prolonged)
 
 
 @functools.cache
@@ -271,27 +272,26 @@ def foresee_anew(
     found: wp.array2d(dtype=float),
     foreseen: wp.array2d(dtype=float),
 ):
-    """Velocities that the step ends with at these accelerations, mixed with those found before.
+    """Velocities that the step ends with at these accelerations, the way to them prolonged.
 
-    One thread a world and robot. As on the processor (`scheme.damping`): with such a share of the
-    velocities before that the gaps between what was foreseen and found cancel best, as momenta.
+    One thread a world and robot. As on the processor (`scheme.damping`).
     """
     world, r = wp.tid()
     h = timestep[world % timestep.shape[0]]
     product, square = float(0.0), float(0.0)
     for i in range(root_first[r], root_first[r + 1]):
         change = foreseen[world, i] - qvel[world, i] - h * qacc[world, i]
-        fall = change - gap[world, i]
+        fall = gap[world, i] - change
         gap[world, i] = change
         weight = inertia[world, row_first[i + 1] - 1]
         product += weight * change * fall
         square += weight * fall * fall
-    mixed = float(0.0)
-    if again and square > 0.0:
-        mixed = wp.clamp(product / square, wp.static(-FURTHEST), 0.0)
+    beyond = float(0.0)
+    if again:
+        beyond = prolonged_by(product, square)
     for i in range(root_first[r], root_first[r + 1]):
         ended = qvel[world, i] + h * qacc[world, i]
-        foreseen[world, i] = ended + mixed * (found[world, i] - ended)
+        foreseen[world, i] = ended + beyond * (ended - found[world, i])
         found[world, i] = ended
 
 

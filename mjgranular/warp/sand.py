@@ -67,8 +67,8 @@ class _Arrays:
     """What a step writes, on the device: made once, as CUDA graphs ask."""
 
     foreseen: wp.array  # velocities that the step is foreseen to end with, (nworld, nv)
-    found: wp.array  # the velocities found before these on the way,
-    gap: wp.array  # and by how much others had been foreseen
+    found: wp.array  # those that the last solution of the equations ended with
+    gap: wp.array  # by how much others had been foreseen
     damping: wp.array  # of each body in the sand, (nworld, bodies)
     kick: wp.array  # and the momentum of sand that moves along already, per time
     limit: wp.array  # of static resistance to each body at its elements, summed up [N]
