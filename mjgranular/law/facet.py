@@ -31,9 +31,6 @@ _THIRD = 1.0 / 3.0
 # Chosen by a foot and a plate that enter simulated grains (`referee/data`): the foot's peak of
 # force is 14 % too low with it, and 49 % with twice as much.
 _ENTRY = 0.125
-# Speed into the sand at which half of what is in front is moved along [m/s]. Chosen, far below what
-# is fast: what rests or creeps moves none, so that rest is what it is without.
-_CREEP = 1e-3
 
 
 class Facet(NamedTuple):
@@ -64,7 +61,7 @@ class FacetSample(NamedTuple):
     mean: float  # depth over the whole facet, nothing counting for negative [m]
     area: float  # [m^2], times what raises static resistance (`law.raised`)
     push: float  # lambda rho area: the inertial term's [N s^2/m^2]
-    moved: float  # sand that would move along, were all of it in the sand [kg]
+    moved: float  # sand that moves along once the facet is in the sand [kg]
     entry: float  # depth over which it comes to move along, beside the facet's own height [m]
 
 
@@ -93,7 +90,7 @@ def facet_kernel(
         raised: factor on static resistance (`law.raised`).
 
     The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
-    turning body is lowered; where sand is moved along also `added`, kappa rho [kg/m^3].
+    turning body is lowered; where sand is moved along also `added`, kappa, and `density`, rho.
     """
 
     @partial(compiled, inline=True)
@@ -160,7 +157,7 @@ def facet_kernel(
             mean,
             facet.area * raised(law, facet, pose, centre, outward, up, mean, g),
             choose(depth <= 0.0, 0.0, law.inertia * facet.area),
-            moved(law, facet),
+            moved(law, facet, dot(outward, up), mean),
             _ENTRY * facet.width,
         )
 
@@ -217,35 +214,34 @@ def facet_kernel(
 
 
 @partial(compiled, inline=True)
-def _moved(law, facet):
-    return law.added * facet.width * facet.area
+def _moved(law, facet, up, mean):
+    """Mass of the layer in front of a facet: kappa w thick, and no thicker than the sand there."""
+    layer = law.added * facet.width
+    beyond = up * layer > mean
+    return law.density * facet.area * choose(beyond, mean / choose(beyond, up, 1.0), layer)
 
 
 @partial(compiled, inline=True)
-def _none_moved(law, facet):
+def _none_moved(law, facet, up, mean):
     return 0.0 * facet.area
 
 
 @partial(compiled, inline=True)
 def facet_added(facet, v, h):
-    """Sand that a facet moves along (`AddedMass`): a layer kappa w deep in front of its wet part.
-
-    What was in the sand a step ago follows from the velocity, by which the step has brought the
-    facet here.
+    """Return the sand that moves along with a facet (`AddedMass`), eq. (A1) of docs/laws/rft.md.
 
     Args:
         facet: its sample.
-        v: velocity of its centre of pressure at the start of the step [m/s].
+        v: velocity of its center of pressure at the start of the step [m/s], by which the last
+            step has brought the facet here.
         h: time step [s].
     """
-    ahead = max(dot(v, facet.normal), 0.0)
-    share = ahead * ahead / (ahead * ahead + _CREEP * _CREEP)
     # Of the facet's height, twice its reach, and of the entry the part in the sand.
     height = 2.0 * (abs(facet.rise_1) + abs(facet.rise_2)) + facet.entry
     depth = max(facet.depth, 0.0)
     now = min(depth, height)
     before = min(max(depth + h * dot(v, facet.up), 0.0), now)
-    mass = share * facet.moved / height
+    mass = facet.moved / height
     return AddedMass(mass * now, mass * before, facet.normal)
 
 

@@ -41,11 +41,11 @@ Attributes:
 
 
 class AddedMass(NamedTuple):
-    """Sand that is moved along with an element, as a mass in one direction.
+    """Sand that moves along with an element, as a mass in one direction.
 
     Attributes:
-        mass: at the start of the step [kg].
-        before: of that, what was moved along a step ago [kg]; the rest was at rest.
+        mass: where the element is at the start of the step [kg].
+        before: of that, what was there a step ago [kg]; the rest was at rest.
         normal: the direction, a unit vector, world.
     """
 
@@ -85,9 +85,9 @@ class LawKernel:
             element, 1 where `respond_simple` would do, else 2. Where `eps` is 0 it is asked with a
             multiplier of any size.
         respond_simple: a quicker `respond`, for lanes that are all simple.
-        added: kernel `added(sample, v, h)`: the sand that is moved along with the element
-            (`AddedMass`), by the velocity of its point at the start of the step [m/s] and the time
-            step [s]. Its inertia needs the implicit scheme.
+        added: kernel `added(sample, v, h)`: the sand that moves along with the element
+            (`AddedMass`), from the velocity of its point at the start of the step [m/s] and the
+            time step [s]. Its inertia needs the implicit scheme.
     """
 
     element: type

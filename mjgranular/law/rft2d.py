@@ -22,7 +22,7 @@ from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 RFT2D_DTYPE = np.dtype(
     [
         (name, np.float64)
-        for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "rise", "cone")
+        for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "density", "rise", "cone")
     ]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
@@ -172,7 +172,7 @@ class Rft2dLaw(RftLaw):
     )
     slope: ClassVar[Any] = rft2d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("scale",)
-    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "added")
+    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "density")
 
     A00: float
     A10: float
@@ -224,7 +224,8 @@ class Rft2dLaw(RftLaw):
         parameters["side"] = self.C11 + self.C01 + self.Cm11
         parameters["scale"] = self.scale * _PER_CUBIC_CENTIMETRE
         parameters["inertia"] = self.inertia * self.density
-        parameters["added"] = self.added * self.density
+        parameters["added"] = self.added
+        parameters["density"] = self.density
         parameters["rise"] = self.rise
         parameters["cone"] = self.cone
         return parameters

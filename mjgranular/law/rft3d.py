@@ -39,7 +39,7 @@ RFT3D_DTYPE = np.dtype(
     [
         (name, np.float64)
         for name in (
-            *("stiffness", "friction", "inertia", "added", "rise"),
+            *("stiffness", "friction", "inertia", "added", "density", "rise"),
             *("cone", "shear", "rate_1", "rate_2", "rate_3"),
         )
     ]
@@ -200,7 +200,7 @@ class Rft3dLaw(RftLaw):
     )
     slope: ClassVar[Any] = rft3d_slope
     strength_keys: ClassVar[tuple[str, ...]] = ("stiffness",)
-    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "added")
+    density_keys: ClassVar[tuple[str, ...]] = ("inertia", "density")
 
     density: float
     internal_friction: float
@@ -256,7 +256,8 @@ class Rft3dLaw(RftLaw):
         parameters["stiffness"] = self.stiffness
         parameters["friction"] = self.surface_friction
         parameters["inertia"] = self.inertia * self.density
-        parameters["added"] = self.added * self.density
+        parameters["added"] = self.added
+        parameters["density"] = self.density
         parameters["rise"] = self.rise
         parameters["cone"] = self.cone
         shear = shear_constants(self.density, self.grain, self.internal_friction, self.rate)

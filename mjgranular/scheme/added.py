@@ -1,69 +1,126 @@
-"""Sand that is moved along with elements: its momentum, taken implicitly.
+"""Momentum of the sand that moves along with elements, taken implicitly.
 
-An element that drives into sand takes along some of what is in front of it, a mass m in the
-direction n (`law.kernel.AddedMass`). Of that, m' was moved along a step ago, and the rest was at
-rest. By the end of the step all of it moves as the element does, and the element has paid for that:
+Derivation and proof of passivity: docs/laws/rft.md, "Sand that moves along". In short: in front of
+an element with the outward normal n a mass m of sand moves at s = max(n.v, 0). Over a step the
+element pays for what its sand gains,
 
-    h f = -n (m n.v' - m' n.v)
+    h a = m' s_b - m s',    f_total = f + a n,                                    (A2), (A3)
 
-This is linear in v', with m n n^T beside the inertias of the bodies in the Jacobian. Sand that is
-left behind keeps its momentum. Nothing is carried from step to step: m and m' follow from where the
-element is and the velocity that has brought it there.
+where s' belongs to the velocity sought, and m' s_b is what this sand had at the end of the last
+step: m' of it was in front of the element then, and of s the energy of a body's sand is no more
+than before the body turned in the last step (A4). Sand has no tension: where a is positive, sand
+that slows down gives momentum back, and that makes it resist less, at most to nothing,
 
-Sand in motion pushes on what slows down. As m is at least m', that gives no more than it loses,
+    a <= min(-n.f, -f.v'/s').                                                     (A5)
 
-    h f n.v' <= m' (n.v)^2 / 2 - m (n.v')^2 / 2 .
+So no element ever takes energy from the sand, whatever its motion is.
 """
 
 from __future__ import annotations
 
-from functools import cache
+import math
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import column, rows
-from mjgranular.kernel.vector import Matrix, Vector, dot, outer
+from mjgranular.kernel.lanes import choose
+from mjgranular.kernel.motion import read_motion, velocity_at
+from mjgranular.kernel.vector import Matrix, Vector, dot, outer, transposed, vector
 from mjgranular.law.kernel import LawKernel
-from mjgranular.scheme.layout import FORCE, SAMPLE, SLOPE, VELOCITY, added_row
+from mjgranular.scheme.dense import add_scaled, clear
+from mjgranular.scheme.layout import ARM, FORCE, SAMPLE, SLOPE, VELOCITY, added_row
+
+
+_NOTHING = 1e-150  # a speed that may be divided by
 
 
 class Momentum(NamedTuple):
-    """What a tile keeps of sand that is moved along: f = (start - rate n.v') n."""
+    """What a tile keeps of the sand that moves along: a = start - rate max(n.v', 0)."""
 
     normal: Vector
     rate: float  # m / h [kg/s]
-    start: float  # m' n.v / h [N]
+    start: float  # m' s_b / h [N]
+
+
+@partial(compiled, inline=True)
+def one_of(mask, a, b):
+    """Return a vector by lanes: of `a` where the mask holds, else of `b`."""
+    return vector(choose(mask, a.x, b.x), choose(mask, a.y, b.y), choose(mask, a.z, b.z))
+
+
+@compiled
+def motion_before_turn(w, body):
+    """Set the motion of a body, at the velocities of now, as it was where the last step began.
+
+    Velocities of joints are those that the last step has moved with. `cdof_dot` says how the axes
+    of the joints turn, so that a normal and a point's velocity, both fixed to the body, had the
+    product n.(V + W x r) with this motion a step ago, to first order in the time step.
+    """
+    motion = w.before[body]
+    clear(motion)
+    k = body
+    while k > 0 and w.body_dofnum[k] == 0:
+        k = w.body_parentid[k]
+    j = w.body_dofadr[k] + w.body_dofnum[k] - 1 if k > 0 else -1
+    while j >= 0:
+        add_scaled(motion, w.qvel[j], w.cdof[j])
+        add_scaled(motion, -w.h * w.qvel[j], w.cdof_dot[j])
+        j = w.dof_parentid[j]
 
 
 @cache
 def momentum_kernel(kernel: LawKernel) -> Any:
-    """Makes a kernel `note_momentum(tile, live, h)`: looks at what elements move along.
+    """Make a kernel `note_momentum(w, body, tile, live, is_first)`: what elements move along.
 
-    It is asked at the start of a step of `h` seconds, when velocities in tiles are those. Of the
-    first `live` elements it returns the energy of the sand that moves with them [J].
+    It is called at the start of a step, when velocities in tiles are those. Of the first `live`
+    elements it adds the energy of their sand, now and before the body turned, to `w.energy`.
     """
     added, lanes, first = kernel.added, kernel.lanes, added_row(kernel) * kernel.lanes
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     write = column(Momentum, lanes).write
 
     @compiled
-    def note_momentum(tile, live, h):
-        energy = 0.0
+    def note_momentum(w, body, tile, live, is_first):
+        if is_first:
+            motion_before_turn(w, body)
+            clear(w.energy[body])
+        before, h = read_motion(w.before[body], 0), w.h
         for lane in range(lanes):
             v = read(tile, VELOCITY * lanes + lane)
             sand = added(read_sample(tile, SAMPLE * lanes + lane), v, h)
-            speed = dot(sand.normal, v)
-            momentum = sand.before * speed
-            write(tile, first + lane, Momentum(sand.normal, sand.mass / h, momentum / h))
-            energy += 0.5 * momentum * speed if lane < live else 0.0
-        return energy
+            s = max(dot(sand.normal, v), 0.0)
+            had = max(dot(sand.normal, velocity_at(before, read(tile, ARM * lanes + lane))), 0.0)
+            write(tile, first + lane, Momentum(sand.normal, sand.mass / h, sand.before * s / h))
+            if lane < live:
+                w.energy[body, 0] += sand.before * s * s
+                w.energy[body, 1] += sand.before * had * had
 
     return note_momentum
 
 
 @cache
+def turn_kernel(kernel: LawKernel) -> Any:
+    """Make a kernel `charge_turns(w)`: a body's sand has no more energy than before it turned."""
+    lanes = kernel.lanes
+    start = (added_row(kernel) + 4) * lanes  # of `Momentum.start`
+    starts = rows(float, lanes)
+    read, write = starts.read, starts.write
+
+    @compiled
+    def charge_turns(w):
+        for i in range(w.count):
+            energy = w.energy[w.heads[i].body]
+            if energy[0] > energy[1]:
+                share = math.sqrt(energy[1] / energy[0])
+                write(w.tiles[i], start, share * read(w.tiles[i], start))
+
+    return charge_turns
+
+
+@cache
 def added_kernel(kernel: LawKernel) -> Any:
-    """Makes a kernel `add_momentum(tile)`: adds this to forces and derivatives of a tile."""
+    """Make a kernel `add_momentum(tile)`: adds a n to forces and derivatives of a tile."""
     lanes, first = kernel.lanes, added_row(kernel) * kernel.lanes
     vectors, slopes = rows(Vector, lanes), rows(Matrix, lanes)
     read, write = vectors.read, vectors.write
@@ -72,11 +129,27 @@ def added_kernel(kernel: LawKernel) -> Any:
 
     @compiled
     def add_momentum(tile):
-        sand = read_momentum(tile, first)
+        sand, v = read_momentum(tile, first), read(tile, VELOCITY * lanes)
+        force, slope = read(tile, FORCE * lanes), read_slope(tile, SLOPE * lanes)
         n = sand.normal
-        force = (sand.start - sand.rate * dot(n, read(tile, VELOCITY * lanes))) * n
-        write(tile, FORCE * lanes, read(tile, FORCE * lanes) + force)
-        slope = read_slope(tile, SLOPE * lanes) + outer(sand.rate * n, n)
-        write_slope(tile, SLOPE * lanes, slope)
+        s = dot(n, v)
+        leads = s > _NOTHING
+        rate = choose(leads, sand.rate, 0.0)
+        a = sand.start - rate * s
+        # (A5), with the derivative of the bound by v'.
+        compression, power = -dot(n, force), -dot(force, v)
+        per_speed = choose(leads, 1.0 / choose(leads, s, 1.0), 0.0)
+        by_power = power < compression * s
+        bound = choose(by_power, power * per_speed, compression)
+        across = transposed(slope)
+        by_v = across @ n
+        of_power = per_speed * (across @ v - force - bound * n)
+        by_v = one_of(by_power, of_power, by_v)
+        bound = choose(bound > 0.0, bound, 0.0)
+        limited = a > bound
+        a = choose(limited, bound, a)
+        change = one_of(limited, by_v, -rate * n)
+        write(tile, FORCE * lanes, force + a * n)
+        write_slope(tile, SLOPE * lanes, slope - outer(n, change))
 
     return add_momentum

@@ -17,7 +17,7 @@ from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, norm,
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
 from mjgranular.law.secant import secant
-from mjgranular.scheme.added import added_kernel, momentum_kernel
+from mjgranular.scheme.added import added_kernel, momentum_kernel, turn_kernel
 from mjgranular.scheme.layout import (
     ARM,
     FORCE,
@@ -57,7 +57,7 @@ class TileKernels:
     Attributes:
         size: numbers in a tile.
         sample: kernel `sample(table, w)`: fills the workspace's tiles with the elements in the
-            sand; how many tiles.
+            sand, and sets `w.count`.
         move: kernel `move(tile, motion, multipliers, eps, loose)`: velocities in a tile from its
             body's spatial velocity, and multipliers.
         respond: kernel `respond(tile, law, g, eps)`: forces and derivatives.
@@ -78,8 +78,13 @@ class TileKernels:
 
 
 @partial(compiled, inline=True)
-def _no_momentum(tile, live, h):
-    return 0.0
+def _no_momentum(w, body, tile, live, is_first):
+    return
+
+
+@partial(compiled, inline=True)
+def _no_turns(w):
+    return
 
 
 @cache
@@ -91,19 +96,21 @@ def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
         scene_dtype: record of law and surface.
     """
     size = tile_size(kernel)
-    note_momentum = _no_momentum if kernel.added is None else momentum_kernel(kernel)
+    adds_mass = kernel.added is not None
+    note_momentum = momentum_kernel(kernel) if adds_mass else _no_momentum
+    charge_turns = turn_kernel(kernel) if adds_mass else _no_turns
 
     @partial(compiled, inline=True)
     def note_head(table, w, body, place, g, tile, number, live, is_first, lead):
         w.heads[number].body, w.heads[number].live = body.body, live
-        w.moving += note_momentum(tile, live, w.h)
+        note_momentum(w, body.body, tile, live, is_first)
 
     sample_all = sampling_kernel(kernel, scene_dtype, note_head, compact=True)
 
     @compiled
     def sample(table, w):
-        w.moving = 0.0
-        return sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
+        w.count = sample_all(table, w, w.tiles.ctypes.data, 8 * size, 0.0)
+        charge_turns(w)
 
     return TileKernels(
         size,

@@ -159,7 +159,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         for slot in range(len(bodies)):
             clear(bodies[slot].wrench)
         w.h = lead
-        w.count = sample_all(table, w)
+        sample_all(table, w)
         if w.count > 0:
             open_constraints(table[WORKSPACE], w)
             find_smooth_forces(w)

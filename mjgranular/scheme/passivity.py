@@ -45,22 +45,21 @@ def passive_share(w, error):
         w: the workspace, with the velocity that was found.
         error: size of its residual, in parts of `w.scale`.
     """
-    most = w.moving + _NO_ENERGY
     if (w.descends != 0 or w.nefc == 0) and error < _TRUSTED:
         work = inner(w.sand, w.velocity)
-        if work + 1e3 * error * w.scale * size_of(w, w.sand) <= most:
+        if work + 1e3 * error * w.scale * size_of(w, w.sand) <= _NO_ENERGY:
             return 1.0
-        if expected_work(w) <= most:
+        if expected_work(w) <= _NO_ENERGY:
             return 1.0
     whole = work_of_share(w, 1.0)
-    if whole <= most:
+    if whole <= _NO_ENERGY:
         return 1.0
     none = work_of_share(w, 0.0)
-    if none >= w.moving:
+    if none >= 0.0:
         return 0.0
-    less = max((whole - w.moving) / (whole - none), _ROUNDING)
+    less = max(whole / (whole - none), _ROUNDING)
     while less < 1.0:
-        if work_of_share(w, 1.0 - less) <= w.moving:
+        if work_of_share(w, 1.0 - less) <= 0.0:
             return 1.0 - less
         less *= 2.0
     return 0.0

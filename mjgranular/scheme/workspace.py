@@ -59,7 +59,6 @@ _INTEGERS: tuple[str, ...] = (
 _REALS: tuple[str, ...] = (
     "h",  # time step [s]
     "scale",  # size of the momentum at hand
-    "moving",  # energy of sand that is moved along at the start of the step [J]
 )
 
 
@@ -83,7 +82,7 @@ _OF_DATA = _by_name({
         "qvel", "qfrc_smooth", "qfrc_constraint", "qfrc_bias",
         "qacc", "qacc_smooth", "qacc_warmstart", "qHDiagInv",
     ),
-    (_F, ("nv", 6)): ("cdof",),
+    (_F, ("nv", 6)): ("cdof", "cdof_dot"),
     (_F, ("nC",)): ("M", "qH"),
     (_F, ("nD",)): ("qDeriv",),
     (_F, ("nbody", 3)): ("subtree_com", "xipos"),
@@ -114,6 +113,9 @@ _OWN = {
     "touched": (_I, ("nv",)),  # 1 if a constraint touches the degree of freedom
     "springs": (_F, ("nv", "nv")),  # stiffness of constraints
     "motion": (_F, ("nbody", 6)),  # spatial velocities of bodies
+    "before": (_F, ("nbody", 6)),  # the same where the last step began (`scheme.added`)
+    # Twice the energy of a body's sand at the start of the step: now, and before it turned [J].
+    "energy": (_F, ("nbody", 2)),
     "wrench": (_F, ("nbody", 6)),  # about the centre of the tree: moment, force
     "carried": (_F, ("nbody", 6)),  # the same with those of the bodies that it carries
     "stiffness": (_F, ("nbody", 36)),  # K_b, minus the derivative of the wrench by the motion
