@@ -41,7 +41,7 @@ class Facet(NamedTuple):
     edges: tuple[Vector, Vector]
     spread: tuple[Vector, Vector]
     area: float
-    width: float  # of the geom [m]
+    face: float  # width of the flat face, or the geom, that it is part of [m]
     flat: float  # share of what the geom shows there that is one flat face
 
 
@@ -158,7 +158,7 @@ def facet_kernel(
             facet.area * raised(law, facet, pose, centre, outward, up, mean, g),
             choose(depth <= 0.0, 0.0, law.inertia * facet.area),
             moved(law, facet, dot(outward, up), mean),
-            _ENTRY * facet.width,
+            _ENTRY * facet.face,
         )
 
     def respond_kernel(led: Any) -> Any:
@@ -216,7 +216,7 @@ def facet_kernel(
 @partial(compiled, inline=True)
 def _moved(law, facet, up, mean):
     """Mass of the layer in front of a facet: kappa w thick, and no thicker than the sand there."""
-    layer = law.added * facet.width
+    layer = law.added * facet.face
     beyond = up * layer > mean
     return law.density * facet.area * choose(beyond, mean / choose(beyond, up, 1.0), layer)
 

@@ -91,9 +91,9 @@ def raised_kernel(rate: bool) -> Any:
     @partial(compiled, inline=True)
     def stagnant(law, facet, normal, up, mean):
         down = -dot(normal, up)
-        least = _GROWTH * facet.width
+        least = _GROWTH * facet.face
         deep = choose(mean > least, mean, least)
-        return 1.0 + law.cone * facet.flat * facet.width * choose(down > 0.0, down, 0.0) / deep
+        return 1.0 + law.cone * facet.flat * facet.face * choose(down > 0.0, down, 0.0) / deep
 
     if not rate:
 
@@ -109,7 +109,7 @@ def raised_kernel(rate: bool) -> Any:
         stress = law.stiffness * g * mean * standing
         stress = choose(stress > _NO_STRESS, stress, _NO_STRESS)
         v = velocity_at(pose.motion, centre - pose.tree)
-        per = law.shear / facet.width
+        per = law.shear / facet.face
         number = root(per * per * dot(v, v) / stress)
         s = number / (number + INERTIAL_NUMBER)
         return standing * (1.0 + s * (law.rate_1 + s * (law.rate_2 + s * law.rate_3)))

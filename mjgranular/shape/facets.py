@@ -12,6 +12,7 @@ from mjgranular.errors import InputError
 from mjgranular.shape import patches, tessellation
 from mjgranular.shape.budget import resolutions
 from mjgranular.shape.meshes import mesh_corners
+from mjgranular.shape.rigid import exposures, face_widths
 from mjgranular.shape.sizes import (
     check_count,
     check_resolution,
@@ -29,13 +30,14 @@ FACET_DTYPE = np.dtype(
         ("slot", np.int64),  # row of the body in the binding's table of bodies
         ("point", np.float64, (3,)),  # centroid [m], body frame
         ("normal", np.float64, (3,)),  # unit, outward, body frame
-        ("area", np.float64),  # [m^2]
+        ("area", np.float64),  # that is exposed to sand [m^2] (`shape.rigid`)
         # A point of the facet is point + s edges[0] + t edges[1], s and t from -1 to 1, body frame;
         # the normal there is along normal + s spread[0] + t spread[1]. Zero for triangles.
         ("edges", np.float64, (2, 3)),  # [m]
         ("spread", np.float64, (2, 3)),
         ("extent", np.float64),  # of the edges from the middle [m], 0 for triangles
-        ("width", np.float64),  # of the geom, for Froude numbers [m]
+        ("width", np.float64),  # of the widest face of the geom, for Froude numbers [m]
+        ("face", np.float64),  # width of the face that it is part of [m] (`shape.rigid`)
         ("flat", np.float64),  # 0 to 1: how much of what the geom shows here is one flat face
     ]
 )
@@ -72,8 +74,9 @@ def facets_from_model(
         resolution: rings from pole to pole of a round geom, patches around half of a cylinder, and
             three times the number along a box's longest edge; a mesh has at most twice its square.
             None for 12, and less of small geoms where there are many (`shape.budget`).
-        hidden: what becomes of skin that no grain can touch, since it lies inside another of the
-            geoms (`hidden_skin`): a patch keeps what is seen of it, or all.
+        hidden: whether to drop skin that no grain can touch, since it lies inside another of the
+            geoms (`hidden_skin`), and the share of a facet's area that other parts of the same
+            rigid body shelter (`shape.rigid.exposures`), or to keep all.
         meshes: what a mesh gives: patches, or its own triangles, to compare with.
 
     Returns:
@@ -140,7 +143,14 @@ def facets_from_model(
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
         part["width"] = geom_width(model, geom)
         part["flat"] = flat
-    return np.concatenate(parts)
+    facets = np.concatenate(parts)
+    facets["face"] = face_widths(model, data, facets)
+    widest = np.zeros(model.ngeom)
+    np.maximum.at(widest, facets["geom"], facets["face"])
+    facets["width"] = widest[facets["geom"]]
+    if hidden == "drop":
+        facets["area"] *= exposures(model, data, facets)
+    return facets[facets["area"] > 0]
 
 
 def hidden_skin(
