@@ -17,10 +17,9 @@ import numpy as np
 # Chosen, not measured.
 _PARALLEL, _COPLANAR, _GAP = math.cos(math.radians(3)), 0.05, 0.1
 
-# Shelter: rays from a facet go into the directions around its normal with the weight
-# cos(angle)^_FOCUS, and what is exposed is the share of rays that meet no part of the same body, to
-# this power. Fitted to plates in tandem in simulated grains (referee/data/tandem).
-_FOCUS, _POWER = 6.0, 3.0
+# Rays from a facet go into the directions around its normal with the weight cos(angle)^_FOCUS.
+# Fitted to plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
+_FOCUS = 20.0
 _RINGS, _AROUND = 4, 8  # rays: angles to the normal, and directions for each; chosen
 _TOUCH = 1e-6  # rays start so far outside, in parts of the geom's width; chosen
 
@@ -87,7 +86,8 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
     """Return how much of each facet meets sand that does not move with the body, 0 to 1, shape (n,).
 
     A face in front of which another part of the same rigid body stands is sheltered: the sand
-    between them moves with the body. Where bodies are joined, nothing is sheltered.
+    between them moves with the body. Exposed is the share of rays that meet no such part. Across a
+    joint nothing is sheltered.
 
     Args:
         model: the model.
@@ -124,7 +124,7 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
                 )  # fmt: skip
                 # A ray that leaves a skin from within has not been stopped.
                 leaves = np.einsum("ni,ni->n", slant.reshape(-1, 3), rays) > 0
-                free.append(((hit < 0) | leaves).mean() ** _POWER)
+                free.append(((hit < 0) | leaves).mean())
             exposed[row] = np.mean(free)
     return exposed
 
