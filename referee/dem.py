@@ -4,6 +4,7 @@
     python referee/dem.py drop FOLDER NAME --shape sphere --diameter 0.024 --mass 0.0362 --speed 1
     python referee/dem.py push FOLDER NAME --shape plate --length 0.02 --diameter 0.005 --speed 0.1
     python referee/dem.py drag FOLDER NAME --shape plate --length 0.016 --speed 0.3 1
+    python referee/dem.py tandem FOLDER NAME --length 0.016 --diameter 0.004 --gaps 0.25 0.5 1
 
 FOLDER is where the bed and LAMMPS's files lie (large; not for the repository). `--into` names the
 folder of data: `NAME.csv`, thinned, and `NAME.json`, where it comes from. README.md has more.
@@ -52,8 +53,13 @@ def main(words: list[str] | None = None) -> None:
     table = into / f"{options.name}.csv"
     if table.exists():
         raise SystemExit(f"{table} is there already: name the run differently, or take it away")
-    intruder = _intruder(options)
     begin = time.time()
+    if options.what == "tandem":
+        intruder, rows = _tandem(bed, options)
+        write_thin(table, _TANDEM, np.array(rows), [])
+        _keep(table.with_suffix(".json"), bed, intruder, options, len(rows), time.time() - begin)
+        return
+    intruder = _intruder(options)
     if options.what == "drag":
         rows = [_drag(bed, intruder, options, speed) for speed in options.speed]
         write_thin(
@@ -80,12 +86,55 @@ def _drag(
     return speed, -late[:, 4].mean(), late[:, 3].mean(), late[:, 4].std()
 
 
+_TANDEM = [
+    "plates",
+    "gap over length",
+    "aside",
+    "force [N]",
+    "force over one plate's",
+    "leading plate's over one plate's",
+    "last plate's over one plate's",
+    "spread over one plate's",
+]
+
+
+def _tandem(bed: Bed, options: argparse.Namespace) -> tuple[Intruder, list[tuple[float, ...]]]:
+    """Draw one plate, then rows of plates that start at the same place, and average the forces.
+
+    The spread is half the difference between the two halves of the window that is averaged.
+    """
+    rows: list[tuple[float, ...]] = []
+    (speed,) = options.speed
+    length, thickness = options.length, options.diameter
+    intruder = plate(length, thickness, upright=True)
+    for aside in options.aside:
+        one = 0.0
+        for count, gap in ((1, 0.0), *((options.plates, gap) for gap in options.gaps)):
+            intruder = plate(length, thickness, upright=True, count=count, gap=gap * length)
+            found = _run(bed, intruder, options, speed, _name(options, count, gap, aside), aside)
+            late = -found[int(options.skip * len(found)) :]
+            early, later = (half[:, 4].mean() for half in np.array_split(late, 2))
+            force = late[:, 4].mean()
+            one = one or force
+            ratios = np.array(
+                [force, late[:, 6].mean(), late[:, -1].mean(), abs(later - early) / 2]
+            )
+            rows.append((count, gap, aside, force, *(ratios / one)))
+            print(json.dumps(dict(zip(_TANDEM, map(float, rows[-1]), strict=True))), flush=True)
+    return intruder, rows
+
+
+def _name(options: argparse.Namespace, count: int, gap: float, aside: float) -> str:
+    """Return the name of LAMMPS's files of a row of plates."""
+    return f"{options.name}_{count}_{gap:g}_{aside:g}"
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parts = parser.add_subparsers(dest="what", required=True)
-    for what in ("bed", "drop", "push", "drag"):
+    for what in ("bed", "drop", "push", "drag", "tandem"):
         part = parts.add_parser(what)
         part.add_argument("folder", help="of the bed and of LAMMPS's files")
         part.add_argument("--grain", type=float, default=0.003, help="mean diameter [m]")
@@ -113,6 +162,13 @@ def _parser() -> argparse.ArgumentParser:
         part.add_argument("--duration", type=float, default=0.12, help="of a drop, at most [s]")
         part.add_argument("--depth", type=float, default=0.03, help="of a push; of a drag [m]")
         part.add_argument("--distance", type=float, default=0.03, help="of a drag [m]")
+        if what == "tandem":
+            part.add_argument("--plates", type=int, default=2, help="one behind another")
+            part.add_argument("--gaps", type=float, nargs="+", default=[1.0], help="over --length")
+            part.add_argument(
+                "--aside", type=float, nargs="+", default=[0.5], help="over y's width"
+            )
+            part.add_argument("--skip", type=float, default=0.5, help="part of the way")
     return parser
 
 
@@ -125,13 +181,24 @@ def _intruder(options: argparse.Namespace) -> Intruder:
 
 
 def _run(
-    bed: Bed, intruder: Intruder, options: argparse.Namespace, speed: float, name: str
+    bed: Bed,
+    intruder: Intruder,
+    options: argparse.Namespace,
+    speed: float,
+    name: str,
+    aside: float = 0.5,
 ) -> np.ndarray:
-    """Runs LAMMPS; rows of time, depth, speed down, force up, force along x, pitch [deg]."""
+    """Runs LAMMPS; rows of time, depth, speed down, force up, force along x, pitch [deg].
+
+    The forces of each plate along x follow.
+    """
     start = intruder.start_over(bed)
-    if options.what == "drag":
+    drawn = _is_drawn(options)
+    if drawn:
         raise_to = bed.surface - options.depth - intruder.lowest
-        start = np.array([0.25 * bed.lengths[0], bed.lengths[1] / 2, raise_to])
+        # The leading plate of a row leaves room behind it: LAMMPS makes no spheres outside the box.
+        ahead = 0.6 if options.what == "tandem" else 0.25
+        start = np.array([ahead * bed.lengths[0], aside * bed.lengths[1], raise_to])
     script = _script(bed, intruder, options, start, speed, name)
     run_lammps(bed.folder, script, name)
     state = np.loadtxt(bed.folder / f"{name}.state", ndmin=2)
@@ -142,7 +209,7 @@ def _run(
     first = int(state[0, 0])
     rows = []
     for count, low, high, high_x, low_x, vz in state:
-        mean = at.get(int(count), [0.0, 0.0])
+        mean = at.get(int(count), [0.0] * (2 + len(intruder.places)))
         lowest = min(low, high) - intruder.diameters[0] / 2
         if intruder.sides:
             lowest = low + intruder.lowest
@@ -155,9 +222,15 @@ def _run(
                 mean[0],
                 mean[1],
                 pitch,
+                *mean[2:],
             )
         )
     return np.array(rows)
+
+
+def _is_drawn(options: argparse.Namespace) -> bool:
+    """Whether the body is drawn along x, and not pushed down or dropped."""
+    return options.what in ("drag", "tandem")
 
 
 def _script(
@@ -172,7 +245,8 @@ def _script(
     count, free = len(bed.centers), options.what == "drop"
     single = len(intruder.centers) == 1
     step = bed.grains.timestep(options.stiffness)
-    travel = options.distance if options.what == "drag" else options.depth + 0.004
+    drawn = _is_drawn(options)
+    travel = options.distance if drawn else options.depth + 0.004
     duration = options.duration if free else travel / speed
     steps = round(duration / step)
     every = _EVERY * max(1, steps // (_EVERY * 4 * _ROWS))
@@ -195,13 +269,17 @@ def _script(
     else:
         parts.append(f"set group intruder mass {mass / len(intruder.centers):.9g}")
         parts.append("neigh_modify exclude group intruder intruder")
-    if options.what == "drag":
-        # What is where the plate is to be is taken out.
+    if drawn:
+        # Delete the grains where the plates are to be; the others keep their numbers.
         reach = np.array(intruder.sides) / 2
-        low, high = start - reach - 1.5e-3, start + reach + 1.5e-3
-        box_ = " ".join(f"{a:.6g} {b:.6g}" for a, b in zip(low, high, strict=True))
-        parts += [f"region hole block {box_}", "group hole region hole"]
-        parts += ["group out intersect hole grains", "delete_atoms group out"]
+        for i, place in enumerate(start + np.array(intruder.places)):
+            low, high = place - reach - 1.5e-3, place + reach + 1.5e-3
+            box_ = " ".join(f"{a:.6g} {b:.6g}" for a, b in zip(low, high, strict=True))
+            parts += [f"region hole{i} block {box_}", f"group hole{i} region hole{i}"]
+            parts += [
+                f"group out{i} intersect hole{i} grains",
+                f"delete_atoms group out{i} compress no",
+            ]
     parts.append(world(bed.grains, options.stiffness))
     parts += [
         "thermo 2000",
@@ -209,7 +287,7 @@ def _script(
         "fix move grains nve/sphere",
         f"fix drag grains viscous {30 * bed.grains.mass:.6g}",
         "fix hold intruder setforce 0 0 0",
-        f"run {round((0.03 if options.what == 'drag' else 0.004) / step)}",
+        f"run {round((0.03 if drawn else 0.004) / step)}",
         "unfix drag",
         "unfix hold",
         "reset_timestep 0",
@@ -226,10 +304,17 @@ def _script(
         (bed.folder / f"{name}.body").write_text(f"1\n{line}\n")
         parts.append(f"fix fall intruder rigid single infile {name}.body{only}")
     else:
-        along = f"{v:g} 0 0" if options.what == "drag" else f"0 0 {-v:g}"
+        along = f"{v:g} 0 0" if drawn else f"0 0 {-v:g}"
         parts.append(f"fix fall intruder move linear {along}")
         # Moved bodies are given their speed as well as their place: friction and damping read it.
     low, high = count + 1, count + len(intruder.centers)
+    each = len(intruder.centers) // len(intruder.places)
+    for i in range(len(intruder.places)):
+        parts += [
+            f"group plate{i} id {low + i * each}:{low + (i + 1) * each - 1}",
+            f"variable f{i} equal fcm(plate{i},x)",
+        ]
+    forces = " ".join(f"v_f{i}" for i in range(len(intruder.places)))
     parts += [
         f"group low id {low}",
         f"group high id {high}",
@@ -241,15 +326,15 @@ def _script(
         "variable vz equal vcm(intruder,z)",
         f"variable fz equal fcm(intruder,z)+{mass * GRAVITY:.9g}",
         "variable fx equal fcm(intruder,x)",
-        f"fix force intruder ave/time {_EVERY} {every // _EVERY} {every} v_fz v_fx"
+        f"fix force intruder ave/time {_EVERY} {every // _EVERY} {every} v_fz v_fx {forces}"
         f" file {name}.force format ' %.8g'",
         f'fix state intruder print {every} "$n ${{low}} ${{high}} ${{highx}} ${{lowx}} ${{vz}}"'
         f" file {name}.state screen no",
     ]
     if intruder.sides:
-        # The body's centre, not that of its first sphere.
-        parts.insert(-6, "variable low equal xcm(intruder,z)")
-        parts.insert(-6, "variable high equal xcm(intruder,z)")
+        # The leading plate's centre, not that of its first sphere.
+        parts.insert(-6, "variable low equal xcm(plate0,z)")
+        parts.insert(-6, "variable high equal xcm(plate0,z)")
     if free and intruder.body["shape"] != "capsule":
         parts += [
             "variable down equal -vcm(intruder,z)",
@@ -272,7 +357,11 @@ def _keep(
     seconds: float,
 ) -> None:
     """Writes where a run comes from."""
-    last = options.name if options.what != "drag" else f"{options.name}_{options.speed[-1]:g}"
+    last = options.name
+    if options.what == "drag":
+        last = f"{options.name}_{options.speed[-1]:g}"
+    elif options.what == "tandem":
+        last = _name(options, 1, 0.0, options.aside[-1])
     about = {
         "made_by": "referee/dem.py " + " ".join(_words()),
         "program": lammps_version(bed.folder, last),

@@ -25,6 +25,7 @@ class Intruder:
         inertia: about the centre, xx, yy, zz, xy, xz, yz, for a mass of one [m^2].
         angle: of the axis from the vertical, in the x-z plane, towards +x at the top [rad].
         sides: of a plate, along x, y and z [m].
+        places: of the centers of plates that are rigid together, the leading one first [m].
     """
 
     body: dict[str, Any]
@@ -33,6 +34,7 @@ class Intruder:
     inertia: tuple[float, ...] = (0.0,) * 6
     angle: float = 0.0
     sides: tuple[float, ...] = ()
+    places: tuple[tuple[float, ...], ...] = ((0.0, 0.0, 0.0),)
 
     @property
     def lowest(self) -> float:
@@ -81,13 +83,17 @@ def capsule(length: float, diameter: float, angle: float) -> Intruder:
     return Intruder(body, along[:, None] * axis, np.full(count, diameter), _six(tensor), angle)
 
 
-def plate(length: float, thickness: float, *, upright: bool = False) -> Intruder:
-    """A square plate, or a flat foot, as a shell of spheres within its outer sizes.
+def plate(
+    length: float, thickness: float, *, upright: bool = False, count: int = 1, gap: float = 0.0
+) -> Intruder:
+    """A square plate, a flat foot or a row of them, as shells of spheres within the outer sizes.
 
     Args:
         length: its side [m].
         thickness: [m].
         upright: with its normal along x, as it is drawn.
+        count: of upright plates, one behind another along -x; the inertia is that of one.
+        gap: between their faces [m].
     """
     sides = np.array([thickness, length, length] if upright else [length, length, thickness])
     inner = sides - _SHELL
@@ -95,12 +101,18 @@ def plate(length: float, thickness: float, *, upright: bool = False) -> Intruder
     axes = [np.linspace(-side / 2, side / 2, n) for side, n in zip(inner, counts, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     outside = (np.abs(np.abs(grid) - inner / 2) < 1e-9).any(axis=1)
-    centers = grid[outside]
+    places = np.arange(count)[:, None] * np.array([-(thickness + gap), 0.0, 0.0])
+    centers = (places[:, None] + grid[outside]).reshape(-1, 3)
     moments = [(sides[(i + 1) % 3] ** 2 + sides[(i + 2) % 3] ** 2) / 12 for i in range(3)]
     body = {"shape": "plate", "length": length, "diameter": thickness}
-    angle = math.pi / 2 if upright else 0.0
     return Intruder(
-        body, centers, np.full(len(centers), _SHELL), _six(np.diag(moments)), angle, tuple(sides)
+        body,
+        centers,
+        np.full(len(centers), _SHELL),
+        _six(np.diag(moments)),
+        angle=math.pi / 2 if upright else 0.0,
+        sides=tuple(sides),
+        places=tuple(tuple(place) for place in places),
     )
 
 
