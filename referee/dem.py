@@ -164,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
         part.add_argument("--distance", type=float, default=0.03, help="of a drag [m]")
         if what == "tandem":
             part.add_argument("--plates", type=int, default=2, help="one behind another")
-            part.add_argument("--gaps", type=float, nargs="+", default=[1.0], help="over --length")
+            part.add_argument("--gaps", type=float, nargs="*", default=[1.0], help="over --length")
             part.add_argument(
                 "--aside", type=float, nargs="+", default=[0.5], help="over y's width"
             )
