@@ -185,28 +185,6 @@ def count_of(typingctx: Any, mask: Any) -> Any:
 
 
 @intrinsic
-def bits_in(typingctx: Any, mask: Any) -> Any:
-    """An integer with a bit for each lane in which it is so, the first lane's the lowest."""
-    if not isinstance(mask, Mask):
-        return None
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.zext(builder.bitcast(args[0], ir.IntType(mask.count)), _INT)
-
-    return types.int64(mask), codegen
-
-
-@intrinsic
-def lowest_bit(typingctx: Any, bits: Any) -> Any:
-    """The place of an integer's lowest bit that is set, of which there must be one."""
-
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.cttz(args[0], ir.IntType(1)(1))
-
-    return types.int64(types.int64), codegen
-
-
-@intrinsic
 def total_of(typingctx: Any, numbers: Any) -> Any:
     """Adds up lanes: the first half and the second, and so on. A number is its own sum."""
     if isinstance(numbers, types.Float):

@@ -1,4 +1,11 @@
-"""Sand flows down where it is steeper than it can rest."""
+"""Sand flows down where it is steeper than it can rest.
+
+A slope is that of a triangle: a node and its two neighbors along the axes. A square of four nodes
+has four triangles, and the steepest of them is brought down. How steep a triangle is, is convex in
+its heights; they move against its gradient, which adds up to nothing. So each move is a step of a
+projection onto a convex set, after which no state that satisfies all bounds is farther away, and
+no volume is lost.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +14,10 @@ from functools import cache, partial
 from typing import Any
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.fields import rows
-from mjgranular.kernel.lanes import bits_in, lowest_bit
 from mjgranular.kernel.memory import scratch
 from mjgranular.kernel.vector import vector
 from mjgranular.relief.grid import (
     ACTIVE,
-    ARRAYS,
     FLOWS,
     HEIGHT,
     HIGHEST,
@@ -23,9 +27,9 @@ from mjgranular.relief.grid import (
     SETTLED,
     UNDER,
     UNMARKED,
+    add_height,
     base_at,
     base_beside,
-    block_of,
     mark_at,
     node_of,
     own_mark,
@@ -38,57 +42,121 @@ from mjgranular.relief.lists import activate, claim, count_at, listed_at
 from mjgranular.relief.press import has_edges, is_sand
 
 REST = 5e-3
-"""Height that may be left over the angle of repose [cells]: 0.2 degrees. Chosen."""
+"""Slope that may be left over that of repose: 0.2 degrees. Chosen."""
 
 
 @partial(compiled, inline=True)
-def exchanged(rise, run, tangent, rest, rate):
-    """Height that the higher of two neighbours gives to the lower; with the sign of `rise` [m].
+def slope_to(height, other, sign, level):
+    """Slope along an axis from a node to its neighbor; `level` if that is not a number.
 
     Args:
-        rise: how much higher the other is, along gravity [m].
-        run: square of how far away it is, across gravity [m^2].
-        tangent: of the angle of repose.
-        rest: height that may be left over it [m].
-        rate: part of a quarter of the excess.
+        height: of the node over the plane [cells].
+        other: of the neighbor; not a number where nothing flows.
+        sign: 1 if the neighbor lies ahead along the axis, -1 if behind.
+        level: slope of what is level.
     """
-    excess = abs(rise) - tangent * math.sqrt(max(run, 0.0))
-    return math.copysign(0.25 * rate * excess, rise) if excess > rest else 0.0
+    return sign * (other - height) if other == other else level
+
+
+@partial(compiled, inline=True)
+def excess_of(a, b, up, tangent):
+    """How much steeper than repose a triangle is; convex in its slopes.
+
+    Args:
+        a: slope along the first axis of the plane.
+        b: slope along the second.
+        up: what is up along the axes of the plane, a vector.
+        tangent: of the angle of repose.
+    """
+    rise = up.z - a * up.x - b * up.y  # of the normal (-a, -b, 1) along gravity
+    return math.sqrt(max(1.0 + a * a + b * b - rise * rise, 0.0)) - tangent * rise
+
+
+@partial(compiled, inline=True)
+def gains_of(a, b, up, tangent, ahead, beside, rate):
+    """Heights that the two neighbors of a steep triangle's node gain and it loses [cells].
+
+    Args:
+        a: slope along the first axis of the plane.
+        b: slope along the second.
+        up: what is up along the axes of the plane, a vector.
+        tangent: of the angle of repose.
+        ahead: 1 if the first neighbor lies ahead, -1 if behind, 0 if nothing flows there.
+        beside: the same of the second.
+        rate: part of the way to where it is no longer steep; below 2.
+    """
+    excess = excess_of(a, b, up, tangent)
+    rise = up.z - a * up.x - b * up.y
+    across = excess + tangent * rise
+    first = ahead * ((a + rise * up.x) / across + tangent * up.x)
+    second = beside * ((b + rise * up.y) / across + tangent * up.y)
+    both = first + second
+    scale = -rate * excess / (first * first + second * second + both * both)
+    return scale * first, scale * second
 
 
 @cache
 def flow_kernel(level: Any, is_flat: bool) -> Any:
     """Makes a kernel `flow(state, relief, rate)`: sand flows down where it is too steep.
 
-    Two neighbours whose slope is steeper than repose exchange `rate` of a quarter of the excess;
-    from and to a node under a body nothing flows.
+    From and to a node under a body nothing flows.
 
     Args:
         level: see `level_kernel`.
         is_flat: whether the surface is plane where it is.
     """
-    read, room = rows(float, 8).read, scratch(5 * 8)
+    room = scratch(18)
+
+    @partial(compiled, inline=True)
+    def flow_in_square(around, gained, first, up, tangent, rate):
+        """Brings the steepest triangle of a square down.
+
+        Args:
+            around: heights of nine nodes [cells], row by row.
+            gained: what they have gained [cells].
+            first: the first node of the square.
+            up: what is up along the axes of the plane.
+            tangent: of the angle of repose.
+            rate: see `gains_of`.
+        """
+        steepest, corner = REST, -1
+        flat_a, flat_b = -up.x / up.z, -up.y / up.z
+        for k in range(4):
+            # Rows are three apart.
+            di, dj = k >> 1, k & 1
+            height = around[first + 3 * di + dj]
+            a = slope_to(height, around[first + 3 * (1 - di) + dj], 1.0 - 2.0 * di, flat_a)
+            b = slope_to(height, around[first + 3 * di + 1 - dj], 1.0 - 2.0 * dj, flat_b)
+            excess = excess_of(a, b, up, tangent)
+            if excess > steepest and height == height:
+                steepest, corner = excess, k
+        if corner < 0:
+            return
+        di, dj = corner >> 1, corner & 1
+        node, ahead, beside = 3 * di + dj, 3 * (1 - di) + dj, 3 * di + 1 - dj
+        node, ahead, beside = first + node, first + ahead, first + beside
+        s, t = 1.0 - 2.0 * di, 1.0 - 2.0 * dj
+        a = slope_to(around[node], around[ahead], s, flat_a)
+        b = slope_to(around[node], around[beside], t, flat_b)
+        s = s if around[ahead] == around[ahead] else 0.0
+        t = t if around[beside] == around[beside] else 0.0
+        g, h = gains_of(a, b, up, tangent, s, t, rate)
+        around[node] -= g + h
+        gained[node] -= g + h
+        around[ahead] += g
+        gained[ahead] += g
+        around[beside] += h
+        gained[beside] += h
 
     @compiled
     def flow(state, relief, rate):
         cell, size, blocks, tangent = relief.cell, relief.size, relief.blocks, relief.repose
-        has_edge = has_edges(relief)
-        heights, sums = start_of(size, HEIGHT), start_of(size, ARRAYS)
+        has_edge, heights, per_cell = has_edges(relief), start_of(size, HEIGHT), 1.0 / relief.cell
         # Where the list of active places begins, backwards.
         end = start_of(size, LISTS) + size * size - 1
-        area, steeper, rest = cell * cell, tangent * tangent, REST * cell
-        # What is up along the axes of the plane.
-        up = vector(relief.along[2], relief.across[2], relief.normal[2])
-        # Of the eight neighbours: how much higher and how far away they would be on the bare plane,
-        # where they are from here, and how much higher they are over the plane.
-        around, lane = room(), 0
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                if di != 0 or dj != 0:
-                    around[lane] = (up.x * di + up.y * dj) * cell
-                    around[8 + lane] = (di * di + dj * dj) * area
-                    around[16 + lane], around[24 + lane] = di, dj
-                    lane += 1
+        area, up = cell * cell, vector(relief.along[2], relief.across[2], relief.normal[2])
+        numbers = room()
+        around, gained = numbers[:9], numbers[9:]
         count, kept, highest = count_at(state, size, ACTIVE), 0, 0.0
         for n in range(count):
             k = listed_at(state, size, size * size - 1 - n)
@@ -97,62 +165,50 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
             row, middle = row_at(size, k), base_at(state, size, k)
             column = k - row * size
             i, j = node_of(middle)
-            ground = level(relief, i * cell, j * cell)
-            # The node's own height is written when all its neighbours have been seen to.
-            height, moved, lane = state[heights + k], False, 0
-            for di in range(-1, 2):
-                begin = wrapped(row + di, size) * size
-                for dj in range(-1, 2):
-                    if di != 0 or dj != 0:
-                        q = begin + wrapped(column + dj, size)
-                        mark = own_mark(state, size, q, base_beside(middle, di, dj))
-                        other = state[heights + q]
-                        other = (other if mark >= 0.0 else 0.0) - height
-                        if not is_flat:
-                            other += level(relief, (i + di) * cell, (j + dj) * cell) - ground
-                        # Of two active neighbours one sees to both.
-                        first = 3 * di + dj < 0
-                        idle = mark == UNDER or (mark == FLOWS and first)
-                        around[32 + lane] = math.nan if idle else other
-                        lane += 1
-            others = read(around, 32)
-            rises = read(around, 0) + up.z * others
-            runs = read(around, 8) + others * others - rises * rises
-            steep = bits_in(rises * rises > steeper * runs)
-            while steep != 0:
-                lane = lowest_bit(steep)
-                steep &= steep - 1
-                di, dj = int(around[16 + lane]), int(around[24 + lane])
-                other = around[32 + lane] + (state[heights + k] - height)
-                rise = around[lane] + up.z * other
-                run = around[8 + lane] + other * other - rise * rise
-                amount = exchanged(rise, run, tangent, rest, rate)
-                if amount == 0.0:
+            flowing = 0
+            for q in range(9):
+                di, dj = q // 3 - 1, q % 3 - 1
+                place = wrapped(row + di, size) * size + wrapped(column + dj, size)
+                mark = own_mark(state, size, place, base_beside(middle, di, dj))
+                height = per_cell * state[heights + place] if mark >= 0.0 else 0.0
+                if not is_flat:
+                    height += per_cell * level(relief, (i + di) * cell, (j + dj) * cell)
+                if mark == UNDER or (
+                    has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell)
+                ):
+                    height = math.nan
+                around[q], gained[q] = height, 0.0
+                flowing |= (1 << q) if mark == FLOWS else 0
+            # Of the active nodes of a square the first sees to it.
+            if flowing & 0b000001011 == 0:
+                flow_in_square(around, gained, 0, up, tangent, rate)
+            if flowing & 0b000000110 == 0:
+                flow_in_square(around, gained, 1, up, tangent, rate)
+            if flowing & 0b000001000 == 0:
+                flow_in_square(around, gained, 3, up, tangent, rate)
+            flow_in_square(around, gained, 4, up, tangent, rate)
+            for q in range(9):
+                if gained[q] == 0.0:
                     continue
-                if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):
-                    continue
-                q = wrapped(row + di, size) * size + wrapped(column + dj, size)
+                di, dj = q // 3 - 1, q % 3 - 1
+                place = wrapped(row + di, size) * size + wrapped(column + dj, size)
                 base = base_beside(middle, di, dj)
-                mark = own_mark(state, size, q, base)
+                mark = own_mark(state, size, place, base)
                 if mark < 0.0:
-                    claim(state, size, blocks, area, q, base)
-                moved = True
-                height += amount
-                state[heights + q] -= amount
-                state[sums + block_of(size, blocks, q)] -= amount
-                highest = max(highest, state[heights + q])
-                if mark <= 0.0:
-                    activate(state, size, q)
-            highest = max(highest, height)
-            if moved:
-                state[sums + block_of(size, blocks, k)] += height - state[heights + k]
-                state[heights + k] = height
+                    claim(state, size, blocks, area, place, base)
+                add_height(state, size, blocks, place, cell * gained[q])
+                highest = max(highest, state[heights + place])
+                if q != 4 and mark <= 0.0:
+                    activate(state, size, place)
+            height = state[heights + k]
+            if gained[4] != 0.0:
                 state[end - kept] = k
                 kept += 1
             else:
                 set_mark(state, size, k, UNMARKED)
                 state[SETTLED] = max(state[SETTLED], height)
                 state[SEEN] = max(state[SEEN], height)
+            highest = max(highest, height)
         # Those that were activated on the way stand behind.
         for n in range(count, count_at(state, size, ACTIVE)):
             state[end - kept] = state[end - n]

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import mujoco
 import numpy as np
 
 from mjgranular.kernel.lanes import aligned
 from mjgranular.relief.memory import WINDOW, Memory
-from mjgranular.shape import facets_from_model
 from mjgranular.shape.sizes import check_count, geom_width, half_extents
 
 POINT_DTYPE = np.dtype(
@@ -37,6 +37,7 @@ LANES = 8
 TILE = 6 * LANES
 """Numbers of a tile: each of a point's and a normal's for all points in turn."""
 
+_GEOM = mujoco.mjtGeom
 _BESIDE = 0.5  # what is remembered beyond the bodies themselves, both sides together [m]; chosen
 
 
@@ -108,18 +109,14 @@ def footprint_of(
     Raises:
         InputError: more points than there is room for.
     """
-    names = elements.dtype.names or ()
-    if "half_length" in names:
-        parts = [(int(rod["geom"]), _on_rod(rod, cell)) for rod in elements]
+    parts: dict[int, list[np.ndarray]] = {int(geom): [] for geom in elements["geom"]}
+    if "half_length" in (elements.dtype.names or ()):
+        for rod in elements:
+            parts[int(rod["geom"])].append(_on_rod(rod, cell))
     else:
-        facets = elements if "edges" in names else facets_from_model(model, geoms)
-        parts = [(int(facet["geom"]), _on_facet(facet, cell)) for facet in facets]
-        meshes = [g for g in geoms if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_MESH]
-        # Facets of a mesh do not tell how far they reach.
-        parts += [(geom, _on_mesh(model, geom, cell)) for geom in meshes]
+        parts = {geom: [_on_skin(model, geom, cell)] for geom in parts}
     points, feet, count = [], [], 0
-    for geom in dict.fromkeys(elements["geom"].tolist()):
-        mine = [part for owner, part in parts if owner == geom]
+    for geom, mine in parts.items():
         here = np.concatenate(mine)
         points.append(_in_tiles(here))
         count += len(points[-1])
@@ -144,15 +141,77 @@ def _on_rod(rod: np.void, cell: float) -> np.ndarray:
     return points
 
 
-def _on_facet(facet: np.void, cell: float) -> np.ndarray:
-    edges = facet["edges"]
-    s, t = (_middles(2 * float(np.linalg.norm(edge)), cell) for edge in edges)
-    s, t = (part.ravel()[:, None] for part in np.meshgrid(s, t))
-    normals = facet["normal"] + s * facet["spread"][0] + t * facet["spread"][1]
-    points = np.zeros(len(s), POINT_DTYPE)
-    points["point"] = facet["point"] + s * edges[0] + t * edges[1]
-    points["normal"] = normals / np.linalg.norm(normals, axis=1)[:, None]
+def _on_skin(model: mujoco.MjModel, geom: int, cell: float) -> np.ndarray:
+    """Points all over the skin of a geom, no farther apart than a cell; body frame."""
+    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+    if kind == _GEOM.mjGEOM_MESH:
+        places, normals = _on_mesh(model, geom, cell)
+    elif kind == _GEOM.mjGEOM_BOX:
+        places, normals = _on_box(size, cell)
+    elif kind == _GEOM.mjGEOM_CYLINDER:
+        radius, half = size[:2]
+        ends = [[0, half], [radius, half], [radius, -half], [0, -half]]
+        places, normals = _revolved([_on_line(*two, cell) for two in pairwise(ends)], cell)
+    else:
+        # The skin of a ball, drawn out: of a capsule along its axis, of an ellipsoid along all.
+        half = size[1] if kind == _GEOM.mjGEOM_CAPSULE else 0.0
+        radius = half_extents(model, geom) - [0, 0, half]
+        profile = [_on_arc(radius.max(), half, cell)]
+        if half:
+            profile += [_on_line((radius[0], half), (radius[0], -half), cell)]
+        places, normals = _revolved(profile, cell)
+        stretch = radius / radius.max()
+        places, normals = places * stretch, normals / stretch
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    turn = rotation.reshape(3, 3).T
+    points = np.zeros(len(places), POINT_DTYPE)
+    points["point"] = places @ turn + model.geom_pos[geom]
+    points["normal"] = normals / np.linalg.norm(normals, axis=1)[:, None] @ turn
     return points
+
+
+def _on_line(begin: Sequence[float], end: Sequence[float], cell: float) -> np.ndarray:
+    """Points of a profile (`_revolved`) on a straight piece of it, with outside on the left."""
+    first, last = np.array(begin, float), np.array(end, float)
+    way = last - first
+    share = (1 + _middles(float(np.linalg.norm(way)), cell)[:, None]) / 2
+    return np.hstack([first + share * way, np.tile([-way[1], way[0]], (len(share), 1))])
+
+
+def _on_arc(radius: float, half: float, cell: float) -> np.ndarray:
+    """Points of a profile (`_revolved`) on half a circle, its halves drawn apart by twice `half`."""
+    polar = math.pi / 2 * (1 + _middles(math.pi * radius, cell))
+    normals = np.stack([np.sin(polar), np.cos(polar)], axis=1)
+    apart = half * np.sign(normals[:, 1:])
+    return np.hstack([radius * normals + apart * [0, 1], normals])
+
+
+def _revolved(profile: Sequence[np.ndarray], cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places and normals on a skin around the z axis.
+
+    Args:
+        profile: points (r, z) of it with their normals, shape (n, 4).
+        cell: how far apart points are, at most [m].
+    """
+    points = []
+    for r, z, out, up in np.concatenate(profile):
+        turn = math.pi * _middles(2 * math.pi * r, cell)
+        c, s, one = np.cos(turn), np.sin(turn), np.ones(len(turn))
+        points.append(np.stack([r * c, r * s, z * one, out * c, out * s, up * one], axis=1))
+    found = np.concatenate(points)
+    return found[:, :3], found[:, 3:]
+
+
+def _on_box(half: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    places, normals = [], []
+    for axis in range(3):
+        ways = [half[k] * _middles(2 * half[k], cell) for k in range(3)]
+        for side in (-1.0, 1.0):
+            ways[axis] = np.array([side * half[axis]])
+            places.append(np.stack(np.meshgrid(*ways), axis=-1).reshape(-1, 3))
+            normals.append(np.tile(side * np.eye(3)[axis], (len(places[-1]), 1)))
+    return np.concatenate(places), np.concatenate(normals)
 
 
 def _middles(length: float, cell: float) -> np.ndarray:
@@ -161,30 +220,22 @@ def _middles(length: float, cell: float) -> np.ndarray:
     return (2 * np.arange(count) + 1) / count - 1
 
 
-def _on_mesh(model: mujoco.MjModel, geom: int, cell: float) -> np.ndarray:
+def _on_mesh(model: mujoco.MjModel, geom: int, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """Middles of the triangles of a mesh, cut until none is longer than a cell."""
+    places, normals = [], []
     mesh = int(model.geom_dataid[geom])
     first, start = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
     faces = model.mesh_face[start : start + int(model.mesh_facenum[mesh])]
     corners = model.mesh_vert[first:][faces].astype(float)
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     outward = -1.0 if (corners.mean(axis=1) * areas).sum() < 0 else 1.0  # or it is inside out
-    places, normals = [], []
     for corner, area in zip(corners, areas, strict=True):
-        size = float(np.linalg.norm(area))
-        if size == 0.0:
-            continue
-        edges = corner - np.roll(corner, 1, axis=0)
-        weights = _in_triangle(math.ceil(np.linalg.norm(edges, axis=1).max() / cell - 1e-9))
-        places.append(weights @ corner)
-        normals.append(np.broadcast_to(outward * area / size, places[-1].shape))
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-    points = np.zeros(sum(map(len, places)), POINT_DTYPE)
-    turned = rotation.reshape(3, 3).T
-    points["point"] = np.concatenate(places) @ turned + model.geom_pos[geom]
-    points["normal"] = np.concatenate(normals) @ turned
-    return points
+        if area.any():
+            edges = corner - np.roll(corner, 1, axis=0)
+            weights = _in_triangle(math.ceil(np.linalg.norm(edges, axis=1).max() / cell - 1e-9))
+            places.append(weights @ corner)
+            normals.append(np.broadcast_to(outward * area, places[-1].shape))
+    return np.concatenate(places), np.concatenate(normals)
 
 
 @cache

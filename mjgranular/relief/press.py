@@ -35,14 +35,14 @@ from mjgranular.relief.grid import (
     wrapped,
 )
 from mjgranular.relief.lists import activate, claim, count_at, cover, listed_at
-from mjgranular.relief.probe import STEEP
 
 LEAST = 0.1
 """Least height that is pressed down at once, in parts of the slack, within which force does not
 change. Chosen: who creeps heaps up seldom."""
 
-FACES_DOWN = -math.sqrt(1.0 - STEEP * STEEP)
-"""The part of a normal along that of the sand, at most, of skin that presses sand down."""
+FACES_DOWN = -math.sin(math.radians(1.0))
+"""The part of a normal along that of the sand, at most, of skin that presses sand down: what is
+closer to upright covers none. Chosen."""
 
 
 class Skin(NamedTuple):
@@ -79,9 +79,13 @@ def lowest_of(foot, turn, shift):
 
 
 @partial(compiled, inline=True)
-def skin_at(z, slope_u, slope_v, du, dv):
-    """Height of the skin so far beside a point of it [m]: its tangent plane's, where that rises."""
-    return z + max(slope_u * du + slope_v * dv, 0.0)
+def skin_at(z, slope_u, slope_v, du, dv, cell):
+    """Height of the skin so far beside a point of it [m]: its tangent plane's, where that rises.
+
+    Nothing, at infinity, where that is more than a cell higher: nearer points show what is there.
+    """
+    rise = max(slope_u * du + slope_v * dv, 0.0)
+    return z + rise if rise <= cell else math.inf
 
 
 @cache
@@ -89,8 +93,8 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
     """Makes a kernel `press(state, relief, turn, shift, points)`: the volume pressed down [m^3].
 
     Where sand reaches the skin it is pressed down: at the four nodes around a point of it, to the
-    height of the point or, where the skin rises beside it, to its tangent plane. Steep skin presses
-    nothing down, nor does skin that faces upward. The points are one tile, `LANES` of them.
+    height of the point or, where the skin rises beside it, to its tangent plane. Upright skin
+    presses nothing down, nor does skin that faces upward. The points are one tile, `LANES` of them.
 
     Args:
         level: see `level_kernel`.
@@ -110,7 +114,7 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
         for di in range(2):
             for dj in range(2):
                 x, y = (i + di) * cell, (j + dj) * cell
-                skin = skin_at(z, slope_u, slope_v, x - u, y - v) - level(relief, x, y)
+                skin = skin_at(z, slope_u, slope_v, x - u, y - v, cell) - level(relief, x, y)
                 k = wrapped(row + di, size) * size + wrapped(column + dj, size)
                 base = base_beside(first, di, dj)
                 is_own = own_mark(state, size, k, base) >= 0.0

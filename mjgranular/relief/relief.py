@@ -18,10 +18,6 @@ from mjgranular.surface import Bed, HeightField, Plane, Surface
 SLACK = 0.1
 """Depth of what stands in its print below the sand that it has pressed down [cells]. Chosen."""
 
-FLOWS_AT = 0.95
-"""Share of the tangent of repose at which sand flows between neighbours: eight directions allow a
-slope that is up to 8 % steeper between them. Chosen so that both lie about the angle alike."""
-
 
 @cache
 def relief_dtype(base: np.dtype) -> np.dtype:
@@ -91,7 +87,7 @@ class Relief(Surface):
         for name, value in frame_of(self.base, base[0]).items():
             relief[name] = value
         relief["cell"], relief["slack"] = memory.cell, SLACK * memory.cell
-        relief["repose"], relief["bulking"] = FLOWS_AT * np.tan(memory.repose), memory.bulking
+        relief["repose"], relief["bulking"] = np.tan(memory.repose), memory.bulking
         relief["size"], relief["blocks"] = memory.size, memory.blocks(self.surroundings)
         return relief
 

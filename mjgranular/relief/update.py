@@ -35,7 +35,7 @@ cells of 10 mm: what is done once in several steps costs a part of it. Chosen: w
 way of a walking hexapod is the same within 1 %."""
 
 FASTEST = 1.5
-"""Rate at which what is exchanged leaves the steeper of two the higher. Chosen."""
+"""Greatest rate at which sand flows. Chosen below 2, where it would not come to rest."""
 
 
 @cache

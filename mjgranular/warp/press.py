@@ -102,7 +102,7 @@ def press_kernel(relief_struct: Any, level: Any) -> Any:
             for di in range(2):
                 for dj in range(2):
                     x, y = float(i + di) * cell, float(j + dj) * cell
-                    low = _skin_at(place[2], slope_u, slope_v, x - u, y - v)
+                    low = _skin_at(place[2], slope_u, slope_v, x - u, y - v, cell)
                     low = low - level_at(relief, x, y)
                     there = height_of_node(relief.state, size, i + di, j + dj)
                     if low < there and _is_sand(relief, x, y):
