@@ -17,10 +17,17 @@ from mjgranular.kernel.compiled import compiled
 # next row; volumes that were pressed down, heaped up, forgotten where the grid is wrapped around,
 # and that wait for a rim to be heaped up on [m^3]; lengths of both lists; how much time has gone by
 # since bodies last pressed, and since sand last flowed, in units of sqrt(cell / g); time of the
-# last step [s], by which a `Sand` knows that a simulation has begun anew.
+# last step [s], by which a `Sand` knows that a simulation has begun anew; 1 where the last update
+# has changed nothing, so that another at the same poses would not either.
 HIGHEST, SETTLED, SEEN, ROW, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE = range(10)
-SINCE_PRESSED, SINCE_FLOWED, TIME = range(10, 13)
-HEADER = 14
+SINCE_PRESSED, SINCE_FLOWED, TIME, SETTLES = range(10, 14)
+
+# Behind them the poses of bodies at the last update: place and axes of the plane, body by body.
+POSES, POSE = 14, 12
+MOST_POSES = 64
+"""Bodies that may be found at rest; with more of them nothing is skipped. Chosen."""
+
+HEADER = POSES + POSE * MOST_POSES
 
 # Arrays of a number for each node: height of the sand over the surface [m]; key and mark; lists of
 # places: those under bodies from the begin on, those where sand may flow from the end. Behind them,

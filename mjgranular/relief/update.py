@@ -8,7 +8,7 @@ it is asked for.
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,22 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled, program_address
 from mjgranular.kernel.memory import SCENE, XMAT, XPOS, floats, records, table_at
 from mjgranular.kernel.options import NO_GRAVITY, options_at
-from mjgranular.kernel.vector import read_matrix, read_vector, vector
+from mjgranular.kernel.vector import norm, read_matrix, read_vector, vector, write_vector
 from mjgranular.relief.flow import flow_kernel, look_through
 from mjgranular.relief.footprint import FOOT_DTYPE, TILE
-from mjgranular.relief.grid import COVERED, HIGHEST, PRESSED, SINCE_FLOWED, SINCE_PRESSED
+from mjgranular.relief.grid import (
+    ACTIVE,
+    COVERED,
+    HIGHEST,
+    MOST_POSES,
+    POSE,
+    POSES,
+    PRESSED,
+    SETTLES,
+    SINCE_FLOWED,
+    SINCE_PRESSED,
+    WAITING,
+)
 from mjgranular.relief.lists import begin_covering, count_at, end_covering
 from mjgranular.relief.press import heap, lowest_of, press_kernel
 from mjgranular.relief.probe import level_kernel, state_length
@@ -34,8 +46,45 @@ PRESSED_AFTER, FLOWS_AFTER = 0.3, 1.0
 cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with half of it the
 way of a walking hexapod is the same within 1 %."""
 
+STILL = 1e-3
+"""How far skin may move until bodies press again [cells], where nothing flows. Chosen: a tenth of
+what is not pressed down at once (`press.LEAST`)."""
+
 FASTEST = 1.5
 """Greatest rate at which sand flows. Chosen below 2, where it would not come to rest."""
+
+
+@partial(compiled, inline=True)
+def pose_in_plane(table, relief, body):
+    """Axes of the plane in a body's frame, a matrix, and the frame's place along them [m]."""
+    axes = vector(
+        read_vector(relief.along, 0), read_vector(relief.across, 0), read_vector(relief.normal, 0)
+    )
+    away = read_vector(floats(table[XPOS] + 24 * body, 3), 0) - read_vector(relief.origin, 0)
+    return axes @ read_matrix(floats(table[XMAT] + 72 * body, 9), 0), axes @ away
+
+
+@compiled
+def are_still(table, state, relief, feet):
+    """Tells whether no skin has moved since its body's pose was noted; notes those of what has."""
+    number, body, result = -1, -1, True
+    for n in range(len(feet)):
+        foot = feet[n]
+        if foot.body != body:
+            number, body = number + 1, foot.body
+        if number >= MOST_POSES:
+            return False
+        turn, shift = pose_in_plane(table, relief, body)
+        first = POSES + POSE * number
+        turned = turn - read_matrix(state, first)
+        moved = norm(shift - read_vector(state, first + 9))
+        far = norm(read_vector(foot.middle, 0)) + norm(read_vector(foot.half, 0))
+        moved += far * (norm(turned.x) + norm(turned.y) + norm(turned.z))
+        if not moved <= STILL * relief.cell:
+            for row, part in enumerate((turn.x, turn.y, turn.z, shift)):
+                write_vector(state, first + 3 * row, part)
+            result = False
+    return result
 
 
 @cache
@@ -57,11 +106,6 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
         size = relief.size
         state = floats(relief.state, state_length(size))
         feet = _feet(relief.feet, relief.foot_count)
-        origin = read_vector(relief.origin, 0)
-        axes = vector(
-            read_vector(relief.along, 0), read_vector(relief.across, 0),
-            read_vector(relief.normal, 0),
-        )  # fmt: skip
         options = options_at(table)
         g = options.gravity
         g = 0.0 if options.disableflags & NO_GRAVITY else math.sqrt(
@@ -73,12 +117,15 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
         if 0.0 < state[SINCE_PRESSED] < PRESSED_AFTER:
             return 1
         state[SINCE_PRESSED] = 0.0
-        before = begin_covering(state, size)
+        flows = state[SINCE_FLOWED] >= FLOWS_AFTER
+        if are_still(table, state, relief, feet) and state[SETTLES] == 1.0:
+            state[SINCE_FLOWED] = 0.0 if flows else state[SINCE_FLOWED]
+            return 1
+        pressed, before = state[PRESSED], begin_covering(state, size)
         begin = 0
         for number in range(len(feet)):
             foot = feet[number]
-            turn = axes @ read_matrix(floats(table[XMAT] + 72 * foot.body, 9), 0)
-            shift = axes @ (read_vector(floats(table[XPOS] + 24 * foot.body, 3), 0) - origin)
+            turn, shift = pose_in_plane(table, relief, foot.body)
             if not is_flat or lowest_of(foot, turn, shift) < state[HIGHEST]:
                 first, volume = count_at(state, size, COVERED), 0.0
                 for n in range(begin, foot.end):
@@ -89,7 +136,9 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
             begin = foot.end
         end_covering(state, size, before)
         look_through(state, size)
-        if state[SINCE_FLOWED] >= FLOWS_AFTER:
+        has_changed = state[PRESSED] > pressed or state[WAITING] > 0.0 or state[ACTIVE] > 0.0
+        state[SETTLES] = 0.0 if has_changed else 1.0
+        if flows:
             flow(state, relief, min(state[SINCE_FLOWED], FASTEST))
             state[SINCE_FLOWED] = 0.0
         return 1
