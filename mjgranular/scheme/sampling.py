@@ -46,11 +46,6 @@ def _no_level(surface, pose):
     return 0.0
 
 
-@partial(compiled, inline=True)
-def _no_cull(element, level):
-    return math.inf
-
-
 def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, compact: bool) -> Any:
     """Makes a kernel `sample_all(table, workspace, tiles, step, lead)`.
 
@@ -139,6 +134,32 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
     return sample_all
 
 
+def _look_at_all(kernel: LawKernel) -> Any:
+    """Makes the kernel `look` for laws whose `cull` takes all lanes at once."""
+    lanes, cull = kernel.lanes, kernel.cull
+    read_elements, all_depths = rows(kernel.element, lanes).read, rows(float, lanes)
+    write_depths = all_depths.write
+    # Of a loop the compiler makes scattered stores, which take longer than single ones.
+    contact_size = CONTACT_DTYPE.itemsize
+    stride = contact_size // 8  # the depth comes first
+    read_depths, note_depths = column(lanes, 1).read, column(lanes, stride).write
+    packed_size = size_of(kernel.element) * lanes
+
+    @partial(compiled, inline=True)
+    def look(table, packed, first, here, around, depths):
+        deepest = cull(read_elements(floats(packed, packed_size), 0), around)
+        write_depths(depths, 0, deepest)
+        contacts = table[CONTACTS] + contact_size * first
+        if here == lanes:
+            note_depths(floats(contacts, lanes * stride), 0, read_depths(depths, 0))
+        else:
+            for lane in range(here):
+                floats(contacts + contact_size * lane, 1)[0] = depths[lane]
+        return not all_of(deepest <= 0.0)
+
+    return look
+
+
 def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any]:
     """Makes kernels `look`, `take` and `close`, for laws and surfaces that take numbers.
 
@@ -147,15 +168,18 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
     the tile has. `close` fills up a tile.
     """
     lanes, sample = kernel.lanes, kernel.sample
-    cull = _no_cull if kernel.cull is None else kernel.cull
     read_element, samples = column(kernel.element, lanes).read, column(kernel.samples, lanes)
     read_sample, write_sample = samples.read, samples.write
+    write_depths = rows(float, lanes).write
     scene_records = records(scene_dtype)
     packed_size, size = size_of(kernel.element) * lanes, tile_size(kernel)
 
     @partial(compiled, inline=True)
-    def look(table, packed, first, here, around, depths):
+    def look_at_none(table, packed, first, here, around, depths):
+        write_depths(depths, 0, math.inf)
         return True
+
+    look = look_at_none if kernel.cull is None else _look_at_all(kernel)
 
     @compiled
     def take(table, packed, first, lane, here, place, around, g, depths, address, live):
@@ -163,17 +187,15 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
         scene = scene_records(table[SCENE], 1)[0]
         elements, tile = floats(packed, packed_size), floats(address, size)
         while lane < here and live < lanes:
-            element, contact = read_element(elements, lane), contacts[first + lane]
-            depth = cull(element, around)
-            if not depth <= 0.0:
+            if not depths[lane] <= 0.0:
+                element = read_element(elements, lane)
                 found = sample(element, pose_at(place), scene.law, scene.surface, g)
-                depth = found.depth
-                if not depth <= 0.0:
+                contacts[first + lane].depth = found.depth
+                if not found.depth <= 0.0:
                     write_sample(tile, SAMPLE * lanes + live, found)
                     tile[INDEX * lanes + live] = number_of(first + lane)
                     tile[WEIGHT * lanes + live] = 1.0
                     live += 1
-            contact.depth = depth
             lane += 1
         return lane, live
 
@@ -190,31 +212,14 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
 
 def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tuple[Any, Any, Any]:
     """Makes the same kernels for laws and surfaces that take all lanes at once."""
-    lanes, sample, cull = kernel.lanes, kernel.sample, kernel.cull
+    lanes, sample, look = kernel.lanes, kernel.sample, _look_at_all(kernel)
     elements, one = rows(kernel.element, lanes), column(kernel.element, lanes)
     read_elements, read_element, write_element = elements.read, one.read, one.write
     write_samples, all_depths = rows(kernel.samples, lanes).write, rows(float, lanes)
-    read_all_depths, write_depths = all_depths.read, all_depths.write
-    write_all_weights = all_depths.write
-    # Of a loop the compiler makes scattered stores, which take longer than single ones.
-    contact_size = CONTACT_DTYPE.itemsize
-    stride = contact_size // 8  # the depth comes first
-    read_depths, note_depths = column(lanes, 1).read, column(lanes, stride).write
+    read_all_depths, write_all_weights = all_depths.read, all_depths.write
     scene_records = records(scene_dtype)
     packed_size, size = size_of(kernel.element) * lanes, tile_size(kernel)
     gathered = element_row(kernel) * lanes
-
-    @partial(compiled, inline=True)
-    def look(table, packed, first, here, around, depths):
-        deepest = cull(read_elements(floats(packed, packed_size), 0), around)
-        write_depths(depths, 0, deepest)
-        contacts = table[CONTACTS] + contact_size * first
-        if here == lanes:
-            note_depths(floats(contacts, lanes * stride), 0, read_depths(depths, 0))
-        else:
-            for lane in range(here):
-                floats(contacts + contact_size * lane, 1)[0] = depths[lane]
-        return not all_of(deepest <= 0.0)
 
     @compiled
     def sample_tile(table, array, at, place, g, tile):
