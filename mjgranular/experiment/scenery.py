@@ -7,7 +7,7 @@ import numpy as np
 
 from mjgranular.look import add_material, paint, radius_of
 from mjgranular.prints import add_skin
-from mjgranular.prints.skin import BLOCK, lines_of
+from mjgranular.prints.skin import BLOCK, lines_of, stride_of
 from mjgranular.relief import Memory
 from mjgranular.surface import Bed, HeightField, Surface
 
@@ -81,7 +81,7 @@ def add_cut_prints(spec: mujoco.MjSpec, memory: Memory | None) -> None:
         return
     bed = spec.geom("bed")
     add_skin(spec, memory, bed.material, thickness=2 * float(bed.size[2]))
-    reach = (lines_of(memory) - 4 * BLOCK - 1) * memory.cell / 2
+    reach = (lines_of(memory) - 4 * BLOCK - 1) * stride_of(memory) * memory.cell / 2
     front, back = bed.pos[1] - bed.size[1], bed.pos[1] + bed.size[1]
     end, wide = float(bed.size[0]), min(reach, float(bed.size[0]))
     deep = min(front + 2 * reach, back)

@@ -11,7 +11,7 @@ import numpy as np
 from mjgranular.kernel.compiled import entry
 from mjgranular.look import NOT_SHOWN
 from mjgranular.prints.shape import BLOCK, CANVAS_DTYPE, room_for, shape_of
-from mjgranular.prints.skin import lines_of, skin_of, vertex_count
+from mjgranular.prints.skin import lines_of, skin_of, stride_of, vertex_count
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief
 from mjgranular.surface import HeightField, Surface
@@ -59,12 +59,13 @@ def make_canvas(
     lines = lines_of(memory)
     canvas = np.zeros(1, CANVAS_DTYPE)
     canvas["lines"], canvas["vertex_count"] = lines, vertex_count(lines)
+    canvas["stride"] = stride_of(memory)
     canvas["room"], canvas["unit"] = room_for(lines), unit
     if region is not None:
         low, high = np.array(region.low), np.array(region.high)
         canvas["bounded"], canvas["low"], canvas["high"] = 1, low, high
         canvas["bottom"], canvas["middle"] = region.bottom, (low + high) / 2
-        canvas["held"] = (high - low).max() < (lines - 4 * BLOCK) * memory.cell
+        canvas["held"] = (high - low).max() < (lines - 4 * BLOCK) * stride_of(memory) * memory.cell
     return canvas
 
 

@@ -30,6 +30,7 @@ CANVAS_DTYPE = np.dtype(
         ("vertices", np.int64),  # address: of the skin, float32
         ("vertex_count", np.int64),
         ("lines", np.int64),  # vertices along a side
+        ("stride", np.int64),  # every how many-th node of the memory has one
         ("blocks", np.int64),  # address: room for a number for each block
         ("rectangles", np.int64),  # address: room for their middles and half their edges [m]
         ("room", np.int64),  # for so many
@@ -164,9 +165,15 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     """
     level, reliefs = level_kernel(probe, is_flat), records(dtype)
 
+    @partial(compiled, inline=True)
+    def width_of(canvas, relief):
+        """How far vertices are apart [m]."""
+        return canvas.stride * relief.cell
+
     @compiled
-    def height(relief, state, i, j):
-        """Height of the sand at a node over the surface [m]; not a number is untouched."""
+    def height(canvas, relief, state, i, j):
+        """Height of the sand at a vertex over the surface [m]; not a number is untouched."""
+        i, j = canvas.stride * i, canvas.stride * j
         k = place_of(relief.size, i, j)
         if own_mark(state, relief.size, k, base_of(i, j)) < 0.0:
             return 0.0
@@ -176,7 +183,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     @compiled
     def place(canvas, relief, i, j):
         """Where a node is drawn, (u, v) [m], and the level of the surface there [m]."""
-        u, v = i * relief.cell, j * relief.cell
+        u, v = i * width_of(canvas, relief), j * width_of(canvas, relief)
         if canvas.bounded:
             u = within(u, canvas.low[0], canvas.high[0])
             v = within(v, canvas.low[1], canvas.high[1])
@@ -185,7 +192,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     @compiled
     def choose(canvas, relief, state, blocks, first_i, first_j):
         """Finds out which blocks are drawn with the skin; the lowest height over the plane [m]."""
-        side, cell = canvas.lines // BLOCK, relief.cell
+        side, cell = canvas.lines // BLOCK, width_of(canvas, relief)
         width = BLOCK * cell
         lowest = deepest = 0.0
         for a in range(side):
@@ -202,7 +209,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                 chosen = 0 if is_flat else 1
                 for i in range(first_i + a * BLOCK - 1, first_i + (a + 1) * BLOCK + 2):
                     for j in range(first_j + b * BLOCK - 1, first_j + (b + 1) * BLOCK + 2):
-                        h = height(relief, state, i, j)
+                        h = height(canvas, relief, state, i, j)
                         if h != 0.0:
                             chosen = 1
                             deepest = min(deepest, h)
@@ -226,15 +233,15 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     @compiled
     def sand_at(canvas, relief, state, i, j):
         """Height at the node that is drawn for (i, j) over the surface [m]."""
-        cell = relief.cell
+        cell = width_of(canvas, relief)
         return height(
-            relief, state, inside(canvas, cell, 0, i), inside(canvas, cell, 1, j)
+            canvas, relief, state, inside(canvas, cell, 0, i), inside(canvas, cell, 1, j)
         )  # fmt: skip
 
     @compiled
     def fill(canvas, relief, state, blocks, first_i, first_j, lowest):
         """Puts all vertices of the surface in their places."""
-        n, cell = canvas.lines, relief.cell
+        n, cell = canvas.lines, width_of(canvas, relief)
         side, hair = n // BLOCK, _HAIR * cell
         vertices = _vertices(canvas.vertices, 3 * canvas.vertex_count)
         for a in range(n):
@@ -282,7 +289,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
     @compiled
     def wall(canvas, relief, state, first_i, first_j, lowest):
         """Puts the vertices of the walls in their places; an endless surface has none."""
-        n, cell = canvas.lines, relief.cell
+        n, cell = canvas.lines, width_of(canvas, relief)
         vertices = _vertices(canvas.vertices, 3 * canvas.vertex_count)
         number = n * n
         for side in range(4):
@@ -312,7 +319,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
         canvas = canvases(address, 1)[0]
         relief = reliefs(canvas.surface, 1)[0]
         state = floats(relief.state, state_length(relief.size))
-        side, cell = canvas.lines // BLOCK, relief.cell
+        side, cell = canvas.lines // BLOCK, width_of(canvas, relief)
         blocks = longs(canvas.blocks, side * side)
         first_i, first_j = first_of(canvas, 0, cell), first_of(canvas, 1, cell)
         lowest = choose(canvas, relief, state, blocks, first_i, first_j)

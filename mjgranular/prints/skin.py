@@ -8,12 +8,13 @@ that are drawn on it when the robot walks on.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from mjgranular.relief.memory import Memory
+from mjgranular.relief.memory import EXTENT, Memory
 
 SKIN = "mjgranular_prints"
 """Name of the skin; behind a space that of the sand."""
@@ -21,12 +22,19 @@ SKIN = "mjgranular_prints"
 BLOCK = 10
 """Nodes along the side of a block, which is drawn with the skin or as a rectangle as a whole."""
 
-_MOST = 200  # nodes along a side that are drawn; chosen: a film takes half as long again
+_MOST = 400
+"""Nodes along a side that are drawn. Chosen: 12 MB of vertices, normals and places in the picture."""
+
+
+def stride_of(memory: Memory) -> int:
+    """Every how many-th node is drawn: as few are left out as a window of `EXTENT` allows."""
+    return math.ceil(min(memory.size, EXTENT / memory.cell - 1e-9) / _MOST)
 
 
 def lines_of(memory: Memory) -> int:
     """Number of vertices along a side: those that are drawn, and a block around, which is not."""
-    return min(memory.size, _MOST) + 2 * BLOCK
+    shown = BLOCK * math.ceil(memory.size / (BLOCK * stride_of(memory)))
+    return min(shown, _MOST) + 2 * BLOCK
 
 
 def vertex_count(lines: int) -> int:
@@ -66,7 +74,7 @@ def add_skin(
         material=material,
         rgba=[*rgb, 0.0],
         vert=np.zeros(3 * count),
-        texcoord=_texture(lines, memory.cell, thickness).ravel(),
+        texcoord=_texture(lines, stride_of(memory) * memory.cell, thickness).ravel(),
         face=_faces(lines).ravel(),
         bodyname=["world"],
         bindpos=[0, 0, 0],

@@ -11,17 +11,14 @@ from typing import Any
 
 import warp as wp
 
-from mjgranular.relief.flow import REST, exchanged
+from mjgranular.relief.flow import REST, excess_of, gains_of, slope_to
 from mjgranular.relief.press import has_edges, is_sand
 from mjgranular.warp.grid import in_world, node_in, tile_of, wrapped
 from mjgranular.warp.translate import translated
 from mjgranular.warp.update import FLOWS, LANES, claim
 
-DIRECTIONS = ((0, 1), (1, 0), (1, 1), (1, -1))
-"""To a node's neighbours; the other four are their opposites."""
-
 _is_sand, _has_edges = translated(is_sand), translated(has_edges)
-_exchanged = translated(exchanged)
+_slope_to, _excess_of, _gains_of = (translated(each) for each in (slope_to, excess_of, gains_of))
 
 
 @functools.cache
@@ -40,14 +37,13 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
         task: wp.array(dtype=int),
         rate: wp.array(dtype=float),
         foot: wp.array3d(dtype=int),
-        di: int,
-        dj: int,
-        parity: int,
+        first_row: int,
+        first_column: int,
         volumes: wp.array2d(dtype=float),
     ):
-        """Has sand flow between nodes and their neighbours in a direction, every other pair.
+        """Brings the steepest triangles down of every other square along both axes.
 
-        It does not flow over what is remembered of a place that lies a tile away.
+        Sand does not flow over what is remembered of a place that lies a tile away.
         """
         world, lane = wp.tid()
         if task[world] != FLOWS:
@@ -56,42 +52,67 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
         grid, cell, size = relief.state, relief.cell, relief.size
         has_edge = _has_edges(relief)
         up = wp.vec3(relief.along[2], relief.across[2], relief.normal[2])
-        for n in range(lane, size * size // 2, LANES):
-            # Of rows, or along a row of columns, those of one parity begin a pair.
-            row = wp.where(di == 1, 2 * (n // size) + parity, n // (size // 2))
-            column = wp.where(di == 1, n % size, 2 * (n % (size // 2)) + parity)
-            other_row, other_column = wrapped(row + di, size), wrapped(column + dj, size)
-            tile = grid.tile[world, row, column]
-            other_tile = grid.tile[world, other_row, other_column]
-            if tile == 0 and other_tile == 0:
+        flat_a, flat_b = -up[0] / up[2], -up[1] / up[2]
+        half = size // 2
+        for n in range(lane, half * half, LANES):
+            row, column = 2 * (n // half) + first_row, 2 * (n % half) + first_column
+            # The first node is told by whichever has been moved.
+            i, j = int(0), int(0)
+            known = int(0)
+            for k in range(4):
+                di, dj = k // 2, k % 2
+                x, y = wrapped(row + di, size), wrapped(column + dj, size)
+                tile = grid.tile[world, x, y]
+                if known == 0 and tile != 0:
+                    i, j = node_in(tile, x, y, size)
+                    i = i - di
+                    j = j - dj
+                    known = int(1)
+            if known == 0:
                 continue
-            if foot[world, row, column] >= 0 or foot[world, other_row, other_column] >= 0:
+            heights = wp.vec4()
+            for k in range(4):
+                di, dj = k // 2, k % 2
+                x, y = wrapped(row + di, size), wrapped(column + dj, size)
+                tile = grid.tile[world, x, y]
+                u, v = float(i + di) * cell, float(j + dj) * cell
+                height = (grid.height[world, x, y] + level_at(relief, u, v)) / cell
+                if (
+                    foot[world, x, y] >= 0
+                    or (tile != 0 and tile != tile_of(i + di, j + dj, size))
+                    or (has_edge and not _is_sand(relief, u, v))
+                ):
+                    height = wp.nan
+                heights[k] = height
+            steepest, corner = float(REST), int(-1)
+            for k in range(4):
+                di, dj = k // 2, k % 2
+                s, t = 1.0 - 2.0 * float(di), 1.0 - 2.0 * float(dj)
+                a = _slope_to(heights[k], heights[2 * (1 - di) + dj], s, flat_a)
+                b = _slope_to(heights[k], heights[2 * di + 1 - dj], t, flat_b)
+                excess = _excess_of(a, b, up, relief.repose)
+                if excess > steepest and not wp.isnan(heights[k]):
+                    steepest = excess
+                    corner = k
+            if corner < 0:
                 continue
-            # One of the two may not have been moved yet; not both belong to what lies farther off.
-            if tile != 0:
-                i, j = node_in(tile, row, column, size)
-                beside = tile_of(i + di, j + dj, size)
-                if other_tile != beside and other_tile != 0:
-                    continue
-                other_tile = beside
-            else:
-                k, m = node_in(other_tile, other_row, other_column, size)
-                tile = tile_of(k - di, m - dj, size)
-            i, j = node_in(tile, row, column, size)
-            x, y = float(i) * cell, float(j) * cell
-            far_x, far_y = float(i + di) * cell, float(j + dj) * cell
-            higher = grid.height[world, other_row, other_column] - grid.height[world, row, column]
-            higher += level_at(relief, far_x, far_y) - level_at(relief, x, y)
-            rise = (up[0] * float(di) + up[1] * float(dj)) * cell + up[2] * higher
-            run = float(di * di + dj * dj) * cell * cell + higher * higher - rise * rise
-            amount = _exchanged(rise, run, relief.repose, REST * cell, rate[world])
-            if amount == 0.0:
-                continue
-            if has_edge and not (_is_sand(relief, x, y) and _is_sand(relief, far_x, far_y)):
-                continue
-            claim(relief, tile, row, column, volumes)
-            claim(relief, other_tile, other_row, other_column, volumes)
-            grid.height[world, row, column] += amount
-            grid.height[world, other_row, other_column] -= amount
+            di, dj = corner // 2, corner % 2
+            ahead, beside = 2 * (1 - di) + dj, 2 * di + 1 - dj
+            s, t = 1.0 - 2.0 * float(di), 1.0 - 2.0 * float(dj)
+            a = _slope_to(heights[corner], heights[ahead], s, flat_a)
+            b = _slope_to(heights[corner], heights[beside], t, flat_b)
+            s = wp.where(wp.isnan(heights[ahead]), 0.0, s)
+            t = wp.where(wp.isnan(heights[beside]), 0.0, t)
+            g, h = _gains_of(a, b, up, relief.repose, s, t, rate[world])
+            gained = wp.vec4()
+            gained[corner] = -g - h
+            gained[ahead] = g
+            gained[beside] = h
+            for k in range(4):
+                if gained[k] != 0.0:
+                    di, dj = k // 2, k % 2
+                    x, y = wrapped(row + di, size), wrapped(column + dj, size)
+                    claim(relief, tile_of(i + di, j + dj, size), x, y, volumes)
+                    grid.height[world, x, y] += cell * gained[k]
 
     return flow

@@ -113,9 +113,10 @@ class WarpMemory:
         self._launch(heap.surround, over_nodes, at_feet, shares)
         self._launch(heap.heap, over_nodes, at_feet, [*shares, volumes])
         self._launch(heap.keep, (worlds, feet), [relief, task, *shares, volumes])
-        for di, dj in flow.DIRECTIONS:
-            for parity in (0, 1):
-                flowing = [self._leveled, task, self._rate, foot, di, dj, parity, volumes]
+        # Squares that share no node at once.
+        for first_row in (0, 1):
+            for first_column in (0, 1):
+                flowing = [self._leveled, task, self._rate, foot, first_row, first_column, volumes]
                 self._launch(self._flow, over_nodes, flowing)
         self._launch(update.sum_up, (worlds, blocks * blocks), [relief, task])
 

@@ -3,8 +3,8 @@
 The rules are those of `relief.update`, their formulas the same source; what differs is that all
 nodes are seen to at once. Skin that wants a node down leaves its height there, and the lowest
 wins (`warp.press`); each node beside a print takes its share of what the nearest body has displaced
-(`warp.heap`); and sand flows between pairs of neighbours, one direction after the other, so that no
-two pairs share a node (`warp.flow`).
+(`warp.heap`); and sand flows in squares of four nodes, every other one along both axes at a time, so
+that no two share a node (`warp.flow`).
 
 `LANES` threads of each world go over its points or nodes, at once or not: a world that has
 nothing to do costs next to nothing.

@@ -246,3 +246,26 @@ def test_damaged_prints_are_refused(damage: dict[str, np.ndarray]) -> None:
     assert replay.to(0.0).min() == 0.0  # and back
     with pytest.raises(ValueError, match="prints"):
         Prints.from_arrays(whole | damage)
+
+
+@pytest.mark.parametrize("cell", [0.01, 0.005, 0.0025])
+def test_what_is_remembered_is_drawn_to_a_meter_away_at_any_cell_size(cell: float) -> None:
+    ground, memory, far = GROUNDS["plane"], Memory(cell=cell), 0.9
+    nodes = round(far / cell) + np.arange(8)
+    both = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    replay = Replay(
+        Prints(np.zeros(1), np.array([64]), both.astype(np.int32), np.full(64, -0.02)), memory
+    )
+    spec = spec_of(ground)
+    show_prints(spec, SandSpec(surface=ground.surface, **(SAND | {"memory": memory})))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    cover = Cover(model, ground.surface, memory, unit=0.5)
+    cover.lay(replay.to(0.0), np.zeros(3))
+    scene = scene_of(model, data)
+    vertices = np.array(scene.skinvert).reshape(-1, 3)
+    deep = vertices[np.abs(vertices[:, 2] - 0.01 + 0.02) < 1e-6]
+    assert len(deep) >= 16
+    assert np.abs(deep[:, :2] - far - 3.5 * cell).max() < 4 * cell
+    assert len(vertices) < 200_000
