@@ -102,7 +102,7 @@ class _Limits:
 
     def __init__(self, model: mujoco.MjModel, sand: SandSpec) -> None:
         geoms = geoms_in_sand(model, sand)
-        medium, law = material_of(model, geoms, sand)
+        medium, law = material_of(model, sand)
         elements = law.elements(model, geoms, sand.resolution)
         self._limits = law.validity
         self.width = float(elements["width"].min())

@@ -285,7 +285,7 @@ def sands_of(
 
 
 def _name(thing: Any) -> str:
-    """Name of a medium or a law in `info`; None is one that follows from the bodies."""
+    """Name of a medium or a law in `info`; None is the default."""
     if thing is None:
-        return "by the bodies"
+        return "default"
     return thing if isinstance(thing, str) else str(getattr(thing, "name", thing))

@@ -13,6 +13,7 @@ import numpy as np
 from mjgranular.errors import InputError
 from mjgranular.given import is_finite
 from mjgranular.models.link import Link, model_path
+from mjgranular.sand.material import LAW_TEXT
 
 Base = Literal["free", "hinge", "slide", "level"]
 Actuators = Literal["none", "motor", "position"]
@@ -149,6 +150,7 @@ class Chain:
         spec.comment = "A chain of slender links: mjgranular.models.Chain."
         spec.delete(spec.body("link"))
         spec.delete(spec.key("impact"))
+        spec.delete(spec.text(LAW_TEXT))
         self._set_scenery(spec)
         parent = spec.worldbody
         for index in range(self.count):

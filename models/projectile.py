@@ -11,6 +11,7 @@ import mujoco
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.given import is_finite
 from mjgranular.models.link import Link
+from mjgranular.sand.material import LAW_TEXT
 
 Shape = Literal["link", "sphere", "box", "cylinder", "capsule", "ellipsoid", "plate"]
 
@@ -107,6 +108,7 @@ class Projectile(Link):
         spec = super().spec()
         if self.shape == "link":
             return spec
+        spec.delete(spec.text(LAW_TEXT))
         kinds = mujoco.mjtGeom
         x, y, z = self.halves
         geom = spec.geom("link")

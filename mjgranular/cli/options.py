@@ -165,8 +165,8 @@ class ChoiceOptions(LawOptions):
     """The sand, and what of a model meets it."""
 
     medium: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The sand, or a YAML file; `mjgranular media` lists what there is. Default: by law and bodies,
-    play_sand for slender links and quikrete_medium for all else."""
+    """The sand, or a YAML file; `mjgranular media` lists what there is. Default: by the law, or
+    quikrete_medium."""
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Bodies that meet the sand, by name or number. Default: all that can move."""
     geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()

@@ -79,7 +79,7 @@ def material_in(
         InputError: what is written for it cannot be read, or does not fit the model.
     """
     sand = _spec_of(model, instance_of(model, name))
-    medium, law = material_of(model, geoms_in_sand(model, sand), sand)
+    medium, law = material_of(model, sand)
     return medium, law, surface_of(sand.surface), as_memory(sand.memory)
 
 

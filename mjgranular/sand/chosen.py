@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular.law import Law
 from mjgranular.medium import Medium
-from mjgranular.sand.material import elements_of, material_of
+from mjgranular.sand.material import elements_of, material_of, warn_of_link_law
 from mjgranular.sand.points import warn_of_points
 from mjgranular.sand.ranges import warn_of_ranges
 from mjgranular.sand.spec import SandSpec
@@ -56,7 +56,7 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     """
     surface = surface_of(spec.surface)
     geoms = geoms_in_sand(model, spec)
-    medium, law = material_of(model, geoms, spec)
+    medium, law = material_of(model, spec)
     replaced = replace_geoms(model, spec.instead_of)
     chosen = spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms)
     warn_of_unfelt(model, geoms, chosen=chosen)
@@ -64,6 +64,7 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     warn_of_ranges(model, geoms, law, surface)
     warn_of_points(model, geoms, spec)
     elements = elements_of(model, geoms, law, spec.resolution)
+    warn_of_link_law(model, spec, law)
     return ChosenSand(
         medium=medium,
         law=law,

@@ -1,4 +1,4 @@
-"""Medium and law of a sand: as asked for, or as they follow from each other and from the bodies."""
+"""Medium and law of a sand: as asked for, or as they follow from each other and from the model."""
 
 from __future__ import annotations
 
@@ -8,49 +8,80 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError, listed
+from mjgranular.errors import InputError, UnknownNameError, listed, warn_user
 from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, get_law, law_in, laws
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.spec import SandSpec
 
-MEDIUM_OF_LINKS = "play_sand"
-"""Taken for slender links: its law is that of links."""
+DEFAULT_MEDIUM = "quikrete_medium"
+"""Taken where neither medium nor law is given: its law, `rft3d_dynamic`, takes every shape."""
 
-MEDIUM_OF_BODIES = "quikrete_medium"
-"""Taken for all other bodies: its law, `rft3d_dynamic`, takes every shape."""
+LAW_TEXT = "mjgranular.law"
+"""Name of the custom text by which a model names the law that it is made for."""
+
+_FIRST_MEDIA = ("play_sand", DEFAULT_MEDIUM)
+"""Where a law alone is given, these are asked before all others whether they have constants."""
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 _logger = logging.getLogger(__name__)
 
 
-def material_of(model: mujoco.MjModel, geoms: Sequence[int], spec: SandSpec) -> tuple[Medium, Law]:
-    """The medium and the law of a sand.
+def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
+    """Return the medium and the law of a sand.
 
     What is given is taken. With a medium alone the law is the medium's own, with a law alone the
-    medium is one that has constants for it, and with neither `play_sand` is taken for links and
-    `quikrete_medium` for all else, each with its own law.
+    medium is one that has constants for it. With neither, the law is the one that the model names
+    in its custom text `LAW_TEXT`, as the package's link does, else that of `DEFAULT_MEDIUM`.
 
     Args:
         model: the model.
-        geoms: ids of the geoms that meet the sand.
         spec: the sand.
 
     Raises:
         UnknownNameError: no such medium or law, or a medium without constants for the law; names
             the media that have them.
     """
+    law = spec.law
+    if spec.medium is None and law is None:
+        law = _law_named_in(model)
     if spec.medium is not None:
         medium = get_medium(spec.medium)
-    elif spec.law is not None:
-        medium = medium_for(spec.law)
     else:
-        medium = media[MEDIUM_OF_LINKS if are_links(model, geoms) else MEDIUM_OF_BODIES]
-    law = law_of(spec.law, medium)
+        medium = media[DEFAULT_MEDIUM] if law is None else medium_for(law)
+    law = law_of(law, medium)
     if spec.medium is None:
-        _logger.info("chosen by the bodies: medium %s, law %s", medium.name, law.name)
+        _logger.info("chosen by default: medium %s, law %s", medium.name, law.name)
     return medium, law
+
+
+def warn_of_link_law(model: mujoco.MjModel, spec: SandSpec, law: Law) -> None:
+    """Warn where the lumped link law comes with a medium, and nothing has asked for it.
+
+    Args:
+        model: the model.
+        spec: the sand.
+        law: that `material_of` has found for it.
+
+    Warns:
+        GranularWarning: names laws and a medium to take instead.
+    """
+    if spec.law is None and isinstance(law, LinkLaw) and _law_named_in(model) != law.name:
+        warn_user(
+            f"medium {str(spec.medium)!r} brings the law 'link', under which free bodies do not "
+            f"come to rest: use law='link_distributed', or medium={DEFAULT_MEDIUM!r}, or say "
+            "law='link' if it is meant"
+        )
+
+
+def _law_named_in(model: mujoco.MjModel) -> str | None:
+    """Return the content of the model's custom text `LAW_TEXT`; None if it has none."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, LAW_TEXT)
+    if number < 0:
+        return None
+    start, size = model.text_adr[number], model.text_size[number]
+    return bytes(model.text_data[start : start + size]).rstrip(b"\0").decode(errors="replace")
 
 
 def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
@@ -78,18 +109,10 @@ def medium_for(law: str | Law | type[Law]) -> Medium:
     if isinstance(law, str):
         law, _ = law_in(law)
     kind = type(law) if isinstance(law, Law) else law
-    first = (MEDIUM_OF_LINKS, MEDIUM_OF_BODIES)
-    for name in (*first, *(name for name in media if name not in first)):
+    for name in (*_FIRST_MEDIA, *(name for name in media if name not in _FIRST_MEDIA)):
         if has_constants(media[name], kind):
             return media[name]
-    return media[MEDIUM_OF_LINKS]
-
-
-def are_links(model: mujoco.MjModel, geoms: Sequence[int]) -> bool:
-    """Tells whether all geoms are capsules, or cylinders at least as long as they are wide."""
-    kinds, sizes = model.geom_type[geoms], model.geom_size[geoms]
-    long = (kinds == _CYLINDER) & (sizes[:, 1] >= sizes[:, 0])
-    return bool(((kinds == _CAPSULE) | long).all())
+    return media[_FIRST_MEDIA[0]]
 
 
 def elements_of(

@@ -26,7 +26,7 @@ from mjgranular.sand.spec import combined
 from mjgranular.surface.floors import find_floors
 
 _MODELS = (".xml", ".urdf")  # others are loaded as they are
-_BY_THE_BODIES = "by the bodies"
+_DEFAULT = "default"
 _logger = logging.getLogger(__name__)  # Studio's console shows it
 
 
@@ -150,7 +150,7 @@ class SandPanel(plugin.ViewerPlugin):
     """Window with the sand: what it is to be, and what it does."""
 
     def __init__(self) -> None:
-        self._media = [_BY_THE_BODIES, *media]
+        self._media = [_DEFAULT, *media]
         self._medium = 0
         self._law = ""
         self._height, self._slope = 0.0, 0.0  # [m], [degrees]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mjgranular import (
+    GranularWarning,
     InputError,
     LinkLaw,
     Rft3dLaw,
@@ -20,6 +21,7 @@ from mjgranular import (
 )
 from mjgranular.cli import main
 from mjgranular.experiment import Drop, run_drop
+from mjgranular.models import Chain, Link, Projectile, model_path
 
 LINK = '<geom name="g" type="capsule" size=".01 .1"/>'
 ROBOT = (
@@ -27,25 +29,26 @@ ROBOT = (
     '<geom type="capsule" fromto="0 0 0 .1 0 -.1" size=".01"/></body>'
 )
 BODIES = {
-    "capsule": (LINK, "play_sand", "link"),
-    "rod": ('<geom type="cylinder" size=".01 .1"/>', "play_sand", "link"),
-    "disk": ('<geom type="cylinder" size=".1 .01"/>', "quikrete_medium", "rft3d_dynamic"),
-    "block": ('<geom type="box" size=".1 .05 .03"/>', "quikrete_medium", "rft3d_dynamic"),
-    "robot": (ROBOT, "quikrete_medium", "rft3d_dynamic"),
+    "capsule": LINK,
+    "rod": '<geom type="cylinder" size=".01 .1"/>',
+    "block": '<geom type="box" size=".1 .05 .03"/>',
+    "robot": ROBOT,
 }
+MARK = '<custom><text name="mjgranular.law" data="link"/></custom>'
+DEFAULT, OF_LINKS = ("quikrete_medium", "rft3d_dynamic"), ("play_sand", "link")
 
 OF_RFT3D = "constants for it: poppy_seed_close, poppy_seed_loose, quikrete_medium"
 
 
-def xml(geoms):
+def xml(geoms, head=""):
     return (
-        '<mujoco><option timestep="2e-3"/><worldbody>'
+        f'<mujoco>{head}<option timestep="2e-3"/><worldbody>'
         f'<body name="b" pos="0 0 .03"><freejoint/>{geoms}</body></worldbody></mujoco>'
     )
 
 
-def model_of(geoms):
-    return mujoco.MjModel.from_xml_string(xml(geoms))
+def model_of(geoms, head=""):
+    return mujoco.MjModel.from_xml_string(xml(geoms, head))
 
 
 def after(model, step, count=50):
@@ -55,11 +58,16 @@ def after(model, step, count=50):
     return np.concatenate([data.qpos, data.qvel])
 
 
+def chosen(model, **fields):
+    sand = Sand(model, **fields)
+    return sand.medium.name, sand.law.name
+
+
 @pytest.mark.parametrize("name", BODIES)
-def test_the_bodies_choose_the_medium_and_its_law(name):
-    geoms, medium, law = BODIES[name]
-    sand = Sand(model_of(geoms))
-    assert (sand.medium.name, sand.law.name) == (medium, law)
+def test_bodies_of_any_shape_have_the_default_medium_and_its_law(name):
+    medium, law = DEFAULT
+    sand = Sand(model_of(BODIES[name]))
+    assert (sand.medium.name, sand.law.name) == DEFAULT
     assert sand.spec.medium is None
     assert f"medium='{medium}', law='{law}'" in repr(sand)
     report = sand.report(mujoco.MjData(sand.model))
@@ -68,21 +76,82 @@ def test_the_bodies_choose_the_medium_and_its_law(name):
     assert repr(pickle.loads(pickle.dumps(sand))) == repr(sand)
 
 
-@pytest.mark.parametrize("name", ["capsule", "robot"])
-def test_every_interface_chooses_the_same(name, tmp_path, capsys):
-    geoms, medium, law = BODIES[name]
-    model = model_of(geoms)
+def test_the_packages_link_names_its_law():
+    for model in (mujoco.MjModel.from_xml_path(str(model_path("link"))), Link().model(1e-4)):
+        assert chosen(model) == chosen(model, medium="play_sand") == OF_LINKS
+        assert chosen(model, medium="quikrete_medium") == DEFAULT
+        assert chosen(model, law="rft3d") == ("quikrete_medium", "rft3d")
+    others = (Chain(count=2), Projectile(shape="capsule", diameter=0.02))
+    for other in others:
+        assert chosen(other.model(1e-4)) == DEFAULT
+    assert chosen(mujoco.MjModel.from_xml_path(str(model_path("double_pendulum")))) == DEFAULT
+
+
+def test_a_link_that_becomes_a_part_of_a_robot_is_one_body_of_many():
+    robot, link = mujoco.MjSpec.from_string(xml(ROBOT)), Link().spec()
+    link.option.timestep, link.visual.map.znear = 2e-3, robot.visual.map.znear
+    robot.worldbody.add_frame().attach_body(link.body("link"), "arm/", "")
+    assert chosen(robot.compile()) == DEFAULT
+
+
+def test_a_law_that_a_model_names_is_looked_up():
+    with pytest.raises(UnknownNameError, match="no law 'lnik'"):
+        Sand(model_of(LINK, MARK.replace("link", "lnik")))
+
+
+def test_a_medium_that_brings_the_link_law_warns():
+    model = model_of(LINK)
+    with pytest.warns(GranularWarning, match=r"do not come to rest.*link_distributed"):
+        assert chosen(model, medium="play_sand") == OF_LINKS
+    assert chosen(model, medium="play_sand", law="link") == OF_LINKS
+    assert chosen(model_of(LINK, MARK), medium="play_sand") == OF_LINKS
+
+
+CAPSULES = {  # orientation, radius, half length [m]
+    "lying": ("1 0 1 0", 0.02, 0.15),
+    "tilted": ("1 .4 0 0", 0.02, 0.15),
+    "upright": ("1 0 0 0", 0.02, 0.15),
+    "thin": ("1 .4 .2 0", 0.003, 0.1),
+    "stubby": ("1 .3 .6 .1", 0.05, 0.01),
+}
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+@pytest.mark.parametrize("timestep", [5e-4, 2e-3, 1e-2])
+@pytest.mark.parametrize("name", CAPSULES)
+def test_a_free_capsule_comes_to_rest(name, timestep, integrator):
+    turn, radius, half = CAPSULES[name]
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{timestep}" integrator="{integrator}"/><worldbody>'
+        f'<body pos="0 0 {half + 3 * radius}" quat="{turn}"><freejoint/>'
+        f'<geom type="capsule" size="{radius} {half}" density="1500"/></body></worldbody></mujoco>'
+    )
+    sand, data = Sand(model), mujoco.MjData(model)
+    for _ in range(round(5 / timestep)):
+        sand.step(data)
+    then = data.qpos.copy()
+    assert np.abs(data.qvel).max() < 1e-9
+    for _ in range(round(1 / timestep)):
+        sand.step(data)
+    assert np.abs(data.qpos - then).max() < 1e-9
+
+
+@pytest.mark.parametrize(("name", "head"), [("capsule", ""), ("robot", ""), ("capsule", MARK)])
+def test_every_interface_chooses_the_same(name, head, tmp_path, capsys):
+    medium, law = OF_LINKS if head else DEFAULT
+    text = xml(BODIES[name], head)
+    model = mujoco.MjModel.from_xml_string(text)
     wanted = after(model, Sand(model, medium=medium, law=law).step)
     assert np.array_equal(after(model, Sand(model).step), wanted)
 
-    spec = mujoco.MjSpec.from_string(xml(geoms))
+    spec = mujoco.MjSpec.from_string(text)
     assert "medium" not in add_sand(spec).config
     within = spec.compile()
     found = after(within, lambda data: mujoco.mj_step(within, data))
     np.testing.assert_allclose(found, wanted, atol=1e-12)
 
     path = tmp_path / "robot.xml"
-    path.write_text(xml(geoms))
+    path.write_text(text)
     result = run_drop(Drop(path, duration=0.1))
     assert (result.medium, result.law) == (medium, law)
     assert np.array_equal(result.qpos[-1], wanted[: model.nq])
@@ -94,18 +163,15 @@ def test_every_interface_chooses_the_same(name, tmp_path, capsys):
 
 
 def test_the_other_follows_from_the_one_that_is_given():
-    def chosen(**given):
-        sand = Sand(model_of(LINK), **given)
-        return sand.medium.name, sand.law.name
-
-    assert chosen(law="rft3d") == ("quikrete_medium", "rft3d")
-    assert chosen(law=Rft3dLaw) == ("quikrete_medium", "rft3d")
-    assert chosen(law="rft2d") == ("play_sand", "rft2d")
-    assert chosen(law="link_distributed") == ("play_sand", "link_distributed")
-    assert chosen(law=LinkLaw(1.0, 2.0, 3.0, 1.1)) == ("play_sand", "link")
-    assert chosen(law="depth_velocity") == ("glass_beads", "depth_velocity")
-    assert chosen(medium="quikrete_medium") == ("quikrete_medium", "rft3d_dynamic")
-    assert chosen(medium="glass_beads") == ("glass_beads", "rft2d_dynamic")
+    model = model_of(LINK)
+    assert chosen(model, law="rft3d") == ("quikrete_medium", "rft3d")
+    assert chosen(model, law=Rft3dLaw) == ("quikrete_medium", "rft3d")
+    assert chosen(model, law="rft2d") == ("play_sand", "rft2d")
+    assert chosen(model, law="link_distributed") == ("play_sand", "link_distributed")
+    assert chosen(model, law=LinkLaw(1.0, 2.0, 3.0, 1.1)) == ("play_sand", "link")
+    assert chosen(model, law="depth_velocity") == ("glass_beads", "depth_velocity")
+    assert chosen(model, medium="quikrete_medium") == ("quikrete_medium", "rft3d_dynamic")
+    assert chosen(model, medium="glass_beads") == ("glass_beads", "rft2d_dynamic")
 
 
 def test_options_of_a_law_in_mjcf_find_the_medium_too():

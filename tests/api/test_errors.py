@@ -136,7 +136,7 @@ def test_nothing_that_meets_the_sand(bodies):
 
 
 def test_a_ghost_can_be_named():
-    assert len(sand_on(world(GHOST), geoms="ghost").elements) == 1
+    assert len(sand_on(world(GHOST), law="link", geoms="ghost").elements) == 1
 
 
 def test_no_names_at_all_are_nothing():

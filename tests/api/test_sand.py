@@ -232,7 +232,7 @@ def excite(model, data):
 
 
 def test_what_is_kept_is_the_state_of_mujoco(everything):
-    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
+    sand, data = Sand(everything, law="link", scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     for _ in range(20):
         sand.step(data)
@@ -264,7 +264,7 @@ def set_autoreset(model, on):
 def test_data_hold_the_last_good_state(everything, field, autoreset):
     """The user spoils the state: that from before the last step is what was good."""
     set_autoreset(everything, autoreset)
-    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
+    sand, data = Sand(everything, law="link", scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     for _ in range(20):
         good = state(everything, data)
@@ -278,7 +278,7 @@ def test_data_hold_the_last_good_state(everything, field, autoreset):
     # The failure is over and done with: what comes next is as if there had been none.
     sand.step(data)
     alone = restored(everything, good)
-    Sand(everything, scheme="explicit").step(alone)
+    Sand(everything, law="link", scheme="explicit").step(alone)
     assert np.array_equal(state(everything, data), state(everything, alone))
 
 
@@ -292,7 +292,7 @@ def _positions(model, saved):
 @pytest.mark.parametrize("autoreset", [True, False])
 def test_a_bad_acceleration_ends_the_step_that_has_it(everything, autoreset):
     set_autoreset(everything, autoreset)
-    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
+    sand, data = Sand(everything, law="link", scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     for _ in range(5):
         sand.step(data)
@@ -356,7 +356,7 @@ def test_nothing_good_was_known(link_model, autoreset):
 @pytest.mark.parametrize("autoreset", [True, False])
 def test_apply_brings_the_state_back_too(everything, autoreset):
     set_autoreset(everything, autoreset)
-    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
+    sand, data = Sand(everything, law="link", scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     own = data.xfrc_applied.copy()
     for _ in range(20):
@@ -382,7 +382,7 @@ def test_apply_brings_the_state_back_too(everything, autoreset):
 def test_a_run_that_blows_up_of_itself(everything, autoreset):
     set_autoreset(everything, autoreset)
     everything.dof_damping[-1] = -10
-    sand, data = Sand(everything, scheme="explicit"), mujoco.MjData(everything)
+    sand, data = Sand(everything, law="link", scheme="explicit"), mujoco.MjData(everything)
     excite(everything, data)
     time, failed = 0.0, None
     while failed is None:

@@ -46,7 +46,7 @@ def test_pieces_cover_the_rod_once(pieces):
         "<geom type='capsule' fromto='.1 .2 .3 -.2 .1 .5' size='.01'/>"
         "</body></worldbody></mujoco>"
     )
-    (whole,) = Sand(model).elements
+    (whole,) = Sand(model, law="link").elements
     cut = Sand(model, law=DistributedLinkLaw(1, 1, 1, 1, pieces=pieces)).elements
     assert len(cut) == pieces
     assert cut["half_length"].sum() == pytest.approx(whole["half_length"], rel=1e-12)
