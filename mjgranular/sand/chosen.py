@@ -9,6 +9,7 @@ import numpy as np
 
 from mjgranular.law import Law
 from mjgranular.medium import Medium
+from mjgranular.relief.memory import as_memory
 from mjgranular.sand.material import elements_of, material_of, warn_of_link_law
 from mjgranular.sand.points import warn_of_points
 from mjgranular.sand.ranges import warn_of_ranges
@@ -61,7 +62,7 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     chosen = spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms)
     warn_of_unfelt(model, geoms, chosen=chosen)
     warn_of_floors(model, geoms, surface)
-    warn_of_ranges(model, geoms, law, surface)
+    warn_of_ranges(model, geoms, law, surface, as_memory(spec.memory))
     warn_of_points(model, geoms, spec)
     elements = elements_of(model, geoms, law, spec.resolution)
     warn_of_link_law(model, spec, law)

@@ -11,8 +11,10 @@ import numpy as np
 from mjgranular.errors import RangeWarning, warn_user
 from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
 from mjgranular.law.rft import RftLaw
-from mjgranular.shape.sizes import LARGEST, geom_name
-from mjgranular.surface import Plane, Surface
+from mjgranular.relief.memory import REPOSE, Memory
+from mjgranular.shape.select import body_name
+from mjgranular.shape.sizes import LARGEST, geom_name, half_extents
+from mjgranular.surface import Bed, Plane, Surface
 
 _DENSITIES = (10.0, 25000.0)
 """Of sand [kg/m^3]: from snow to tungsten powder, as a medium's. In g/cm^3 it is 0.01 to 25."""
@@ -22,8 +24,8 @@ _LONGEST_STEP = 0.1
 Someone who gives milliseconds gives 1 or more."""
 
 _DEEPEST_START = 1.0
-"""Of the highest point of all that meets the sand [m]. A robot is buried by hand; laws hold to some
-widths of a body. A height in millimetres, or with the wrong sign, is further off."""
+"""Of the highest point of all that meets the sand [m]. Laws hold to some widths of a body. A height
+in millimetres, or with the wrong sign, is further off. A robot is told of half its largest geom."""
 
 _LONGEST = 10.0
 """Of a geom that meets the sand [m], across. Chosen: an excavator has 10 m. What was drawn in
@@ -37,18 +39,31 @@ _STEEPEST = math.radians(75)
 """Of gravity against the way into a plane of sand. Chosen: sand slides from 35 degrees on, and
 where gravity is along y, it is 90."""
 
+_ROUNDING = 1e-6
+"""Of a slope that is the angle of repose [rad]; chosen."""
+
+_LEVEL = 1e-3
+"""Vertical part of an axis up to which it is level; chosen."""
+
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
 """Laws of which that is known: one of a user's own may be of mud, or of a lake."""
 
 
-def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surface: Surface) -> None:
-    """Warns of densities, sizes, a time step and a start that are beyond all sense.
+def warn_of_ranges(
+    model: mujoco.MjModel,
+    geoms: Sequence[int],
+    law: Law,
+    surface: Surface,
+    memory: Memory | None = None,
+) -> None:
+    """Warns of densities, sizes, a time step, a slope and a start that are beyond all sense.
 
     Args:
         model: the model.
         geoms: ids of the geoms that meet the sand.
         law: with its constants.
         surface: where the sand is; a start is judged under a plane alone.
+        memory: of the sand, if any.
     """
     density = getattr(law, "density", None)
     low, high = _DENSITIES
@@ -72,12 +87,91 @@ def warn_of_ranges(model: mujoco.MjModel, geoms: Sequence[int], law: Law, surfac
         )
     _warn_of_bodies(model, geoms)
     _warn_of_gravity(model, surface)
-    depth = _depth_of_all(model, geoms, surface)
-    if isinstance(law, _OF_SAND) and depth > _DEEPEST_START:
+    _warn_of_slope(model, law, surface, memory)
+    if memory is None:  # with one, `relief.advice` looks
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        warn_of_depth(model, data, geoms, law, surface, "with the model as it stands (qpos0)")
+
+
+def warn_of_depth(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    geoms: Sequence[int],
+    law: Law,
+    surface: Surface,
+    when: str,
+) -> None:
+    """Warn where bodies are too deep in a plane of sand to have been put there on purpose.
+
+    Args:
+        model: the model.
+        data: the simulation, with current positions.
+        geoms: ids of the geoms that meet the sand.
+        law: one that is not of sand is not judged.
+        surface: where the sand is.
+        when: the positions that `data` holds, in words.
+    """
+    if not isinstance(surface, Plane) or not isinstance(law, _OF_SAND):
+        return
+    rows, normal = np.asarray(geoms), surface.normal
+    tops = [
+        np.abs(normal @ data.geom_xmat[geom].reshape(3, 3)) @ half_extents(model, geom)
+        for geom in geoms
+    ]
+    depths = surface.offset - data.geom_xpos[rows] @ normal - tops
+    depth = float(depths.min())
+    if depth > _DEEPEST_START:
         warn_user(
-            f"all that meets the sand starts {depth:.3g} m and more under its surface, with the "
-            "model as it stands (qpos0): lengths are in metres, and z is up; raise the model or "
-            "lower the surface",
+            f"all that meets the sand starts {depth:.3g} m and more under its surface, {when}: "
+            "lengths are in metres, and z is up; raise the model or lower the surface",
+            RangeWarning,
+        )
+        return
+    bodies = model.geom_bodyid[rows]
+    roots = model.body_rootid[bodies]
+    for root in np.unique(roots):
+        mine = roots == root
+        depth = float(depths[mine].min())
+        is_robot = len(np.unique(model.body_weldid[bodies[mine]])) > 1
+        if is_robot and _may_rise(model, data, root) and depth > model.geom_rbound[rows[mine]].max():
+            warn_user(
+                f"robot {body_name(model, int(root))} is buried {depth:.3g} m and more under the "
+                f"sand, {when}, and stays there: raise it, in MJCF by its pos, or lower the "
+                f"surface by {depth:.3g} m and more",
+                RangeWarning,
+            )
+            return
+
+
+def _may_rise(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> bool:
+    """Return True if a joint of the body lets it move up; what swims in a level plane has none."""
+    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        kind, axis = model.jnt_type[joint], data.xaxis[joint]
+        is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
+        if kind == mujoco.mjtJoint.mjJNT_FREE or (is_slide and abs(axis[2]) > _LEVEL):
+            return True
+    return False
+
+
+def _warn_of_slope(
+    model: mujoco.MjModel, law: Law, surface: Surface, memory: Memory | None
+) -> None:
+    """Warn of a plane or bed that sand does not stay on.
+
+    The angle of repose is the memory's, else that of the law's internal friction, else `REPOSE`.
+    """
+    gravity = model.opt.gravity
+    if not isinstance(surface, (Plane, Bed)) or gravity[2] >= 0.0 or gravity[:2].any():
+        return
+    friction = getattr(law, "internal_friction", None)
+    repose = REPOSE if friction is None else math.atan(friction)
+    repose, slope = (repose if memory is None else memory.repose), surface.tilt(model)
+    if slope > repose + _ROUNDING:
+        warn_user(
+            f"the sand slopes by {math.degrees(slope):.3g} degrees, and its angle of repose is "
+            f"{math.degrees(repose):.3g}: it would flow down, and what stands on it here would not "
+            "stay; slopes are in degrees on the command line and in radians elsewhere",
             RangeWarning,
         )
 
@@ -138,14 +232,3 @@ def _volume(model: mujoco.MjModel, geom: int) -> float:
     if kind == kinds.mjGEOM_ELLIPSOID:
         return ball * x * y * z
     return 8 * x * y * z if kind == kinds.mjGEOM_BOX else 0.0
-
-
-def _depth_of_all(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> float:
-    """A depth that every point of the geoms has at least, where the model stands at qpos0 [m]."""
-    if not isinstance(surface, Plane):
-        return -math.inf
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    heights = data.geom_xpos[geoms] @ surface.normal
-    top = heights + model.geom_rbound[geoms]
-    return float(np.min(surface.height * surface.normal[2] - top))

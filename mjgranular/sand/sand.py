@@ -27,8 +27,9 @@ from mjgranular.sand.changes import Original, warn_of_missed_steps
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import prepare
+from mjgranular.sand.ranges import warn_of_depth
 from mjgranular.sand.report import Names, Report, Solver, describe
-from mjgranular.sand.sharing import refuse_sand_of_the_model, registry_of
+from mjgranular.sand.sharing import find_sand_of_the_model, registry_of
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import FINE, REFUSED
@@ -96,8 +97,12 @@ class Sand:
         self._model = model
         self._spec = combined(spec, fields)
         self._sand = sand = prepare(model, self._spec)
-        if not shared:
-            refuse_sand_of_the_model(model, sand.elements)
+        self._beside = find_sand_of_the_model(model, sand.elements)
+        if self._beside and not shared:
+            raise InputError(
+                f"the model has sand of its own, {self._beside} inside mj_step: step it with "
+                "mj_step and without Sand, or say shared=True if both are to act"
+            )
         self._scheme = sand.scheme
         self._program = sand.program
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
@@ -312,10 +317,17 @@ class Sand:
 
         Raises:
             InputError: the shape of a geom was changed after the sand was made of it; `check` looks
-                at more.
+                at more. The model has sand of its own on the same bodies, and this one has never
+                acted in `data`: it would report what it would add to the other.
         """
         model = self._model
         self._check_owner(data)
+        if self._beside and data not in self._bindings:
+            raise InputError(
+                f"the model has sand of its own, {self._beside} inside mj_step, and this Sand, "
+                "which has never acted in this MjData, has nothing to report: read the model's "
+                "sensors (mjgranular.sensor), or report with the model without its sand"
+            )
         self._original.check_shapes(model)
         self._warn_of_missed_steps(data)
         # Probes are kept for the next call; a list hands each to one thread at a time.
@@ -362,7 +374,8 @@ class Sand:
 
         Warns with a `MissedStepWarning` if time has gone on in `data` without this sand, also if it
         has never acted there: `mujoco.mj_step` was called, most likely, where `step` was meant.
-        With a `FloorWarning` if ground of the model's own carries bodies in these contacts.
+        With a `FloorWarning` if ground of the model's own carries bodies in these contacts. With a
+        `RangeWarning` if a robot is wholly buried, deeper than its largest geom is wide.
 
         Raises:
             InputError: names what was changed; or options that the scheme cannot step.
@@ -374,6 +387,7 @@ class Sand:
             self._check_owner(data)
             self._warn_of_missed_steps(data, began=0.0)
             warn_of_contacts(self._model, data, geoms, self.surface)
+            warn_of_depth(self._model, data, geoms, self.law, self.surface, "in this MjData")
 
     def _warn_of_missed_steps(self, data: mujoco.MjData, began: float | None = None) -> None:
         bound = self._bindings.get(data)

@@ -26,22 +26,18 @@ def ask_about_models(sands_of_model: SandsOfModel) -> None:
     _sands_of_model.append(sands_of_model)
 
 
-def refuse_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> None:
-    """Refuses bodies on which sand of the model's own acts already, inside `mj_step`.
-
-    Raises:
-        InputError: says which.
-    """
+def find_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> str:
+    """Return in words which sand of the model's own acts on a body of these; "" if none does."""
     ours = set(elements["body"].tolist())
     for sands_of_model in _sands_of_model:
         for name, bodies in sands_of_model(model):
             common = ours & bodies
             if common:
-                raise InputError(
-                    f"the model has sand of its own, the plugin instance {name!r}, which acts on "
-                    f"body {body_name(model, min(common))} inside mj_step: step it with mj_step "
-                    "and without Sand, or say shared=True if both are to act"
+                return (
+                    f"the plugin instance {name!r}, which acts on body "
+                    f"{body_name(model, min(common))}"
                 )
+    return ""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Slips of units are named, through every interface; what people really use is not."""
 
+import math
 import warnings
 
 import mujoco
@@ -7,7 +8,7 @@ import pytest
 
 from mjgranular import Plane, Rft3dLaw, Sand, add_sand, media
 from mjgranular.cli import main
-from mjgranular.errors import RangeWarning
+from mjgranular.errors import GranularWarning, RangeWarning
 
 SLIP = Rft3dLaw(density=1.55, internal_friction=0.67, surface_friction=0.4)
 
@@ -70,6 +71,52 @@ def test_what_people_use_is_no_slip():
             if name != "play_sand":
                 Sand(model, medium=name)
         Sand(model, surface=Plane(height=0.4))
+
+
+def robot(z, joint="<freejoint/>"):
+    return (
+        f'<mujoco><worldbody><body name="bot" pos="0 0 {z}" euler="90 0 0">{joint}'
+        '<geom type="box" size=".1 .05 .1"/><body pos=".15 0 0"><joint axis="0 0 1"/>'
+        '<geom type="capsule" fromto="0 0 0 0 -.15 0" size=".02"/></body></body></worldbody>'
+        "</mujoco>"
+    )
+
+
+def test_a_robot_that_starts_buried_is_told_once():
+    model = mujoco.MjModel.from_xml_string(robot(-0.3))
+    with pytest.warns(GranularWarning, match=r"'bot' is buried 0\.25 m.*raise it") as told:
+        sand = Sand(model)
+    assert len(told) == 1
+    spec = mujoco.MjSpec.from_string(robot(-0.3))
+    add_sand(spec)
+    with pytest.warns(GranularWarning, match="'bot' is buried"):
+        mujoco.MjData(spec.compile())
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    with pytest.warns(GranularWarning, match="buried 0.25 m and more under the sand, in this MjData"):
+        sand.check(data)
+    data.qpos[2] = 0.3
+    mujoco.mj_kinematics(model, data)
+    sand.check(data)
+    level = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 0 1"))
+    Sand(mujoco.MjModel.from_xml_string(robot(-0.3, level)))  # swims in its plane
+    Sand(mujoco.MjModel.from_xml_string(robot(-0.12)))  # no deeper than its own size
+
+
+@pytest.mark.parametrize(("degrees", "memory"), [(36, None), (86, None), (-86, None), (33, True)])
+def test_a_slope_above_the_angle_of_repose_is_told(degrees, memory):
+    model, repose = mujoco.MjModel.from_xml_string(xml()), 32 if memory else 34
+    said = f"slopes by {abs(degrees)} degrees, and its angle of repose is {repose}:"
+    with pytest.warns(RangeWarning, match=said):
+        Sand(model, surface=Plane(slope=math.radians(degrees)), memory=memory)
+
+
+def test_a_slope_at_the_angle_of_repose_is_none_to_warn_of():
+    model = mujoco.MjModel.from_xml_string(xml())
+    Sand(model, surface=Plane(slope=math.radians(34)))
+    Sand(model, surface=Plane(slope=math.radians(32)), memory=True)
+    model.opt.gravity[:] = -9.81 * Plane(slope=1.0).normal  # along the normal: level ground
+    Sand(model, surface=Plane(slope=1.0))
 
 
 @pytest.mark.parametrize(

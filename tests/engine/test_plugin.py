@@ -280,7 +280,11 @@ def test_sand_beside_sand_of_the_models_own_is_refused() -> None:
     with pytest.raises(InputError, match=r"instance 'sand', which acts on body 'a' .*shared=True"):
         Sand(model, law=law, surface=Bed("right"))
     Sand(model, law=law, surface=Bed("right"), bodies="b").step(mujoco.MjData(model))
-    Sand(model, law=law, surface=Bed("right"), shared=True).step(mujoco.MjData(model))
+    both, data = Sand(model, law=law, surface=Bed("right"), shared=True), mujoco.MjData(model)
+    with pytest.raises(InputError, match=r"instance 'sand'.*never acted.*mjgranular\.sensor"):
+        both.report(data)
+    both.step(data)
+    both.report(data)
 
 
 def test_what_is_written_survives_xml_copy_and_attach() -> None:
