@@ -23,7 +23,7 @@ BLOCK = 10
 """Nodes along the side of a block, which is drawn with the skin or as a rectangle as a whole."""
 
 _MOST = 400
-"""Nodes along a side that are drawn. Chosen: 12 MB of vertices, normals and places in the picture."""
+"""Nodes along a side that are drawn. Chosen: 12 MB of vertices, normals and texture places."""
 
 
 def stride_of(memory: Memory) -> int:

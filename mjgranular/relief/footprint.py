@@ -180,7 +180,7 @@ def _on_line(begin: Sequence[float], end: Sequence[float], cell: float) -> np.nd
 
 
 def _on_arc(radius: float, half: float, cell: float) -> np.ndarray:
-    """Points of a profile (`_revolved`) on half a circle, its halves drawn apart by twice `half`."""
+    """Points of a profile (`_revolved`) on half a circle, its halves apart by twice `half`."""
     polar = math.pi / 2 * (1 + _middles(math.pi * radius, cell))
     normals = np.stack([np.sin(polar), np.cos(polar)], axis=1)
     apart = half * np.sign(normals[:, 1:])

@@ -134,7 +134,11 @@ def warn_of_depth(
         mine = roots == root
         depth = float(depths[mine].min())
         is_robot = len(np.unique(model.body_weldid[bodies[mine]])) > 1
-        if is_robot and _may_rise(model, data, root) and depth > model.geom_rbound[rows[mine]].max():
+        if (
+            is_robot
+            and _may_rise(model, data, root)
+            and depth > model.geom_rbound[rows[mine]].max()
+        ):
             warn_user(
                 f"robot {body_name(model, int(root))} is buried {depth:.3g} m and more under the "
                 f"sand, {when}, and stays there: raise it, in MJCF by its pos, or lower the "

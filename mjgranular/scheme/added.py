@@ -31,7 +31,6 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.dense import add_scaled, clear
 from mjgranular.scheme.layout import ARM, FORCE, SAMPLE, SLOPE, VELOCITY, added_row
 
-
 _NOTHING = 1e-150  # a speed that may be divided by
 
 

@@ -12,7 +12,7 @@ from mjgranular.errors import InputError
 from mjgranular.shape import patches, tessellation
 from mjgranular.shape.budget import resolutions
 from mjgranular.shape.meshes import mesh_corners
-from mjgranular.shape.rigid import exposures, face_widths
+from mjgranular.shape.rigid import exposures, join_faces
 from mjgranular.shape.sizes import (
     check_count,
     check_resolution,
@@ -144,7 +144,7 @@ def facets_from_model(
         part["width"] = geom_width(model, geom)
         part["flat"] = flat
     facets = np.concatenate(parts)
-    facets["face"] = face_widths(model, data, facets)
+    join_faces(model, data, facets)
     widest = np.zeros(model.ngeom)
     np.maximum.at(widest, facets["geom"], facets["face"])
     facets["width"] = widest[facets["geom"]]

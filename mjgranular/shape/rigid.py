@@ -1,4 +1,4 @@
-"""What the sand sees of a rigid body: how wide its faces are, and what shelters them.
+"""What the sand sees of a rigid body: its faces, how wide they are, and what shelters them.
 
 Both belong to all geoms that are welded together, not to one of them, so a rigid body that is cut
 into more geoms stays the same body.
@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 
 # Facets belong to one flat face where their normals differ by less than 3 degrees, their planes by
-# a small share of the geom's width, and where gaps between them are narrow in the same measure.
-# Chosen, not measured.
-_PARALLEL, _COPLANAR, _GAP = math.cos(math.radians(3)), 0.05, 0.1
+# a small share of the geom's width, and where gaps between them are narrow in the same measure. A
+# gap five times as wide is open. Chosen, not measured.
+_PARALLEL, _COPLANAR, _GAP, _OPEN = math.cos(math.radians(3)), 0.05, 0.1, 0.5
 
 # Rays from a facet go into the directions around its normal with the weight cos(angle)^_FOCUS.
 # Fitted to plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
@@ -36,21 +36,23 @@ def place_in_world(
     return points, normals, np.einsum("nij,nkj->nki", turn, facets["edges"])
 
 
-def face_widths(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -> np.ndarray:
-    """Return the width of the face that each facet belongs to [m], shape (n,).
+def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -> None:
+    """Set the width of the face that each facet belongs to, and close narrow gaps in flat faces.
 
     A flat face is the union of the coplanar, adjacent facets of a rigid body. Its width is its area
     over its length, and its length that of a rod with the same greatest radius of gyration: the
     shorter side of a rectangle. Curved skin is as wide as its geom; of meshes that touch, as all of
-    them together.
+    them together. Sand in a narrow gap moves with the body and is part of the face, so the facets
+    on both sides get half of the gap each, and less of wider ones.
 
     Args:
         model: the model.
         data: at `qpos0`.
-        facets: dtype `FACET_DTYPE`; `width` is that of the geom.
+        facets: dtype `FACET_DTYPE`; `width` is that of the geom. Sets `face` and `area`.
     """
     points, normals, edges = place_in_world(data, facets)
-    widths = facets["width"].copy()
+    facets["face"] = facets["width"]
+    widths, areas = facets["face"], facets["area"]
     welds = model.body_weldid[facets["body"]]
     for weld in np.unique(welds):
         mine = np.flatnonzero(welds == weld)
@@ -64,8 +66,10 @@ def face_widths(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) 
             axes = _axes_across(n, edges[rows[0], 0])
             at, half = points[rows] @ axes.T, edges[rows] @ axes.T
             reach = np.abs(half).sum(axis=1)
-            for part in _connected(at - reach, at + reach, _GAP * facets["width"][rows].max()):
-                widths[rows[part]] = _width_of(at[part], half[part], facets["area"][rows[part]])
+            width = facets["width"][rows].max()
+            areas[rows] *= _bridged(at, reach, width)
+            for part in _connected(at - reach, at + reach, _GAP * width):
+                widths[rows[part]] = _width_of(at[part], half[part], areas[rows[part]])
         meshes = np.unique(facets["geom"][mine[~is_flat]])
         meshes = meshes[model.geom_type[meshes] == _MESH]
         if len(meshes) < 2:
@@ -73,17 +77,19 @@ def face_widths(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) 
         reach = np.abs(edges[mine]).sum(axis=1)
         low, high = points[mine] - reach, points[mine] + reach
         own = [facets["geom"][mine] == geom for geom in meshes]
-        low, high = (np.array([low[m].min(0) for m in own]), np.array([high[m].max(0) for m in own]))
+        low, high = (
+            np.array([low[m].min(0) for m in own]),
+            np.array([high[m].max(0) for m in own]),
+        )
         for part in _connected(low, high, _GAP * widths[mine].max()):
             if len(part) > 1:
                 rows = mine[np.isin(facets["geom"][mine], meshes[part])]
                 curved = rows[facets["flat"][rows] < 0.5]
-                widths[curved] = _second_extent(points[rows], edges[rows], facets["area"][rows])
-    return widths
+                widths[curved] = _second_extent(points[rows], edges[rows], areas[rows])
 
 
 def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -> np.ndarray:
-    """Return how much of each facet meets sand that does not move with the body, 0 to 1, shape (n,).
+    """Return the share of each facet that meets sand which does not move along, shape (n,).
 
     A face in front of which another part of the same rigid body stands is sheltered: the sand
     between them moves with the body. Exposed is the share of rays that meet no such part. Across a
@@ -113,7 +119,9 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
         for row in mine:
             n, (first, second) = normals[row], edges[row]
             # The middle of a patch lies within a bulging skin: so far, at most.
-            bulge = np.linalg.norm(edges[row], axis=1) @ np.linalg.norm(facets["spread"][row], axis=1)
+            bulge = np.linalg.norm(edges[row], axis=1) @ np.linalg.norm(
+                facets["spread"][row], axis=1
+            )
             start = points[row] + (bulge + _TOUCH * facets["width"][row]) * n
             rays = directions @ np.vstack([_axes_across(n, first), n])
             free = []
@@ -163,6 +171,28 @@ def _connected(low: np.ndarray, high: np.ndarray, gap: float) -> list[np.ndarray
         parts.append(np.flatnonzero(part))
         left &= ~part
     return parts
+
+
+def _bridged(at: np.ndarray, reach: np.ndarray, width: float) -> np.ndarray:
+    """Return factors on areas with which coplanar facets meet halfway, shape (n,).
+
+    Args:
+        at: their middles in the plane [m], shape (n, 2).
+        reach: half their extents [m], shape (n, 2).
+        width: of the geoms [m], in parts of which gaps are wide.
+    """
+    away = at[None] - at[:, None]
+    apart = np.abs(away) - reach[None] - reach[:, None]
+    factor = np.ones(len(at))
+    for axis in (0, 1):
+        beside = apart[..., 1 - axis] < -_TOUCH * reach.max()
+        for side in (-1, 1):
+            there = beside & (side * away[..., axis] > 0)
+            nearest = np.where(there, np.maximum(apart[..., axis], 0.0), np.inf).min(axis=1)
+            closed = np.clip((_OPEN - nearest / width) / (_OPEN - _GAP), 0.0, 1.0)
+            half = 0.5 * closed * np.where(closed > 0, nearest, 0.0)
+            factor += half / (2 * np.maximum(reach[:, axis], half))
+    return factor
 
 
 def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> float:

@@ -3,7 +3,7 @@
 The rules are those of `relief.update`, their formulas the same source; what differs is that all
 nodes are seen to at once. Skin that wants a node down leaves its height there, and the lowest
 wins (`warp.press`); each node beside a print takes its share of what the nearest body has displaced
-(`warp.heap`); and sand flows in squares of four nodes, every other one along both axes at a time, so
+(`warp.heap`); and sand flows in squares of four nodes, every other one along both axes, so
 that no two share a node (`warp.flow`).
 
 `LANES` threads of each world go over its points or nodes, at once or not: a world that has

@@ -93,7 +93,9 @@ def test_a_robot_that_starts_buried_is_told_once():
         mujoco.MjData(spec.compile())
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    with pytest.warns(GranularWarning, match="buried 0.25 m and more under the sand, in this MjData"):
+    with pytest.warns(
+        GranularWarning, match="buried 0.25 m and more under the sand, in this MjData"
+    ):
         sand.check(data)
     data.qpos[2] = 0.3
     mujoco.mj_kinematics(model, data)
