@@ -105,10 +105,10 @@ def run(door, scheme, line):
         '<geom type="capsule" size=".02 .1"/></body></worldbody></mujoco>'
     )
     if door == "plugin":
-        add_sand(spec, scheme=scheme)
+        add_sand(spec, law="link", scheme=scheme)
     model = spec.compile()
     data = mujoco.MjData(model)
-    sand = Sand(model, scheme=scheme) if door == "step" else None
+    sand = Sand(model, law="link", scheme=scheme) if door == "step" else None
     data.qvel[:] = 1.0
     step = sand.step if sand else lambda data: mujoco.mj_step(model, data)
     step(data)

@@ -150,6 +150,7 @@ SANDS: list[dict[str, Any]] = [
 ]
 
 
+@pytest.mark.filterwarnings("ignore:robot .* is buried:mjgranular.GranularWarning")
 @pytest.mark.parametrize("arguments", SANDS, ids=lambda arguments: "-".join(arguments) or "plain")
 @pytest.mark.parametrize(
     "integrator", ["mjINT_EULER", pytest.param("mjINT_IMPLICITFAST", marks=pytest.mark.slow)]

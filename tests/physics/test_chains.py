@@ -332,7 +332,7 @@ def test_a_spatial_chain_in_the_plane_moves_like_a_planar_one(base):
     for spatial in (False, True):
         chain = Chain(3, base=base, spatial=spatial, height=0.4 if base == "hinge" else None)
         model = chain.model(1e-5)
-        sand, data = Sand(model, scheme="explicit"), mujoco.MjData(model)
+        sand, data = Sand(model, law="link", scheme="explicit"), mujoco.MjData(model)
         data.qpos[:] = chain.posed(np.radians([60, 20, 45]))
         for _ in range(5000):
             sand.step(data)
@@ -383,7 +383,7 @@ def test_links_do_not_touch_one_another_but_do_touch_floors_and_sand():
     data.qpos[1] -= 0.1 + 1e-3
     mujoco.mj_forward(model, data)
     assert data.ncon > 0
-    elements = Sand(model, scheme="explicit").elements
+    elements = Sand(model, law="link", scheme="explicit").elements
     assert [model.geom(e["geom"]).name for e in elements] == ["link0", "link1", "link2"]
 
 
@@ -408,7 +408,7 @@ def test_files_are_what_the_builder_makes(name):
 
 def test_the_double_pendulum_swings_into_the_sand():
     model = mujoco.MjModel.from_xml_path(str(model_path("double_pendulum")))
-    data, sand = at_start(model), Sand(model, scheme="explicit")
+    data, sand = at_start(model), Sand(model, law="link", scheme="explicit")
     start = sand.report(data)["link1"].depth
     for _ in range(30000):
         sand.step(data)

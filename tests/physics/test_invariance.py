@@ -268,7 +268,7 @@ def test_force_is_continuous_at_the_surface(law):
 @pytest.mark.parametrize(("gravity", "factor"), [(0.0, 4.0), (9.81, 1.0)])
 def test_static_resistance_is_weight(gravity, factor):
     # Both static forces are proportional to g and do not go with speed; drag goes with its square.
-    sand = Sand(rod(gravity=(0, 0, -gravity)), scheme="explicit")
+    sand = Sand(rod(gravity=(0, 0, -gravity)), law="link", scheme="explicit")
     pose = (np.array([0, 0, 0.05]), np.eye(3))
     slow, fast = (
         np.linalg.norm(sanded(sand, pose, (np.array([v, 0, -v]), np.zeros(3)))[0])

@@ -273,7 +273,7 @@ def test_elements_that_do_not_come_body_by_body_are_refused(chain_model):
 
 def test_moment_is_about_the_centre_of_mass(chain_model):
     model, rng = chain_model, np.random.default_rng(2)
-    sand = Sand(model, scheme="explicit")
+    sand = Sand(model, law="link", scheme="explicit")
     for _ in range(50):
         data = chain_state(model, rng)
         report = sand.report(data)
@@ -318,7 +318,7 @@ def test_power_is_that_of_the_generalized_force(chain_model):
 def test_what_step_applies_is_what_report_says(chain_model):
     # Without leading, the wrench in xfrc_applied is that of the report at the same state.
     model, rng = chain_model, np.random.default_rng(4)
-    sand = Sand(model, scheme=Explicit(half_step=False))
+    sand = Sand(model, law="link", scheme=Explicit(half_step=False))
     for _ in range(20):
         data = chain_state(model, rng)
         report = sand.report(data)

@@ -253,7 +253,7 @@ def settle(surface, extra="", steps=400, **options):
     floor = "<geom name='floor' type='plane' size='2 2 1' pos='0 0 -0.2'/>"
     model = scene(BOX + floor, BALL, extra)
     model.opt.timestep = 1e-3
-    sand = Sand(model, surface=surface, **options, scheme="explicit")
+    sand = Sand(model, law="link", surface=surface, **options, scheme="explicit")
     data = mujoco.MjData(model)
     data.qpos[2] = 0.1
     touched = set()
@@ -293,7 +293,7 @@ def test_a_bed_left_alone_is_an_obstacle():
 def test_sand_stays_visible():
     model = scene(BOX)
     before = model.geom_rgba.copy(), model.geom_group.copy()
-    Sand(model, surface=Bed("bed"), scheme="explicit")
+    Sand(model, law="link", surface=Bed("bed"), scheme="explicit")
     assert (model.geom_rgba == before[0]).all()
     assert (model.geom_group == before[1]).all()
 
@@ -311,18 +311,28 @@ class TestNames:
 
     def test_unknown(self, surface, kind):
         with pytest.raises(UnknownNameError) as caught:
-            Sand(scene(self.world, extra=self.extra), surface=surface("sandbde"), scheme="explicit")
+            Sand(
+                scene(self.world, extra=self.extra),
+                law="link",
+                surface=surface("sandbde"),
+                scheme="explicit",
+            )
         assert caught.value.known == ({"box": "bed", "hfield": "dunes"}[kind],)
         assert f"no {kind} geom of the model 'sandbde'" in str(caught.value)
 
     def test_none_at_all(self, surface, kind):
         with pytest.raises(UnknownNameError, match="there are: none"):
-            Sand(scene(""), surface=surface("bed"), scheme="explicit")
+            Sand(scene(""), law="link", surface=surface("bed"), scheme="explicit")
 
     def test_other_geom(self, surface, kind):
         message = f"'floor' is a plane: a .* is made of a {kind} geom"
         with pytest.raises(InputError, match=message):
-            Sand(scene(self.world, extra=self.extra), surface=surface("floor"), scheme="explicit")
+            Sand(
+                scene(self.world, extra=self.extra),
+                law="link",
+                surface=surface("floor"),
+                scheme="explicit",
+            )
 
     @pytest.mark.parametrize("how", ["<joint/>", "mocap='true'"])
     def test_on_a_body_that_moves(self, surface, kind, how):
@@ -499,7 +509,7 @@ def test_dunes_are_no_obstacle():
     data.qpos[2] = 0.05
     mujoco.mj_forward(model, data)
     assert data.ncon
-    Sand(model, surface=FIELD, scheme="explicit")
+    Sand(model, law="link", surface=FIELD, scheme="explicit")
     mujoco.mj_forward(model, data)
     assert not data.ncon
 
@@ -522,7 +532,7 @@ def test_a_row_is_no_surface(rows, columns):
     model = dunes(np.zeros((4, 4)))
     model.hfield_nrow[0], model.hfield_ncol[0] = rows, columns
     with pytest.raises(InputError, match=f"has {rows} rows and {columns} columns"):
-        Sand(model, surface=FIELD, scheme="explicit")
+        Sand(model, law="link", surface=FIELD, scheme="explicit")
 
 
 def test_tilt_of_a_height_field():

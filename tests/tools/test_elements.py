@@ -372,7 +372,7 @@ def test_wrong_groups(foot_file, capfd, command):
 
 
 def test_the_command_writes_what_it_promises(tmp_path, capfd):
-    pendulum = ["elements", str(model_path("double_pendulum")), "--medium", "play_sand"]
+    pendulum = ["elements", str(model_path("double_pendulum")), "--law", "link"]
     folder = tmp_path / "cut"
     assert main([*pendulum, "--keyframe", "start", "--out", str(folder)]) == 0
     assert "written to" in capfd.readouterr().out

@@ -218,7 +218,7 @@ def test_a_body_that_comes_to_rest_has_stopped():
 
 def test_models_that_come_with_the_package_run():
     for name in ("link", "double_pendulum", "chain7"):
-        drop = Drop(model_path(name), medium="play_sand", duration=0.01)
+        drop = Drop(model_path(name), law="link", duration=0.01)
         assert run_drop(drop).law == "link"
 
 
