@@ -61,6 +61,7 @@ def facets_from_model(
     resolution: int | None = None,
     *,
     hidden: Literal["drop", "keep"] = "drop",
+    sheltered: Literal["drop", "keep"] = "drop",
     meshes: Literal["patches", "triangles"] = "patches",
 ) -> np.ndarray:
     """Cuts geoms into facets.
@@ -75,8 +76,9 @@ def facets_from_model(
             three times the number along a box's longest edge; a mesh has at most twice its square.
             None for 12, and less of small geoms where there are many (`shape.budget`).
         hidden: whether to drop skin that no grain can touch, since it lies inside another of the
-            geoms (`hidden_skin`), and the share of a facet's area that other parts of the same
-            rigid body shelter (`shape.rigid.exposures`), or to keep all.
+            geoms (`hidden_skin`), or to keep all.
+        sheltered: the same for the share of a facet's area that other parts of the same rigid body
+            shelter (`shape.rigid.exposures`).
         meshes: what a mesh gives: patches, or its own triangles, to compare with.
 
     Returns:
@@ -144,11 +146,14 @@ def facets_from_model(
         part["width"] = geom_width(model, geom)
         part["flat"] = flat
     facets = np.concatenate(parts)
-    join_faces(model, data, facets)
+    if meshes == "patches":
+        join_faces(model, data, facets)
+    else:
+        facets["face"] = facets["width"]
     widest = np.zeros(model.ngeom)
     np.maximum.at(widest, facets["geom"], facets["face"])
     facets["width"] = widest[facets["geom"]]
-    if hidden == "drop":
+    if sheltered == "drop":
         facets["area"] *= exposures(model, data, facets)
     return facets[facets["area"] > 0]
 

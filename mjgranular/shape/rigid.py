@@ -17,6 +17,8 @@ import numpy as np
 # gap five times as wide is open. Chosen, not measured.
 _PARALLEL, _COPLANAR, _GAP, _OPEN = math.cos(math.radians(3)), 0.05, 0.1, 0.5
 
+_MOST = 4000  # facets of a plane that are compared in pairs, else they are one face; chosen
+
 # Rays from a facet go into the directions around its normal with the weight cos(angle)^_FOCUS.
 # Fitted to plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
 _FOCUS = 20.0
@@ -67,6 +69,9 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
             at, half = points[rows] @ axes.T, edges[rows] @ axes.T
             reach = np.abs(half).sum(axis=1)
             width = facets["width"][rows].max()
+            if len(rows) > _MOST:
+                widths[rows] = _width_of(at, half, areas[rows])
+                continue
             areas[rows] *= _bridged(at, reach, width)
             for part in _connected(at - reach, at + reach, _GAP * width):
                 widths[rows[part]] = _width_of(at[part], half[part], areas[rows[part]])
@@ -190,8 +195,9 @@ def _bridged(at: np.ndarray, reach: np.ndarray, width: float) -> np.ndarray:
             there = beside & (side * away[..., axis] > 0)
             nearest = np.where(there, np.maximum(apart[..., axis], 0.0), np.inf).min(axis=1)
             closed = np.clip((_OPEN - nearest / width) / (_OPEN - _GAP), 0.0, 1.0)
-            half = 0.5 * closed * np.where(closed > 0, nearest, 0.0)
-            factor += half / (2 * np.maximum(reach[:, axis], half))
+            is_gap = (closed > 0) & (nearest > _TOUCH * width)
+            half = 0.5 * closed[is_gap] * nearest[is_gap]
+            factor[is_gap] += half / (2 * np.maximum(reach[is_gap, axis], half))
     return factor
 
 
@@ -207,7 +213,8 @@ def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> float:
     away = at - areas @ at / area
     moments = np.einsum("n,ni,nj->ij", areas, away, away)
     moments += np.einsum("n,nki,nkj->ij", areas, half, half) / 3
-    return float(area / math.sqrt(12 * np.linalg.eigvalsh(moments / area)[-1]))
+    length = math.sqrt(12 * max(np.linalg.eigvalsh(moments / area)[-1], 0.0))
+    return float(area / max(length, math.sqrt(area)))
 
 
 def _second_extent(points: np.ndarray, edges: np.ndarray, areas: np.ndarray) -> float:
