@@ -48,6 +48,51 @@ def one_of(mask, a, b):
     return vector(choose(mask, a.x, b.x), choose(mask, a.y, b.y), choose(mask, a.z, b.z))
 
 
+@partial(compiled, inline=True)
+def momentum_of(sand, v, h):
+    """Return the `Momentum` of sand that moves along (`AddedMass`).
+
+    Args:
+        sand: the sand.
+        v: velocity of the element at the start of the step [m/s].
+        h: time step [s].
+    """
+    s = max(dot(sand.normal, v), 0.0)
+    return Momentum(sand.normal, sand.mass / h, sand.before * s / h)
+
+
+@partial(compiled, inline=True)
+def most_given(n, force, v):
+    """Return the bound of a in (A5), not negative, and what its derivative by v needs.
+
+    Args:
+        n: normal of the element.
+        force: resistance at v [N]; force and v may both be divided by the same speed.
+        v: velocity of the element.
+
+    Returns:
+        The bound, whether it is that of power, and 1 / (n.v) or 0 where the element does not lead.
+    """
+    s = dot(n, v)
+    leads = s > _NOTHING
+    compression, power = -dot(n, force), -dot(force, v)
+    per_speed = choose(leads, 1.0 / choose(leads, s, 1.0), 0.0)
+    by_power = power < compression * s
+    bound = choose(by_power, power * per_speed, compression)
+    return choose(bound > 0.0, bound, 0.0), by_power, per_speed
+
+
+@partial(compiled, inline=True)
+def share_after_turn(now, before):
+    """Return by how much a body's sand is slower than its elements say (A4).
+
+    Args:
+        now: energy of its sand at these speeds.
+        before: the same with the speeds before the body turned.
+    """
+    return math.sqrt(before / now) if now > before else 1.0
+
+
 @compiled
 def motion_before_turn(w, body):
     """Set the motion of a body, at the velocities of now, as it was where the last step began.
@@ -90,7 +135,7 @@ def momentum_kernel(kernel: LawKernel) -> Any:
             sand = added(read_sample(tile, SAMPLE * lanes + lane), v, h)
             s = max(dot(sand.normal, v), 0.0)
             had = max(dot(sand.normal, velocity_at(before, read(tile, ARM * lanes + lane))), 0.0)
-            write(tile, first + lane, Momentum(sand.normal, sand.mass / h, sand.before * s / h))
+            write(tile, first + lane, momentum_of(sand, v, h))
             if lane < live:
                 w.energy[body, 0] += sand.before * s * s
                 w.energy[body, 1] += sand.before * had * had
@@ -110,9 +155,8 @@ def turn_kernel(kernel: LawKernel) -> Any:
     def charge_turns(w):
         for i in range(w.count):
             energy = w.energy[w.heads[i].body]
-            if energy[0] > energy[1]:
-                share = math.sqrt(energy[1] / energy[0])
-                write(w.tiles[i], start, share * read(w.tiles[i], start))
+            share = share_after_turn(energy[0], energy[1])
+            write(w.tiles[i], start, share * read(w.tiles[i], start))
 
     return charge_turns
 
@@ -132,19 +176,13 @@ def added_kernel(kernel: LawKernel) -> Any:
         force, slope = read(tile, FORCE * lanes), read_slope(tile, SLOPE * lanes)
         n = sand.normal
         s = dot(n, v)
-        leads = s > _NOTHING
-        rate = choose(leads, sand.rate, 0.0)
+        rate = choose(s > _NOTHING, sand.rate, 0.0)
         a = sand.start - rate * s
         # (A5), with the derivative of the bound by v'.
-        compression, power = -dot(n, force), -dot(force, v)
-        per_speed = choose(leads, 1.0 / choose(leads, s, 1.0), 0.0)
-        by_power = power < compression * s
-        bound = choose(by_power, power * per_speed, compression)
+        bound, by_power, per_speed = most_given(n, force, v)
         across = transposed(slope)
-        by_v = across @ n
         of_power = per_speed * (across @ v - force - bound * n)
-        by_v = one_of(by_power, of_power, by_v)
-        bound = choose(bound > 0.0, bound, 0.0)
+        by_v = one_of(by_power, of_power, across @ n)
         limited = a > bound
         a = choose(limited, bound, a)
         change = one_of(limited, by_v, -rate * n)

@@ -3,6 +3,11 @@
 Each element has a symmetric matrix C for the velocity of its point (`warp.resistance`). All of a
 body together are one of 6 x 6 for its spatial velocity (`warp.motions`); brought to the degrees of
 freedom, h J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with both.
+
+Sand that moves along (`scheme.added`) gives an element the force (start - rate n.v') n besides. While
+velocities are predicted, the rate joins C and the start is a kick, so the prediction is right at
+once where the force is linear. In the equations that the step ends with, and where (A5) limits the
+force, C is the secant of all of the element's force, and nothing is kicked.
 """
 
 # The code of kernels is Warp's language, of which type checkers of Python know little.
@@ -17,11 +22,13 @@ from typing import Any
 import warp as wp
 
 from mjgranular.law.kernel import LawKernel, Level, Pose
+from mjgranular.scheme.added import momentum_of, most_given, share_after_turn
 from mjgranular.scheme.damping import prolonged
 from mjgranular.warp.grid import in_any_world, in_world
 from mjgranular.warp.motions import (
     Damping,
     Slot,
+    WarpMotion,
     about,
     added_to,
     bounded,
@@ -31,7 +38,7 @@ from mjgranular.warp.motions import (
     velocity_at,
     wrench_of,
 )
-from mjgranular.warp.resistance import resistance_of
+from mjgranular.warp.resistance import resistance_of, secant_of
 from mjgranular.warp.translate import struct_of, translated
 
 _STILL = 1e-3
@@ -39,6 +46,8 @@ _STILL = 1e-3
 
 _Pose, _Level = struct_of(Pose), struct_of(Level)
 prolonged_by = translated(prolonged)
+momentum_of_sand, share_of_speed = translated(momentum_of), translated(share_after_turn)
+bound_of = translated(most_given)
 
 
 @functools.cache
@@ -70,6 +79,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         chain: wp.array(dtype=int),
         most: wp.array(dtype=float),
         first: bool,
+        last: bool,
         time: wp.array(dtype=float),
         strength: wp.array(dtype=float),
         density: wp.array(dtype=float),
@@ -84,8 +94,11 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         subtree_com: wp.array2d(dtype=wp.vec3),
         cvel: wp.array2d(dtype=wp.spatial_vector),
         cdof: wp.array2d(dtype=wp.spatial_vector),
+        cdof_dot: wp.array2d(dtype=wp.spatial_vector),
+        qvel: wp.array2d(dtype=float),
         foreseen: wp.array2d(dtype=float),
         found: wp.array2d(dtype=float),
+        share: wp.array2d(dtype=float),
         damping: wp.array2d(dtype=Damping),
         kick: wp.array2d(dtype=wp.spatial_vector),
         depth: wp.array2d(dtype=float),
@@ -123,6 +136,14 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         soft = eps
         if not first or time[world] > 0.0:  # else the limit is that of another episode
             soft = wp.max(eps, limit[world, s] / bound)
+        old = now  # the motion before the body turned
+        slower = float(1.0)  # not known yet
+        if wp.static(adds_mass):
+            turn = motion_of(slot, chain, cdof_dot, qvel, world)
+            old = WarpMotion(now.angular - h * turn.angular, now.linear - h * turn.linear)
+            if not first:
+                slower = share[world, s]
+        has, had = float(0.0), float(0.0)  # energies of the body's sand
         limits = float(0.0)
         total = Damping()
         greatest = float(0.0)
@@ -150,8 +171,13 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                 if wp.static(adds_mass):
                     mass = added(place, start, h)
                     n = mass.normal
-                    c += (dense * mass.mass / h) * wp.outer(n, n)
-                    kicked = (dense * mass.before / h * wp.dot(n, start)) * n
+                    speed_now = wp.max(wp.dot(n, start), 0.0)
+                    speed_old = wp.max(wp.dot(n, velocity_at(old, arm)), 0.0)
+                    has += mass.before * speed_now * speed_now
+                    had += mass.before * speed_old * speed_old
+                    moved_along = momentum_of_sand(mass, start, h)
+                    rate, began = dense * moved_along.rate, slower * dense * moved_along.start
+                    c, kicked = _with_momentum(c, n, rate, began, v, last)
                     push += kicked
                     twist += wp.cross(arm, kicked)
                 trace = wp.trace(c)
@@ -161,6 +187,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                 total = added_to(total, c, arm)
         total = bounded(total, bound)
         limit[world, s] = limits
+        share[world, s] = share_of_speed(has, had)
         damping[world, s] = total
         kick[world, s] = wp.spatial_vector(twist - wp.cross(total.arm, push), push)
         depth[world, s] = deepest
@@ -177,6 +204,38 @@ def _turned_back(foreseen: wp.vec3, now: wp.vec3, eps: float):
     step that began with them would end far from where it should.
     """
     return wp.dot(foreseen, now) < 0.0 and wp.length(now) > _STILL * eps
+
+
+@wp.func
+def _with_momentum(c: wp.mat33, n: wp.vec3, rate: float, start: float, v: wp.vec3, last: bool):
+    """The damping of an element with that of its moving sand, and the kick besides.
+
+    Args:
+        c: its damping by resistance, at the velocity v.
+        n: its normal.
+        rate: m / h of its sand [kg/s].
+        start: m' s_b / h [N].
+        v: its velocity, as predicted.
+        last: whether the step ends with this.
+    """
+    kicked = wp.vec3()
+    speed = wp.length(v)
+    if speed > 0.0:
+        # Forces over the speed, since the secant asks for those.
+        u = v / speed
+        s = wp.dot(n, u)
+        if s <= 0.0:
+            rate = 0.0
+        force = -(c * u)
+        a = start / speed - rate * s
+        bound, _by_power, _per_speed = bound_of(n, force, u)
+        if a <= bound:
+            c += rate * wp.outer(n, n)
+        if last or a > bound:
+            c = secant_of(force + wp.min(a, bound) * n, c, u)
+        else:
+            kicked = start * n
+    return c, kicked
 
 
 @wp.func
@@ -324,7 +383,6 @@ def wrenches_of_step(
     cdof: wp.array2d(dtype=wp.spatial_vector),
     velocity: wp.array2d(dtype=float),
     damping: wp.array2d(dtype=Damping),
-    kick: wp.array2d(dtype=wp.spatial_vector),
     force: wp.array2d(dtype=wp.vec3),
     moment: wp.array2d(dtype=wp.vec3),
     power: wp.array2d(dtype=float),
@@ -335,12 +393,11 @@ def wrenches_of_step(
     arm = damping[world, s].arm
     motion = moved(motion_of(slot, chain, cdof, velocity, world), arm)
     wrench = wrench_of(damping[world, s], motion)
-    f = wrench.linear + wp.spatial_bottom(kick[world, s])
-    turning = wrench.angular + wp.spatial_top(kick[world, s])
     lever = xipos[world, slot.body] - subtree_com[world, slot.root] - arm
+    f = wrench.linear
     force[world, s] = f
-    moment[world, s] = turning - wp.cross(lever, f)
-    power[world, s] = wp.dot(f, motion.linear) + wp.dot(turning, motion.angular)
+    moment[world, s] = wrench.angular - wp.cross(lever, f)
+    power[world, s] = wp.dot(f, motion.linear) + wp.dot(wrench.angular, motion.angular)
 
 
 @wp.kernel(enable_backward=False)

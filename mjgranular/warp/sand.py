@@ -58,8 +58,8 @@ CORRECTIONS = 3
 # with twice as much. Rest of a body is softer where its sand would be damped by more.
 _MOST_DAMPING = 2e4
 
-_OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 4)
-"""Bytes of a body in a world: damping, kick, force, moment, and four numbers."""
+_OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 5)
+"""Bytes of a body in a world: damping, kick, force, moment, and five numbers."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,7 @@ class _Arrays:
     foreseen: wp.array  # velocities that the step is foreseen to end with, (nworld, nv)
     found: wp.array  # those that the last solution of the equations ended with
     gap: wp.array  # by how much others had been foreseen
+    share: wp.array  # of the speed of sand that moves along, after its body has turned
     damping: wp.array  # of each body in the sand, (nworld, bodies)
     kick: wp.array  # and the momentum of sand that moves along already, per time
     limit: wp.array  # of static resistance to each body at its elements, summed up [N]
@@ -231,6 +232,7 @@ class WarpSand:
             foreseen=zeros((n, model.nv), float),
             found=zeros((n, model.nv), float),
             gap=zeros((n, model.nv), float),
+            share=zeros((n, count), float),
             damping=zeros((n, count), Damping),
             kick=zeros((n, count), wp.spatial_vector),
             limit=zeros((n, count), float),
@@ -330,8 +332,9 @@ class WarpSand:
             [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart, d.time, a.creep],
             [a.foreseen],
         )
-        self._resist_all(m, d, first=True)
-        for correction in range(self._corrections):
+        count = self._corrections
+        self._resist_all(m, d, first=True, last=count == 0)
+        for correction in range(count):
             self._constraints.solve(m, d)
             self._launch(
                 foresee_anew,
@@ -342,7 +345,7 @@ class WarpSand:
                 ],
                 [a.gap, a.found, a.foreseen],
             )
-            self._resist_all(m, d)
+            self._resist_all(m, d, first=False, last=correction == count - 1)
         self._constraints.prepare(m, d)
 
     def _on_sensor(self, m: Any, d: Any, stage: Any) -> None:
@@ -358,7 +361,7 @@ class WarpSand:
             self._size,
             [
                 *(self._slot_array, self._chain_array, d.xipos, d.subtree_com, d.cdof),
-                *(a.foreseen, a.damping, a.kick),
+                *(a.foreseen, a.damping),
             ],
             [self.force, self.moment, self.power],
         )
@@ -379,7 +382,7 @@ class WarpSand:
         shape = (self._size[0], self._model.nv)
         self._launch(foresee, shape, [m.opt.timestep, d.qvel, d.qacc], [self._arrays.foreseen])
 
-    def _resist_all(self, m: Any, d: Any, *, first: bool = False) -> None:
+    def _resist_all(self, m: Any, d: Any, *, first: bool, last: bool) -> None:
         """Damping at the velocities that are foreseen; its forces and its part of the metric."""
         a, n = self._arrays, self._size[0]
         self._launch(
@@ -387,12 +390,13 @@ class WarpSand:
             self._size,
             [
                 *(self._slot_array, self._element_array, self._laws, self._surface),
-                *(self._chain_array, self._most, first, d.time),
+                *(self._chain_array, self._most, first, last, d.time),
                 *(self.strength, self.density, self.height),
                 *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
-                *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, a.foreseen, a.found),
+                *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
+                *(a.foreseen, a.found),
             ],
-            [a.damping, a.kick, self.depth, self.speed, a.limit],
+            [a.share, a.damping, a.kick, self.depth, self.speed, a.limit],
         )
         of_dofs = [self._dof_slots, self._dof_first]
         self._launch(
