@@ -98,6 +98,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         qvel: wp.array2d(dtype=float),
         foreseen: wp.array2d(dtype=float),
         found: wp.array2d(dtype=float),
+        gap: wp.array2d(dtype=float),
         share: wp.array2d(dtype=float),
         damping: wp.array2d(dtype=Damping),
         kick: wp.array2d(dtype=wp.spatial_vector),
@@ -126,8 +127,11 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         )
         ahead = motion_of(slot, chain, cdof, foreseen, world)
         sure = now  # what foresight sets out from
+        past = now  # what was predicted before, which led there
         if not first:
             sure = motion_of(slot, chain, cdof, found, world)
+            change = motion_of(slot, chain, cdof, gap, world)
+            past = WarpMotion(sure.angular + change.angular, sure.linear + change.linear)
         level = _Level()
         if wp.static(has_cull):
             depth_here, normal = ceiling(here, pose.position)
@@ -167,6 +171,11 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                     v = before
                 fastest = wp.max(fastest, wp.length(v))
                 c = resistance(place, law, g, v, soft, strong, dense)
+                tangent, kicked = c, wp.vec3()
+                p = velocity_at(past, arm)
+                beyond = wp.dot(before, before) > wp.dot(p, p) + soft * soft
+                if beyond and not first and not last:
+                    tangent, kicked = _yielding(c, v, soft)
                 limits += wp.trace(c) * wp.sqrt(wp.dot(v, v) + soft * soft)
                 if wp.static(adds_mass):
                     mass = added(place, start, h)
@@ -177,9 +186,11 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
                     had += mass.before * speed_old * speed_old
                     moved_along = momentum_of_sand(mass, start, h)
                     rate, began = dense * moved_along.rate, slower * dense * moved_along.start
-                    c, kicked = _with_momentum(c, n, rate, began, v, last)
-                    push += kicked
-                    twist += wp.cross(arm, kicked)
+                    c, kicked = _with_momentum(c, tangent, kicked, n, rate, began, v, last)
+                else:
+                    c = tangent
+                push += kicked
+                twist += wp.cross(arm, kicked)
                 trace = wp.trace(c)
                 if trace > greatest:
                     greatest = trace
@@ -207,18 +218,44 @@ def _turned_back(foreseen: wp.vec3, now: wp.vec3, eps: float):
 
 
 @wp.func
-def _with_momentum(c: wp.mat33, n: wp.vec3, rate: float, start: float, v: wp.vec3, last: bool):
+def _yielding(c: wp.mat33, v: wp.vec3, soft: float):
+    """The damping of an element that is loaded beyond its limit, and the kick besides.
+
+    Its resistance is the limit whatever its speed: constant along the motion, damping across.
+    """
+    speed = wp.length(v)
+    kicked = wp.vec3()
+    if speed > 0.0:
+        u = v / speed
+        kicked = -wp.sqrt(speed * speed + soft * soft) * (c * u)
+        p = wp.identity(n=3, dtype=float) - wp.outer(u, u)
+        c = p * c * p
+    return c, kicked
+
+
+@wp.func
+def _with_momentum(
+    c: wp.mat33,
+    tangent: wp.mat33,
+    kicked: wp.vec3,
+    n: wp.vec3,
+    rate: float,
+    start: float,
+    v: wp.vec3,
+    last: bool,
+):
     """The damping of an element with that of its moving sand, and the kick besides.
 
     Args:
         c: its damping by resistance, at the velocity v.
+        tangent: what the prediction takes for that.
+        kicked: and the kick with it.
         n: its normal.
         rate: m / h of its sand [kg/s].
         start: m' s_b / h [N].
         v: its velocity, as predicted.
         last: whether the step ends with this.
     """
-    kicked = wp.vec3()
     speed = wp.length(v)
     if speed > 0.0:
         # Forces over the speed, since the secant asks for those.
@@ -232,10 +269,10 @@ def _with_momentum(c: wp.mat33, n: wp.vec3, rate: float, start: float, v: wp.vec
         if a <= bound:
             c += rate * wp.outer(n, n)
         if last or a > bound:
-            c = secant_of(force + wp.min(a, bound) * n, c, u)
-        else:
-            kicked = start * n
-    return c, kicked
+            return secant_of(force + wp.min(a, bound) * n, c, u), wp.vec3()
+        tangent += rate * wp.outer(n, n)
+        kicked += start * n
+    return tangent, kicked
 
 
 @wp.func

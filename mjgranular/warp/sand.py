@@ -394,7 +394,7 @@ class WarpSand:
                 *(self.strength, self.density, self.height),
                 *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
                 *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
-                *(a.foreseen, a.found),
+                *(a.foreseen, a.found, a.gap),
             ],
             [a.share, a.damping, a.kick, self.depth, self.speed, a.limit],
         )
