@@ -108,9 +108,9 @@ def chain_model() -> mujoco.MjModel:
 
 
 @pytest.fixture(scope="session")
-def most_work_given() -> Callable[..., float]:
-    """The most work that sand gives in a step to a body that is pushed at random: `pushes.py`."""
-    return _load("pushes").most_work_given
+def work_given() -> Callable[..., tuple[float, float]]:
+    """The work that sand gives over hostile motions, and the work put in: `pushes.py`."""
+    return _load("pushes").work_given
 
 
 @pytest.fixture

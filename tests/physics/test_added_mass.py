@@ -227,13 +227,13 @@ def test_rest_is_what_it_is_without(timestep):
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "discrete"])
-def test_sand_that_is_moved_along_gives_no_energy(integrator, most_work_given):
-    # Pushed to and fro, at a time step at which it crosses its own width.
+def test_sand_that_is_moved_along_gives_no_energy(integrator, work_given):
+    # At a time step at which it crosses its own width.
     model, data, sand = ball(
         LAW, depth=0.03, velocity=0, gravity=-9.81, timestep=5e-3, integrator=integrator
     )
-    most = most_work_given(sand, model, data, pushes=(4, 4, 4, 0.05, 0.05, 0.05), steps=400)
-    assert most < 1e-12
+    given, put = work_given(sand, model, data, steps=400)
+    assert given <= 1e-9 * put
 
 
 def test_fine_steps_take_the_scheme_that_can():
