@@ -74,6 +74,7 @@ def reproduce(options: argparse.Namespace, console: Console) -> int:
 
     faulthandler.enable()
     walked.run()
+    walked.ask_twins()
     for finding in walked.findings:
         console.print_json(data=as_dict(finding))
     console.print(dict(walked.counts))

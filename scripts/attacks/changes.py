@@ -137,6 +137,7 @@ CALM_FLAGS = tuple(
 )
 """Flags that change nothing for bodies that touch nothing but sand."""
 
+_MASS = "mujoco.mj_mulM(model, data, data.qfrc_applied"
 KINDS = ("plain", "options", "hostile", "rest")
 """Nothing but controls; legal changes under way; illegal ones too; changes while all lies still."""
 
@@ -196,6 +197,11 @@ def push(rng: np.random.Generator, made: Plan, step: int) -> None:
         ("data.ctrl = random.normal(scale=2, size=model.nu)", 0.5),
         ("data.qfrc_applied = random.normal(scale=0.5, size=model.nv)", 0.1),
         ("data.xfrc_applied = random.normal(scale=0.5, size=(model.nbody, 6))", 0.1),
+        # A strike, a brake that is harder than the sand, a withdrawal.
+        (f"{_MASS}, random.normal(scale=20, size=model.nv) / 0.02)", 0.1),
+        (f"{_MASS}, -data.qvel / 0.005)", 0.1),
+        ("data.xfrc_applied[:, 2] = 20 * model.body_mass / 0.1", 0.05),
+        ("data.qfrc_applied = 0", 0.1),
         ("data.mocap_pos += random.normal(scale=0.01, size=data.mocap_pos.shape)", 0.3),
         ("data.eq_active = random.integers(0, 2, model.neq)", 0.1),
         ("report", 0.05),

@@ -77,6 +77,7 @@ def walk_one(task: dict[str, Any], number: int, place: Place) -> dict[str, Any]:
         drawn = draw(seed, number, steps, programs, task.get("kind"))
         walked = Walk(seed, number, steps, drawn, place=place, bare=task.get("bare", False))
         walked.run()
+        walked.ask_twins()
         findings = [as_dict(finding) for finding in walked.findings]
         counts = dict(walked.counts)
     except Exception:  # of the attack itself
@@ -100,7 +101,9 @@ def compile_program(law: str, surface: str, scheme: str) -> None:
     from mjgranular.engine import add_sand
 
     places = {"plane": "None", "bed": "Bed('tray')", "height_field": "HeightField('dunes')"}
-    text = f"{models.LAWS[law][0]}, surface={places[surface]}, scheme='{scheme}', geoms=['g']"
+    place, _, remembers = surface.partition(" ")
+    text = f"{models.LAWS[law][0]}, surface={places[place]}, scheme='{scheme}', geoms=['g']"
+    text += ", memory=True" if remembers else ""
     given = arguments(text)
     model = mujoco.MjModel.from_xml_string(models.SMALLEST)
     Sand(model, **given).step(mujoco.MjData(model))

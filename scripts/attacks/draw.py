@@ -36,7 +36,12 @@ def draw(
     program = programs[int(rng.integers(len(programs)))]
     kind = kind or chosen
     if kind == "rest":
-        laws = ("link_distributed", "rft2d", "rft3d")  # under which everything comes to rest
+        laws = (
+            "link_distributed",
+            "rft2d",
+            "rft3d",
+            *models.MOVING,
+        )  # under which everything comes to rest
         still = [p for p in programs if p[0] in laws and p[1:] == ("plane", "implicit")]
         still = still or [("link_distributed", "plane", "implicit")]
         made = models.draw_at_rest(rng, still[int(rng.integers(len(still)))])

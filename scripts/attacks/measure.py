@@ -11,7 +11,8 @@ from attacks.draw import arguments
 from mjgranular import GranularError, Sand
 
 JOULES = 1e-12
-STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+# What sand inside `mj_step` remembers is copied by itself.
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION) & ~int(mujoco.mjtState.mjSTATE_PLUGIN)
 _NO_PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
 _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 

@@ -27,6 +27,8 @@ LAWS = {
         "medium='glass_beads', law='rft2d', resolution=3",
     ),
     "rft3d": ("medium='quikrete_medium', law='rft3d', resolution=4",),
+    "rft2d_dynamic": ("medium='poppy_seed_loose', law='rft2d_dynamic', resolution=4",),
+    "rft3d_dynamic": ("medium='quikrete_medium', law='rft3d_dynamic', resolution=4",),
     "depth_velocity": (
         "law=DepthVelocityLaw(constant=0.3, stiffness=30.0, linear=0.1, quadratic=2.0)",
         "law=DepthVelocityLaw(stiffness=300.0, exponent=1.5, linear=3.0)",
@@ -34,10 +36,21 @@ LAWS = {
 }
 SURFACES = ("plane", "bed", "height_field")
 SCHEMES = ("implicit", "explicit")
-PROGRAMS = tuple(
-    (law, surface, scheme) for scheme in SCHEMES for surface in SURFACES for law in LAWS
+MOVING = ("rft2d_dynamic", "rft3d_dynamic")  # sand; the explicit scheme has no acceleration
+PROGRAMS = (
+    *(
+        (law, surface, scheme)
+        for scheme in SCHEMES
+        for surface in SURFACES
+        for law in LAWS
+        if scheme == "implicit" or law not in MOVING
+    ),
+    *((law, "plane memory", "implicit") for law in LAWS),
+    *(("rft3d_dynamic", f"{surface} memory", "implicit") for surface in SURFACES[1:]),
+    ("rft3d", "plane memory", "explicit"),
 )
 """Laws, surfaces and schemes: each of these is compiled once on a machine."""
+CELLS = (0.005, 0.01, 0.02)
 
 SMALLEST = """
 <mujoco>
@@ -103,6 +116,32 @@ def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Dra
     return Drawn(xml, sand, (law, "plane", scheme))
 
 
+def draw_twin(
+    rng: np.random.Generator, program: tuple[str, str, str], shape: str = ""
+) -> tuple[mujoco.MjSpec, str]:
+    """Draw a free body with limbs that nothing but sand acts on, or one geom, and its sand."""
+    while True:
+        draft = Draft(rng, program)
+        place, sand_geom = draft.place(program[1])
+        where = f'pos="0 0 {rng.uniform(-0.1, 0):.3g}" quat="{draft.turn()}"'
+        body = draft.body(0 if not shape else 9, "<freejoint/>", where)
+        if shape:
+            body = f'<body name="b0" {where}><freejoint/><geom name="g0" type="{shape}" '
+            body += f'size="{draft.numbers(0.02, 0.06, 3)}"/></body>'
+        spec = mujoco.MjSpec.from_string(
+            f"<mujoco><option><flag contact='disable'/></option>{draft.assets(sand_geom)}"
+            f"<worldbody>{sand_geom}{body}</worldbody></mujoco>"
+        )
+        for joint in spec.joints:
+            joint.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+            joint.stiffness[:], joint.damping[:], joint.frictionloss, joint.armature = 0, 0, 0, 0
+        try:
+            spec.copy().compile()
+        except ValueError:  # an inertia that is none
+            continue
+        return spec, draft.sand(place)
+
+
 @dataclass
 class Draft:
     """Parts of a model that is being drawn."""
@@ -151,12 +190,20 @@ class Draft:
             f"<worldbody>{sand_geom}{self.floor()}{trees}</worldbody>"
             f"{''.join(parts)}{self.actuators()}</mujoco>"
         )
-        sand = f"{rng.choice(LAWS[law])}, surface={place}, "
-        sand += f"scheme='{'auto' if self.chance(0.1) else scheme}'"
+        sand = self.sand(place)
         if law.startswith("link") or self.chance(0.2):
             chosen = [name for name in self.geoms if self.chance(0.9)] or self.geoms[:1]
             sand += f", geoms={chosen}"
         return Drawn(xml, sand, self.program)
+
+    def sand(self, place: str) -> str:
+        """Arguments of `Sand`."""
+        law, surface, scheme = self.program
+        sand = str(self.rng.choice(LAWS[law]))
+        if "memory" in surface:
+            sand += f", memory=Memory(cell={self.rng.choice(CELLS)}, extent=2.8)"
+        scheme = "auto" if self.chance(0.1) and law not in MOVING else scheme
+        return f"{sand}, surface={place}, scheme='{scheme}'"
 
     def option(self, timestep: float, integrator: str) -> str:
         rng = self.rng
@@ -206,15 +253,15 @@ class Draft:
 
     def place(self, surface: str) -> tuple[str, str]:
         """The surface as it would be written, and the geom that it is made of."""
-        tilt = f"{self.rng.normal(scale=0.15):.3g} {self.rng.normal(scale=0.15):.3g} 0"
-        if surface == "bed":
+        tilt = f"1 {self.rng.normal(scale=0.08):.3g} {self.rng.normal(scale=0.08):.3g} 0"
+        if surface.startswith("bed"):
             return "Bed('tray')", (
-                f'<geom name="tray" type="box" size="1 1 0.2" pos="0 0 -0.2" euler="{tilt}"/>'
+                f'<geom name="tray" type="box" size="1 1 0.2" pos="0 0 -0.2" quat="{tilt}"/>'
             )
-        if surface == "height_field":
+        if surface.startswith("height_field"):
             return "HeightField('dunes')", (
                 '<geom name="dunes" type="hfield" hfield="dunes" pos="0 0 -0.05" '
-                f'euler="{tilt if self.chance(0.5) else "0 0 0"}"/>'
+                f'quat="{tilt if self.chance(0.5) else "1 0 0 0"}"/>'
             )
         if self.chance(0.5):
             return "None", ""
@@ -268,7 +315,7 @@ class Draft:
         return f'<body name="{name}" {where} {caught}>{joints}{self.inertial()}{skin}{limbs}</body>'
 
     def limb_joints(self) -> str:
-        if self.chance(0.05):
+        if self.chance(0.15):
             return ""  # welded to its parent
         if self.chance(0.2):
             return self.joint("slide") + self.joint("hinge")
@@ -304,12 +351,25 @@ class Draft:
             corners = self.numbers(-0.08, 0.08, 3 * int(rng.integers(4, 9)))
             self.meshes.append(f'<mesh name="mesh{number}" vertex="{corners}"/>')
         pos = self.numbers(-0.1, 0.1, 3) if self.chance(0.3) else "0 0 0"
+        if shape == "box" and not rods_only and self.chance(0.4):
+            return self.pieces(name)
         touches = int(self.chance(0.4))
         dims = rng.choice([1, 3, 4, 6], p=(0.1, 0.6, 0.15, 0.15))
         return (
             f'<geom name="{name}" type="{shape}" {what} pos="{pos}" quat="{self.turn()}" '
             f'density="{10 ** rng.uniform(2, 3.7):.4g}" contype="1" conaffinity="{touches}" '
             f'condim="{dims}" friction="{self.numbers(0.1, 1.5, 1)} 0.01 0.001"/>'
+        )
+
+    def pieces(self, name: str) -> str:
+        """Draw a bar in pieces, with gaps or without."""
+        count, half = int(self.rng.integers(2, 9)), self.rng.uniform(0.01, 0.03, 3)
+        pitch = 2.0 * half[0] + self.rng.choice([0.0, 1e-6, 5e-4])
+        self.geoms += [f"{name}_{k}" for k in range(1, count)]
+        return "".join(
+            f'<geom name="{name}{f"_{k}" if k else ""}" type="box" pos="{k * pitch:.7g} 0 0" '
+            f'size="{half[0]:.4g} {half[1]:.4g} {half[2]:.4g}" contype="1" conaffinity="0"/>'
+            for k in range(count)
         )
 
     def joint(self, kind: str = "") -> str:

@@ -1,0 +1,258 @@
+"""Metamorphic questions: a drawn model and its twin, from one MjSpec, have to move alike.
+
+Where only the description differs (order of geoms, pieces that are welded, the place and turn of
+the world, its mirror image), or all lengths, times and masses by Froude's similarity, motions are
+equal to rounding; where skin is cut into other facets or time into other steps, nearly so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from attacks import models
+from attacks.draw import arguments
+
+from mjgranular import Plane, Sand
+
+STEPS, TIMESTEP = 16, 1e-3
+EXACT, CUT, HALF = 1e-6, 0.05, 0.05  # of the greatest speed; the last two chosen
+_FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
+
+
+class Question(NamedTuple):
+    """How a twin differs, and how its motion should.
+
+    Attributes:
+        name: of the question.
+        change: changes the spec in place.
+        sand: arguments of `Sand` that differ.
+        turn: matrix by which positions are turned or mirrored.
+        scale: of lengths.
+        refine: by which the time step is divided.
+        nudge: by which velocities differ at first.
+        tolerance: in parts of the greatest speed.
+    """
+
+    name: str
+    change: Callable[[mujoco.MjSpec], object] = lambda _spec: None
+    sand: dict[str, Any] = {}
+    turn: np.ndarray = np.eye(3)
+    scale: float = 1.0
+    refine: int = 1
+    nudge: float = 0.0
+    tolerance: float = EXACT
+
+
+def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int) -> np.ndarray:
+    """Build a variant and let it move for `STEPS`; return the motion of the original's bodies.
+
+    Returns:
+        Linear and angular velocities, turned and scaled back, shape (nbody, 2, 3).
+    """
+    names = [body.name for body in spec.bodies[1:]]
+    spec = spec.copy()
+    ask.change(spec)
+    model = spec.compile()
+    mirrored, speed = np.linalg.det(ask.turn), math.sqrt(ask.scale)
+    model.opt.timestep = TIMESTEP * speed / ask.refine
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(seed)
+    data.qvel[:] = rng.normal(size=model.nv) + ask.nudge * rng.normal(size=model.nv)
+    image = ask.turn if mirrored < 0 else np.eye(3)  # of a body's own frame
+    for kind, at in zip(model.jnt_type, model.jnt_dofadr, strict=True):
+        if kind == _FREE:
+            data.qvel[at : at + 3] = speed * (ask.turn @ data.qvel[at : at + 3])
+            at += 3
+        if kind in (_FREE, int(mujoco.mjtJoint.mjJNT_BALL)):
+            data.qvel[at : at + 3] = mirrored / speed * 5.0 * (image @ data.qvel[at : at + 3])
+        else:
+            data.qvel[at] *= 5.0 / speed if kind == _HINGE else speed
+    sand = Sand(model, **{**given, **ask.sand})
+    for _ in range(STEPS * ask.refine):
+        sand.step(data)
+    mujoco.mj_forward(model, data)
+    found = np.zeros((len(names), 2, 3))
+    for row, name in zip(found, names, strict=True):
+        out = np.zeros(6)
+        body = model.body(name).id
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, out, 0)
+        row[0] = ask.turn.T @ out[3:] / speed
+        row[1] = mirrored * speed * (ask.turn.T @ out[:3])
+    return found
+
+
+def apart(
+    spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int, than: Question
+) -> float:
+    """Return how far apart a model and its twin move, in parts of the greatest speed, which began
+    as some 1 m/s.
+
+    Velocities of turning count by half the body's size, 5 cm.
+    """
+    size = np.array([1.0, 0.05])[:, None]
+    one = motion(spec, given, than, seed) * size
+    two = motion(spec, given, ask, seed) * size
+    return float(np.abs(two - one).max() / max(np.abs(one).max(), 1.0))
+
+
+# Changes of a spec
+
+
+def moved(spec: mujoco.MjSpec, geom: Any, body: Any, count: int = 1) -> None:
+    """Move a geom to a body with the same frame; a box in `count` pieces along its first axes."""
+    names = ("name", "type", "size", "pos", "quat", "meshname", "density", "contype", "conaffinity")
+    about = {name: getattr(geom, name) for name in names}
+    about = {
+        name: value.copy() if hasattr(value, "copy") else value for name, value in about.items()
+    }
+    spec.delete(geom)
+    cuts = (count > 1) + 1, (count > 2) + 1
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, about["quat"] / np.linalg.norm(about["quat"]))
+    size = about["size"] / [*cuts, 1]
+    for k in range(count):
+        off = size * [(2 * (k % 2) - 1) * (count > 1), (2 * (k // 2) - 1) * (count > 2), 0]
+        piece = {"size": size, "pos": about["pos"] + turn.reshape(3, 3) @ off}
+        body.add_geom(
+            **{**about, **(piece if count > 1 else {}), "name": f"{about['name']}{k or ''}"}
+        )
+
+
+def reorder(spec: mujoco.MjSpec) -> None:
+    """Reverse the order of each body's geoms."""
+    for body in spec.bodies[1:]:
+        for geom in list(reversed(body.geoms)):
+            moved(spec, geom, body)
+
+
+def weld(spec: mujoco.MjSpec) -> None:
+    """Move every other geom of each body to a body that is welded to it."""
+    for body in [body for body in spec.bodies[1:] if not body.explicitinertial]:
+        child = body.add_body(name=f"{body.name} welded")
+        for geom in list(body.geoms)[1::2] or list(body.geoms):
+            moved(spec, geom, child)
+
+
+def cut(count: int) -> Callable[[mujoco.MjSpec], None]:
+    """Cut boxes into pieces."""
+
+    def change(spec: mujoco.MjSpec) -> None:
+        for body in spec.bodies[1:]:
+            for geom in [g for g in body.geoms if g.type == mujoco.mjtGeom.mjGEOM_BOX]:
+                moved(spec, geom, body, count)
+
+    return change
+
+
+def place(shift: np.ndarray, turn: np.ndarray) -> Callable[[mujoco.MjSpec], None]:
+    """Move and turn all that stands in the world."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, turn.ravel())
+
+    def change(spec: mujoco.MjSpec) -> None:
+        world = spec.worldbody
+        for thing in [*world.bodies, *world.geoms]:
+            mujoco.mju_mulQuat(thing.quat, quat, thing.quat.copy())
+            thing.pos[:] = turn @ thing.pos + shift
+
+    return change
+
+
+def mirror(spec: mujoco.MjSpec) -> None:
+    """Mirror everything in the plane x = 0."""
+    for thing in [*spec.bodies[1:], *spec.geoms]:
+        thing.pos[0] *= -1
+        thing.quat[2:] *= -1
+    for body in spec.bodies[1:]:
+        body.ipos[0] *= -1
+        body.iquat[2:] *= -1
+    for joint in spec.joints:
+        joint.pos[0] *= -1
+        joint.axis[slice(1, 3) if joint.type == mujoco.mjtJoint.mjJNT_HINGE else 0] *= -1
+    for mesh in spec.meshes:
+        mesh.uservert = (np.reshape(mesh.uservert, (-1, 3)) * [-1, 1, 1]).ravel()
+
+
+def enlarge(scale: float) -> Callable[[mujoco.MjSpec], None]:
+    """Scale lengths; densities stay, so masses go with the cube."""
+
+    def change(spec: mujoco.MjSpec) -> None:
+        for thing in [*spec.bodies[1:], *spec.geoms, *spec.joints]:
+            thing.pos[:] *= scale
+        for geom in spec.geoms:
+            geom.size[:] *= scale
+        for body in spec.bodies[1:]:
+            body.ipos[:] *= scale
+            body.mass *= scale**3
+            body.inertia[:] *= scale**5
+        for mesh in spec.meshes:
+            mesh.uservert = np.multiply(mesh.uservert, scale)
+        for field in spec.hfields:
+            field.size[:] *= scale
+
+    return change
+
+
+# What is asked
+
+
+def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iterator[Question]:
+    """Draw the questions that a sand has one answer to."""
+    plane = given["surface"] or Plane()
+    flat, grid = isinstance(plane, Plane), "memory" in given
+    yield Question("order of geoms", reorder)
+    yield Question("two bodies welded", weld)
+    shift = 0.4 * rng.integers(-3, 4, 3)  # a whole number of cells
+    there = {}
+    if flat:
+        along = math.cos(plane.uphill) * shift[0] + math.sin(plane.uphill) * shift[1]
+        height = plane.height + shift[2] - math.tan(plane.slope) * along
+        there = {"surface": replace(plane, height=height)}
+    yield Question("translation", place(shift, np.eye(3)), there)
+    if not grid:
+        angle = rng.uniform(-math.pi, math.pi)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, np.array([math.cos(angle / 2), 0, 0, math.sin(angle / 2)]))
+        turn = turn.reshape(3, 3)
+        there = {"surface": replace(plane, uphill=plane.uphill + angle)} if flat else {}
+        yield Question("rotation", place(np.zeros(3), turn), there, turn)
+    if flat and not grid:
+        there = {"surface": replace(plane, uphill=math.pi - plane.uphill)}
+        mirrored = np.diag([-1.0, 1.0, 1.0])
+        # Patches of round skin and of hulls are not mirrored.
+        yield Question("mirror", mirror, there, mirrored, tolerance=CUT)
+    if law.startswith("rft") and not grid:  # of media without a grain size
+        scale = float(rng.choice([0.5, 2.0]))
+        there = {"surface": replace(plane, height=scale * plane.height)} if flat else {}
+        yield Question("Froude number", enlarge(scale), there, scale=scale)
+
+
+def ask(seed: int, number: int, program: tuple[str, str, str]) -> Iterator[tuple[str, float, bool]]:
+    """Ask all questions; give for each how far the twins are apart, and whether it failed."""
+    rng = np.random.default_rng([seed, number, 2])
+    law = program[0]
+    spec, text = models.draw_twin(rng, program)
+    given = arguments(text)
+
+    def differ(question: Question, **than: Any) -> float:
+        return apart(spec, given, question, number, Question("itself", **than))
+
+    # Where an equation of a step has several solutions, rounding decides between them.
+    rounding = max(differ(Question("", nudge=10.0**-k)) for k in (11, 12, 13))
+    for question in questions(law, given, rng):
+        off = differ(question)
+        yield question.name, off, off > max(question.tolerance, 10.0 * rounding)
+    yield "rounding alone", rounding, False
+    coarse, fine = differ(Question("", refine=2)), differ(Question("", refine=4), refine=2)
+    yield "half the time step", fine, fine > max(0.75 * coarse, HALF)
+    if not law.startswith("link"):
+        spec, text = models.draw_twin(rng, program, shape="box")
+        given = {**arguments(text), "resolution": 12}
+        for count in (2, 4):
+            off = differ(Question("", cut(count)))
+            yield f"a box in {count} pieces", off, off > CUT
