@@ -39,7 +39,11 @@ from attacks.draw import arguments
 from mjgranular import InputError
 from mjgranular.warp import WarpSand, coupled
 
-PROGRAMS = tuple(program for program in models.PROGRAMS if program[2] == "implicit")
+PROGRAMS = tuple(
+    (law, surface, scheme)
+    for law, surface, scheme in models.PROGRAMS
+    if scheme == "implicit" and "memory" not in surface
+)
 SIZES = (9, 12, 18)
 WORLDS, STEPS = 4, 30
 BAR = 1e-6  # of the kinetic energy

@@ -18,7 +18,7 @@ class Hostile:
 
     Args:
         rng: draws phases, directions and speeds.
-        model: its first three degrees of freedom move it, the others turn it, 5 to 10 times as fast.
+        model: its first three degrees of freedom move it, the others turn it, faster.
     """
 
     def __init__(self, rng: np.random.Generator, model: mujoco.MjModel) -> None:

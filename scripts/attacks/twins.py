@@ -8,8 +8,9 @@ equal to rounding; where skin is cut into other facets or time into other steps,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import mujoco
@@ -40,7 +41,7 @@ class Question(NamedTuple):
 
     name: str
     change: Callable[[mujoco.MjSpec], object] = lambda _spec: None
-    sand: dict[str, Any] = {}
+    sand: Mapping[str, Any] = MappingProxyType({})
     turn: np.ndarray = np.eye(3)
     scale: float = 1.0
     refine: int = 1
@@ -89,10 +90,9 @@ def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int)
 def apart(
     spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int, than: Question
 ) -> float:
-    """Return how far apart a model and its twin move, in parts of the greatest speed, which began
-    as some 1 m/s.
+    """Return how far apart a model and its twin move, in parts of the greatest speed.
 
-    Velocities of turning count by half the body's size, 5 cm.
+    That is at least 1 m/s, as they begin. Turning counts at 5 cm, half the size of a body.
     """
     size = np.array([1.0, 0.05])[:, None]
     one = motion(spec, given, than, seed) * size

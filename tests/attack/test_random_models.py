@@ -7,13 +7,15 @@ import mujoco
 import numpy as np
 import pytest
 
-MODELS, STEPS = 72, 60
+MODELS, STEPS = 96, 60
 # Each is compiled once on a machine; the long form has all laws on all surfaces.
 PROGRAMS = (
     ("link_distributed", "plane", "implicit"),
     ("rft3d", "plane", "implicit"),
     ("rft3d", "height_field", "implicit"),
     ("link", "bed", "implicit"),
+    ("rft3d_dynamic", "plane", "implicit"),
+    ("rft3d_dynamic", "plane memory", "implicit"),
     ("link_distributed", "plane", "explicit"),
     ("rft3d", "plane", "explicit"),
 )

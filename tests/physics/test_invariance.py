@@ -1,7 +1,10 @@
 """What the force may not depend on, and what it must never do."""
 
+import importlib
 import math
+import sys
 from functools import cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -288,3 +291,56 @@ def test_upright_rod_resists_alike_in_all_directions():
         sizes.append(-force @ v)
     assert sizes == pytest.approx([sizes[0]] * len(sizes))
     assert sizes[0] > 0
+
+
+# The same thing, described in another way (`scripts/attacks/twins.py`)
+
+FOOT = '<geom name="foot" type="box" size="0.05 0.04 0.01" density="3000"/>'
+CROSS = """<geom name="one" type="box" size="0.05 0.003 0.03"/>
+<geom name="two" type="box" size="0.003 0.05 0.03"/>"""
+LEG = """<geom name="shank" type="capsule" pos="0.01 0 0.04" quat="0.99 0 0.12 0"
+size="0.01 0.04"/>
+<geom name="toe" type="ellipsoid" size="0.03 0.02 0.01"/>
+<body name="heel" pos="-0.03 0 0"><joint axis="0 1 0"/>
+<geom name="pad" type="cylinder" size="0.02 0.005"/></body>"""
+TWINS = {"foot": FOOT, "cross": CROSS, "leg": LEG}
+
+
+@pytest.fixture(scope="module")
+def twins():
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+    yield importlib.import_module("attacks.twins")
+    sys.path.pop(0)
+
+
+def spec_of(name, quat="0.9 0.3 0.2 0.1"):
+    return mujoco.MjSpec.from_string(
+        f"""<mujoco><worldbody><body name="body" pos="0.1 0.2 -0.02" quat="{quat}"><freejoint/>
+        {TWINS[name]}</body></worldbody></mujoco>"""
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TWINS)
+def test_motion_is_that_of_the_thing_and_not_of_its_description(twins, name):
+    given = {"surface": Plane(0.01, 0.1, 0.5), "resolution": 5}
+    for question in twins.questions("rft3d_dynamic", given, np.random.default_rng(3)):
+        off = twins.apart(spec_of(name), given, question, 1, twins.Question("itself"))
+        assert off <= question.tolerance, question.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_foot_in_pieces_is_the_same_foot(twins, count):
+    question = twins.Question("cut", twins.cut(count))
+    for quat in ("1 0 0 0", "0.9 0.3 0.2 0.1"):
+        off = twins.apart(spec_of("foot", quat), {}, question, 1, twins.Question("itself"))
+        assert off <= 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TWINS)
+def test_half_the_time_step(twins, name):
+    one, half, quarter = (twins.Question("", refine=k) for k in (1, 2, 4))
+    coarse = twins.apart(spec_of(name), {}, half, 1, one)
+    assert twins.apart(spec_of(name), {}, quarter, 1, half) <= max(0.7 * coarse, 1e-3)
