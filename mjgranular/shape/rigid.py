@@ -23,7 +23,9 @@ _MOST = 4000  # facets of a plane that are compared in pairs, else they are one 
 # Fitted to plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
 _FOCUS = 20.0
 _RINGS, _AROUND = 4, 8  # rays: angles to the normal, and directions for each; chosen
-_TOUCH = 1e-6  # rays start so far outside, in parts of the geom's width; chosen
+# Rays start so far outside, in parts of the geom's width, and what they meet of the facet's own
+# geom within so far is the facet. Chosen.
+_TOUCH, _ITSELF = 1e-6, 1e-2
 
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
@@ -72,7 +74,7 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
             if len(rows) > _MOST:
                 widths[rows] = _width_of(at, half, areas[rows])
                 continue
-            areas[rows] *= _bridged(at, reach, width)
+            areas[rows] *= _bridged(at, reach, facets["geom"][rows], width)
             for part in _connected(at - reach, at + reach, _GAP * width):
                 widths[rows[part]] = _width_of(at[part], half[part], areas[rows[part]])
         meshes = np.unique(facets["geom"][mine[~is_flat]])
@@ -127,6 +129,7 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
             bulge = np.linalg.norm(edges[row], axis=1) @ np.linalg.norm(
                 facets["spread"][row], axis=1
             )
+            least = _ITSELF * facets["width"][row]
             start = points[row] + (bulge + _TOUCH * facets["width"][row]) * n
             rays = directions @ np.vstack([_axes_across(n, first), n])
             free = []
@@ -135,9 +138,11 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
                     seen, data, start + s * first + t * second, rays.ravel(), group, True, -1, hit,
                     distance, slant, len(rays), mujoco.mjMAXVAL,
                 )  # fmt: skip
-                # A ray that leaves a skin from within has not been stopped.
+                # A ray that leaves a skin from within has not been stopped, nor has one that meets
+                # the facet itself by rounding.
                 leaves = np.einsum("ni,ni->n", slant.reshape(-1, 3), rays) > 0
-                free.append(((hit < 0) | leaves).mean())
+                itself = (hit == facets["geom"][row]) & (distance < least)
+                free.append(((hit < 0) | leaves | itself).mean())
             exposed[row] = np.mean(free)
     return exposed
 
@@ -178,22 +183,25 @@ def _connected(low: np.ndarray, high: np.ndarray, gap: float) -> list[np.ndarray
     return parts
 
 
-def _bridged(at: np.ndarray, reach: np.ndarray, width: float) -> np.ndarray:
-    """Return factors on areas with which coplanar facets meet halfway, shape (n,).
+def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float) -> np.ndarray:
+    """Return factors on areas with which coplanar facets of geoms meet halfway, shape (n,).
 
     Args:
         at: their middles in the plane [m], shape (n, 2).
         reach: half their extents [m], shape (n, 2).
+        geoms: their geoms, shape (n,); in between facets of one geom there is no gap.
         width: of the geoms [m], in parts of which gaps are wide.
     """
     away = at[None] - at[:, None]
     apart = np.abs(away) - reach[None] - reach[:, None]
+    foreign = geoms[None] != geoms[:, None]
     factor = np.ones(len(at))
     for axis in (0, 1):
         beside = apart[..., 1 - axis] < -_TOUCH * reach.max()
         for side in (-1, 1):
             there = beside & (side * away[..., axis] > 0)
-            nearest = np.where(there, np.maximum(apart[..., axis], 0.0), np.inf).min(axis=1)
+            gaps = np.where(foreign, np.maximum(apart[..., axis], 0.0), 0.0)
+            nearest = np.where(there, gaps, np.inf).min(axis=1)
             closed = np.clip((_OPEN - nearest / width) / (_OPEN - _GAP), 0.0, 1.0)
             is_gap = (closed > 0) & (nearest > _TOUCH * width)
             half = 0.5 * closed[is_gap] * nearest[is_gap]

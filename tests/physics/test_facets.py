@@ -29,7 +29,7 @@ def on_triangles(law):
 
     class Fine(type(law)):
         def elements(self, model, geoms, resolution=None):
-            return facets_from_model(model, geoms, resolution, meshes="triangles")
+            return facets_from_model(model, geoms, resolution, sheltered="keep", meshes="triangles")
 
     return Fine(**vars(law))
 
@@ -815,7 +815,7 @@ def bracket():
 
 
 def mesh_facets(model):
-    return facets_from_model(model, [0], meshes="triangles")
+    return facets_from_model(model, [0], sheltered="keep", meshes="triangles")
 
 
 def test_triangles_of_a_mesh():
@@ -919,7 +919,7 @@ def test_open_sheet_is_pushed_on_its_outer_side():
     # the wall along x.
     model = mesh_model(0.05 * CORNERS, SIDES[[8, 9, 0, 1]][:, ::-1])
     with pytest.warns(GranularWarning, match="it has 6 open edges"):
-        sheet = Pushed(model, GENERIC)
+        sheet = Pushed(model, FINE["rft2d"])
     up = [1, 0, 0, 0]
     assert not sheet.force([0, 0, -0.1], up, [0, 0, -1]).any()
     # Drawn upwards, alpha_z(0, -90 degrees) = -0.250 N/cm^3.
