@@ -482,6 +482,8 @@ class Walk:
         self.original.restore(self.model)
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, self.start, STATE)
+        if self.sand is not None:
+            self.sand.release(self.data)
         if self.inside is not None:
             self.original.restore(self.inside)
             mujoco.mj_resetData(self.inside, self.inner)
