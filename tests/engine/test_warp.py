@@ -309,6 +309,40 @@ def test_what_rests_gives_way_where_it_does_on_the_processor(warp):
     assert found[-1] == pytest.approx(right[-1], rel=0.02)
 
 
+FOOT = """
+<mujoco>
+  <option timestep="{h}" integrator="discrete"/>
+  <worldbody>
+    <body pos="0 0 -0.035">
+      <joint type="slide" axis="0 0 1"/><geom type="box" size="0.05 0.05 0.005" mass="0.5"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("h", [5e-4, 2e-3, 5e-3])
+@pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
+def test_a_foot_lifted_from_rest_pays_for_the_sand_that_moves_along(warp, h):
+    """As on the processor, and no step of it, or of the stop after it, gives energy."""
+    model = mujoco.MjModel.from_xml_string(FOOT.format(h=h))
+    given = {"medium": "quikrete_medium", "law": "rft3d_dynamic"}
+    reference = Sand(model, **given, scheme="implicit")
+    data = settled(model, reference, 20)
+    sand = warp.WarpSand(model, **given)
+    m, d = put(model, data.qpos[None], 0 * data.qvel[None], sand)
+    for force, seconds in ((100.0, 0.02), (-1000.0, 0.01)):
+        data.qfrc_applied[0] = force
+        d.qfrc_applied.assign(np.full((1, 1), force, np.float32))
+        for _ in range(round(seconds / h)):
+            reference.step(data)
+            mjw.step(m, d)
+            assert sand.power.numpy()[0, 0] <= 0.0
+        if force > 0:
+            assert d.qvel.numpy()[0, 0] == pytest.approx(data.qvel[0], rel=0.01)
+            assert d.qpos.numpy()[0, 0] == pytest.approx(data.qpos[0], rel=0.01)
+
+
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 def test_what_creeps_is_stopped_under_the_tolerance_of_sleep(warp):
     model = scene(warp)
