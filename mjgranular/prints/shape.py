@@ -149,7 +149,7 @@ def first_of(canvas, axis, cell):
     """The first node of the window along an axis, that of a block."""
     side, width = canvas.lines // BLOCK, BLOCK * cell
     middle = canvas.middle[axis] / width
-    if not abs(middle) < _FAR // BLOCK:  # nor a number
+    if not abs(middle) < _FAR // (BLOCK * canvas.stride):  # nor a number
         middle = 0.0
     return BLOCK * (math.floor(middle + 0.5) - side // 2)
 
