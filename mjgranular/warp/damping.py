@@ -4,10 +4,10 @@ Each element has a symmetric matrix C for the velocity of its point (`warp.resis
 body together are one of 6 x 6 for its spatial velocity (`warp.motions`); brought to the degrees of
 freedom, h J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with both.
 
-Sand that moves along (`scheme.added`) gives an element the force (start - rate n.v') n too. While
-velocities are predicted, the rate joins C and the start is a kick, so the prediction is right at
-once where the force is linear. In the equations that the step ends with, and where (A5) limits the
-force, C is the secant of all of the element's force, and nothing is kicked.
+Sand that moves along (`scheme.added`) gives an element the force (start - rate n.v') n as well.
+While velocities are predicted, the rate joins C and the start is a kick, so the prediction is right
+at once where the force is linear. In the equations that the step ends with, and where (A5) limits
+the force, C is the secant of all of the element's force, and nothing is kicked.
 """
 
 # The code of kernels is Warp's language, of which type checkers of Python know little.

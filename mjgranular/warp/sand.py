@@ -104,8 +104,7 @@ class WarpSand:
         depth: of its deepest element below the surface [m], negative above, shape (nworld,
             bodies).
         speed: greatest of its elements in the sand [m/s].
-        power: of the sand on it [W], not positive but for rounding and for what sand that is moved
-            along gives back.
+        power: of the sand on it [W], not positive but for rounding.
 
     Raises:
         InputError: what MuJoCo Warp has no place for: the explicit scheme, plugins in the model.
