@@ -139,7 +139,8 @@ def draw_twin(
             spec.copy().compile()
         except ValueError:  # an inertia that is none
             continue
-        return spec, draft.sand(place)
+        chosen = f", geoms={draft.geoms}" if program[0].startswith("link") else ""
+        return spec, draft.sand(place) + chosen
 
 
 @dataclass
