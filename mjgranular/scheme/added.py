@@ -128,8 +128,7 @@ def momentum_kernel(kernel: LawKernel) -> Any:
     def note_momentum(w, body, tile, live, is_first):
         if is_first:
             motion_before_turn(w, body)
-            clear(w.energy[body])
-        before, h = read_motion(w.before[body], 0), w.h
+        before, weld, h = read_motion(w.before[body], 0), w.body_weldid[body], w.h
         for lane in range(lanes):
             v = read(tile, VELOCITY * lanes + lane)
             sand = added(read_sample(tile, SAMPLE * lanes + lane), v, h)
@@ -137,15 +136,18 @@ def momentum_kernel(kernel: LawKernel) -> Any:
             had = max(dot(sand.normal, velocity_at(before, read(tile, ARM * lanes + lane))), 0.0)
             write(tile, first + lane, momentum_of(sand, v, h))
             if lane < live:
-                w.energy[body, 0] += sand.before * s * s
-                w.energy[body, 1] += sand.before * had * had
+                w.energy[weld, 0] += sand.before * s * s
+                w.energy[weld, 1] += sand.before * had * had
 
     return note_momentum
 
 
 @cache
 def turn_kernel(kernel: LawKernel) -> Any:
-    """Make a kernel `charge_turns(w)`: a body's sand has no more energy than before it turned."""
+    """Make a kernel `charge_turns(w)`: sand has no more energy than before its body turned.
+
+    Energies are those of rigid bodies, and are cleared for the next step.
+    """
     lanes = kernel.lanes
     start = (added_row(kernel) + 4) * lanes  # of `Momentum.start`
     starts = rows(float, lanes)
@@ -154,9 +156,11 @@ def turn_kernel(kernel: LawKernel) -> Any:
     @compiled
     def charge_turns(w):
         for i in range(w.count):
-            energy = w.energy[w.heads[i].body]
+            energy = w.energy[w.body_weldid[w.heads[i].body]]
             share = share_after_turn(energy[0], energy[1])
             write(w.tiles[i], start, share * read(w.tiles[i], start))
+        for i in range(w.count):
+            clear(w.energy[w.body_weldid[w.heads[i].body]])
 
     return charge_turns
 

@@ -72,7 +72,7 @@ _OF_MODEL = _by_name({
     ),
     (_I, ("nC",)): ("M_colind",),
     (_I, ("nD",)): ("D_colind",),
-    (_I, ("nbody",)): ("body_parentid", "body_dofadr", "body_dofnum"),
+    (_I, ("nbody",)): ("body_parentid", "body_dofadr", "body_dofnum", "body_weldid"),
     (_I, ("njnt",)): ("jnt_actuatorid",),  # that damps it: -1 for none, less for several
     (_F, ("nv",)): ("dof_damping",),
     (_F, ("nv", POLY)): ("dof_dampingpoly",),
@@ -114,7 +114,7 @@ _OWN = {
     "springs": (_F, ("nv", "nv")),  # stiffness of constraints
     "motion": (_F, ("nbody", 6)),  # spatial velocities of bodies
     "before": (_F, ("nbody", 6)),  # the same where the last step began (`scheme.added`)
-    # Twice the energy of a body's sand at the start of the step: now, and before it turned [J].
+    # Twice the energy of a rigid body's sand at the start of the step: now, and before it turned.
     "energy": (_F, ("nbody", 2)),
     "wrench": (_F, ("nbody", 6)),  # about the centre of the tree: moment, force
     "carried": (_F, ("nbody", 6)),  # the same with those of the bodies that it carries

@@ -253,7 +253,7 @@ def settle(surface, extra="", steps=400, **options):
     floor = "<geom name='floor' type='plane' size='2 2 1' pos='0 0 -0.2'/>"
     model = scene(BOX + floor, BALL, extra)
     model.opt.timestep = 1e-3
-    sand = Sand(model, law="link", surface=surface, **options, scheme="explicit")
+    sand = Sand(model, surface=surface, **{"law": "link", **options}, scheme="explicit")
     data = mujoco.MjData(model)
     data.qpos[2] = 0.1
     touched = set()
