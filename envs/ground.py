@@ -124,9 +124,10 @@ def told_by_mujoco() -> Iterator[None]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Without MuJoCo's warning that an attribute of Gymnasium's half cheetah is deprecated."""
+    """Ignore a deprecated attribute of Gymnasium's half cheetah, and robots that a reset raises."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
+        warnings.filterwarnings("ignore", message="robot .* is buried")
         yield
 
 

@@ -60,6 +60,7 @@ def test_every_number_has_a_source_and_a_unit(name):
         assert (quantity.unit == "") == (key.rpartition(".")[2] in dimensionless), key
 
 
+@pytest.mark.filterwarnings("ignore:medium .* brings the law 'link'")
 @pytest.mark.parametrize("name", NAMES)
 def test_every_medium_serves_its_own_law_and_those_it_has_constants_for(name):
     medium = mg.media[name]
@@ -129,6 +130,7 @@ def test_the_example_is_a_medium(write):
     assert {q.source for q in medium.constants["link"].values()} == {"guessed"}
 
 
+@pytest.mark.filterwarnings("ignore:medium .* brings the law 'link'")
 @pytest.mark.parametrize("name", ["sand.yaml", "sand.yml"])
 def test_a_file_is_taken_where_a_name_is(write, name):
     path = write(EXAMPLE + "grain: {value: 0.0003, unit: m, source: sieved}\n", name)
@@ -139,6 +141,7 @@ def test_a_file_is_taken_where_a_name_is(write, name):
     assert "my_sand" not in mg.media  # read, not registered
 
 
+@pytest.mark.filterwarnings("ignore:medium .* brings the law 'link'")
 def test_a_path_is_a_file_too(write):
     assert Sand(body(), medium=write(EXAMPLE), scheme="explicit").medium.name == "my_sand"
 
