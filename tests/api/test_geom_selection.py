@@ -101,7 +101,7 @@ def test_a_thing_called_all_is_meant_by_its_name(robot):
 
 
 def test_sand_takes_groups(robot):
-    sand = Sand(robot, groups=3)
+    sand = Sand(robot, groups=3, law="link")
     assert {robot.geom(int(geom)).name for geom in sand.elements["geom"]} == {"foot", "toe"}
 
 
