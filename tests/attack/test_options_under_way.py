@@ -36,7 +36,7 @@ def run(door, jacobian, number, line):
             fastest = max(fastest, np.abs(data.qvel).max())
         return float(fastest)
 
-    steps(200)
+    steps(400)
     assert steps(10) < 1e-6
     exec(line)
     try:
