@@ -188,10 +188,17 @@ class Fine(Rft3dLaw):
     """The law on all triangles of a mesh, none of them larger than the finest patches."""
 
     def elements(self, model, geoms, resolution=None):
-        return facets_from_model(model, geoms, meshes="triangles")
+        return facets_from_model(model, geoms, sheltered="keep", meshes="triangles")
 
 
-FINE = Fine(**vars(QUIKRETE))
+class Patches(Rft3dLaw):
+    """The law on patches, without the shelter that is not cut alike."""
+
+    def elements(self, model, geoms, resolution=None):
+        return facets_from_model(model, geoms, resolution, sheltered="keep")
+
+
+FINE, PATCHES = Fine(**vars(QUIKRETE)), Patches(**vars(QUIKRETE))
 
 
 def wrenches(model, law, states, resolution=None):
@@ -239,7 +246,7 @@ def errors(corners, resolution, count=40):
     states = list(drawn_states(corners, count))
     model = model_of(corners)
     true = wrenches(model, FINE, states)
-    found = wrenches(model, QUIKRETE, states, resolution)
+    found = wrenches(model, PATCHES, states, resolution)
     size = np.linalg.norm(true[:, :3], axis=1)
     kept = size > 0.05 * np.median(size)
     reach = np.linalg.norm(corners.reshape(-1, 3), axis=1).max()
