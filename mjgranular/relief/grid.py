@@ -17,7 +17,7 @@ from mjgranular.kernel.compiled import compiled
 # next row; volumes that were pressed down, heaped up, forgotten where the grid is wrapped around,
 # and that wait for a rim to be heaped up on [m^3]; lengths of both lists; how much time has gone by
 # since bodies last pressed, and since sand last flowed, in units of sqrt(cell / g); time of the
-# last step [s], by which a `Sand` knows that a simulation has begun anew; 1 where the last update
+# last step [s], by which a `Sand` knows that a simulation has started over; 1 where the last update
 # has changed nothing, so that another at the same poses would not either.
 HIGHEST, SETTLED, SEEN, ROW, PRESSED, HEAPED, FORGOTTEN, WAITING, COVERED, ACTIVE = range(10)
 SINCE_PRESSED, SINCE_FLOWED, TIME, SETTLES = range(10, 14)

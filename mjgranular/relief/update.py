@@ -66,7 +66,7 @@ def pose_in_plane(table, relief, body):
 
 @compiled
 def are_still(table, state, relief, feet):
-    """Tells whether no skin has moved since its body's pose was noted; notes those of what has."""
+    """Return True if no skin has moved since its pose was noted; note the poses of what has."""
     number, body, result = -1, -1, True
     for n in range(len(feet)):
         foot = feet[n]
