@@ -26,10 +26,10 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import column, rows
 from mjgranular.kernel.lanes import choose
 from mjgranular.kernel.motion import read_motion, velocity_at
-from mjgranular.kernel.vector import Matrix, Vector, dot, outer, transposed, vector
+from mjgranular.kernel.vector import Matrix, Vector, dot, norm, outer, transposed, vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.dense import add_scaled, clear
-from mjgranular.scheme.layout import ARM, FORCE, SAMPLE, SLOPE, VELOCITY, added_row
+from mjgranular.scheme.layout import ARM, FORCE, SAMPLE, SLACK, SLOPE, VELOCITY, added_row
 
 _NOTHING = 1e-150  # a speed that may be divided by
 
@@ -172,7 +172,7 @@ def added_kernel(kernel: LawKernel) -> Any:
     vectors, slopes = rows(Vector, lanes), rows(Matrix, lanes)
     read, write = vectors.read, vectors.write
     read_slope, write_slope = slopes.read, slopes.write
-    read_momentum = rows(Momentum, lanes).read
+    read_momentum, write_slack = rows(Momentum, lanes).read, rows(float, lanes).write
 
     @compiled
     def add_momentum(tile):
@@ -188,9 +188,28 @@ def added_kernel(kernel: LawKernel) -> Any:
         of_power = per_speed * (across @ v - force - bound * n)
         by_v = one_of(by_power, of_power, across @ n)
         limited = a > bound
+        write_slack(tile, first + SLACK * lanes, bound - a)
         a = choose(limited, bound, a)
         change = one_of(limited, by_v, -rate * n)
         write(tile, FORCE * lanes, force + a * n)
         write_slope(tile, SLOPE * lanes, slope - outer(n, change))
 
     return add_momentum
+
+
+@cache
+def kink_kernel(kernel: LawKernel) -> Any:
+    """Make a kernel `is_near_kink(tile, lane, by_v, by_force)`: whether (A5) may begin or end.
+
+    Args of the kernel: a tile and a lane; by how much velocity and force change there.
+    """
+    lanes, first = kernel.lanes, added_row(kernel) * kernel.lanes
+    read = column(Momentum, lanes).read
+
+    @partial(compiled, inline=True)
+    def is_near_kink(tile, lane, by_v, by_force):
+        sand = read(tile, first + lane)
+        most = norm(by_force) + 2.0 * sand.rate * norm(by_v)
+        return sand.start > 0.0 and abs(tile[first + SLACK * lanes + lane]) <= most
+
+    return is_near_kink

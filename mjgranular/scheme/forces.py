@@ -17,7 +17,7 @@ from mjgranular.kernel.vector import Matrix, Vector, cross, diagonal, dot, norm,
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.multiplier import multiplier_of
 from mjgranular.law.secant import secant
-from mjgranular.scheme.added import added_kernel, momentum_kernel, turn_kernel
+from mjgranular.scheme.added import added_kernel, kink_kernel, momentum_kernel, turn_kernel
 from mjgranular.scheme.layout import (
     ARM,
     FORCE,
@@ -85,6 +85,11 @@ def _no_momentum(w, body, tile, live, is_first):
 @partial(compiled, inline=True)
 def _no_turns(w):
     return
+
+
+@partial(compiled, inline=True)
+def _no_kink(tile, lane, by_v, by_force):
+    return False
 
 
 @cache
@@ -366,6 +371,8 @@ def follow_kernel(kernel: LawKernel) -> Any:
     read_all, write_all, read_slopes = vectors.read, vectors.write, slopes.read
     read_weight = all_weights.read
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
+    read_slope = column(Matrix, lanes).read
+    is_near_kink = _no_kink if kernel.added is None else kink_kernel(kernel)
 
     @compiled
     def follow(tile, motion, wrench, eps):
@@ -380,7 +387,9 @@ def follow_kernel(kernel: LawKernel) -> Any:
             v = read(tile, VELOCITY * lanes + lane)
             change_here = velocity_at(motion, read(tile, ARM * lanes + lane)) - v
             sample = read_sample(tile, SAMPLE * lanes + lane)
-            tile[TURN * lanes + lane] = turn(sample, v, change_here, eps)
+            slope = read_slope(tile, SLOPE * lanes + lane)
+            is_near = is_near_kink(tile, lane, change_here, slope @ change_here)
+            tile[TURN * lanes + lane] = 1.0 if is_near else turn(sample, v, change_here, eps)
         most = 0.0
         for lane in range(lanes):
             most = max(most, tile[TURN * lanes + lane])

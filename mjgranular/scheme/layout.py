@@ -19,7 +19,8 @@ ARM, VELOCITY, MULTIPLIER, FORCE, WEIGHT, INDEX, LED, SAMPLE = 0, 3, 6, 9, 22, 2
 SLOPE, MISMATCH = FORCE + 3, FORCE + 12
 TURN = MISMATCH  # which is not needed any more
 POINT = SAMPLE + 2
-ADDED_ROWS = 5  # of `scheme.added.Momentum`
+ADDED_ROWS = 6  # of `scheme.added.Momentum`, and by how much a is below its bound [N]
+SLACK = 5
 
 HEAD_DTYPE = np.dtype([("body", np.int64), ("live", np.int64)])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 
 import mujoco
 import numpy as np
@@ -50,6 +51,7 @@ SENSORS = """
   </sensor>
 </mujoco>
 """
+PLAIN = re.sub(r"(?s)<(extension|sensor)>.*?</\1>", "", SENSORS)  # without sand
 
 
 def moving(draw: str = "") -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -62,8 +64,11 @@ def moving(draw: str = "") -> tuple[mujoco.MjModel, mujoco.MjData]:
 def test_sensors_say_what_the_report_says() -> None:
     model, data = moving()
     mujoco.mj_step(model, data, 10)
-    sand = Sand(model, law="link_distributed", bodies=["a", "b"], scheme="explicit", shared=True)
-    report = sand.report(data)
+    plain = mujoco.MjModel.from_xml_string(PLAIN)
+    there = mujoco.MjData(plain)
+    there.qpos[:], there.qvel[:] = data.qpos, data.qvel
+    sand = Sand(plain, law="link_distributed", bodies=["a", "b"], scheme="explicit")
+    report = sand.report(there)
     mujoco.mj_forward(model, data)
     readings = {name: data.sensor(name).data for name in ("force", "moment", "power", "depth")}
     assert readings["depth"] == pytest.approx(report["b"].depth, rel=1e-12)

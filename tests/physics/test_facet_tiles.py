@@ -171,7 +171,7 @@ def test_tiles_hold_the_facets_in_their_order():
         np.testing.assert_array_equal(here[:count, 6:12].reshape(-1, 2, 3), mine["edges"])
         np.testing.assert_array_equal(here[:count, 12:18].reshape(-1, 2, 3), mine["spread"])
         np.testing.assert_array_equal(here[:count, 18], mine["area"])
-        np.testing.assert_array_equal(here[:count, 19], mine["width"])
+        np.testing.assert_array_equal(here[:count, 19], mine["face"])
         np.testing.assert_array_equal(here[:count, 20], mine["flat"])
         assert (here[count:] == here[count - 1]).all()  # lanes that are left over
 

@@ -44,15 +44,14 @@ def test_a_law_and_a_scheme(compiled, capsys):
 def test_a_model(compiled, tmp_path, capsys):
     path = tmp_path / "robot.xml"
     path.write_text(XML)
-    assert main(["warm", str(path), "--scheme", "explicit"]) == 0
+    assert main(["warm", str(path), "--law", "link", "--scheme", "explicit"]) == 0
     text = capsys.readouterr().err
     assert "ready: robot.xml and Sand (" in text
     assert "ready: robot.xml and mj_step (" in text
     assert "warning" not in text
     compiled.clear()
-    assert (
-        main(["drop", str(path), "--scheme", "explicit", "--keep-floor", "--duration", "1e-3"]) == 0
-    )
+    drop = ["drop", str(path), "--law", "link", "--scheme", "explicit"]
+    assert main([*drop, "--keep-floor", "--duration", "1e-3"]) == 0
     assert compiled == []
 
 
