@@ -41,7 +41,7 @@ from attacks.measure import (
 )
 from attacks.original import Original
 
-from mjgranular import GranularError, Sand, UnstableError
+from mjgranular import Bed, GranularError, Sand, UnstableError
 from mjgranular.engine import add_sand
 
 ALIKE = 1e-8  # doors, in parts of the speeds at hand
@@ -133,7 +133,9 @@ class Walk:
             try:
                 self.place(-1, 1)
                 spec = mujoco.MjSpec.from_string(self.drawn.model.xml)
-                tunable = self.number % 4 == 0 and "memory" not in given  # they exclude each other
+                # Memory excludes it, and a box of the model cannot be raised.
+                fixed = "memory" in given or isinstance(given["surface"], Bed)
+                tunable = self.number % 4 == 0 and not fixed
                 add_sand(spec, **given, tunable=tunable)
                 self.inside = spec.compile()
                 self.inner = mujoco.MjData(self.inside)
