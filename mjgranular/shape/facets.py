@@ -12,7 +12,7 @@ from mjgranular.errors import InputError
 from mjgranular.shape import patches, tessellation
 from mjgranular.shape.budget import resolutions
 from mjgranular.shape.meshes import mesh_corners
-from mjgranular.shape.rigid import exposures, join_faces
+from mjgranular.shape.rigid import exposures, in_own_frames, join_faces
 from mjgranular.shape.sizes import (
     check_count,
     check_resolution,
@@ -145,16 +145,16 @@ def facets_from_model(
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
         part["width"] = geom_width(model, geom)
         part["flat"] = flat
-    facets = np.concatenate(parts)
+    facets, own = np.concatenate(parts), in_own_frames(model)
     if meshes == "patches":
-        join_faces(model, data, facets)
+        join_faces(model, own, facets)
     else:
         facets["face"] = facets["width"]
     widest = np.zeros(model.ngeom)
     np.maximum.at(widest, facets["geom"], facets["face"])
     facets["width"] = widest[facets["geom"]]
     if sheltered == "drop":
-        facets["area"] *= exposures(model, data, facets)
+        facets["area"] *= exposures(model, own, facets)
     return facets[facets["area"] > 0]
 
 

@@ -30,10 +30,47 @@ _TOUCH, _ITSELF = 1e-6, 1e-2
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
-def place_in_world(
-    data: mujoco.MjData, facets: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points [m], normals and half edges [m] of facets in the world."""
+def in_own_frames(model: mujoco.MjModel) -> mujoco.MjData:
+    """Return data in which each rigid body stands in its own frame, with all that is welded to it.
+
+    So nothing here depends on where the body is in the world, or how it is turned.
+    """
+    data = mujoco.MjData(model)
+    for body in range(model.nbody):
+        pos, quat = data.xpos[body], data.xquat[body]
+        pos[:], quat[:] = 0.0, (1.0, 0.0, 0.0, 0.0)
+        if model.body_weldid[body] != body:
+            parent = model.body_parentid[body]
+            mujoco.mju_rotVecQuat(pos, model.body_pos[body], data.xquat[parent])
+            pos += data.xpos[parent]
+            mujoco.mju_mulQuat(quat, data.xquat[parent], model.body_quat[body])
+        mujoco.mju_quat2Mat(data.xmat[body], quat)
+        local = (model.body_ipos[body], model.body_iquat[body])
+        _place_on(data, body, *local, data.xipos[body], data.ximat[body])
+    for geom, body in enumerate(model.geom_bodyid):
+        local = (model.geom_pos[geom], model.geom_quat[geom])
+        _place_on(data, body, *local, data.geom_xpos[geom], data.geom_xmat[geom])
+    return data
+
+
+def _place_on(
+    data: mujoco.MjData,
+    body: int,
+    local_pos: np.ndarray,
+    local_quat: np.ndarray,
+    pos: np.ndarray,
+    mat: np.ndarray,
+) -> None:
+    """Set a position and a matrix to those of a frame that is fixed to a body."""
+    turn = np.zeros(4)
+    mujoco.mju_rotVecQuat(pos, local_pos, data.xquat[body])
+    pos += data.xpos[body]
+    mujoco.mju_mulQuat(turn, data.xquat[body], local_quat)
+    mujoco.mju_quat2Mat(mat, turn)
+
+
+def _placed(data: mujoco.MjData, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points [m], normals and half edges [m] of facets, in the frames of their bodies."""
     turn = data.xmat[facets["body"]].reshape(-1, 3, 3)
     points = data.xpos[facets["body"]] + np.einsum("nij,nj->ni", turn, facets["point"])
     normals = np.einsum("nij,nj->ni", turn, facets["normal"])
@@ -51,15 +88,17 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
 
     Args:
         model: the model.
-        data: at `qpos0`.
+        data: of `in_own_frames`.
         facets: dtype `FACET_DTYPE`; `width` is that of the geom. Sets `face` and `area`.
     """
-    points, normals, edges = place_in_world(data, facets)
+    points, normals, edges = _placed(data, facets)
     facets["face"] = facets["width"]
     widths, areas = facets["face"], facets["area"]
     welds = model.body_weldid[facets["body"]]
     for weld in np.unique(welds):
         mine = np.flatnonzero(welds == weld)
+        # From the largest facet on, then by place: whatever the order of geoms.
+        mine = mine[np.lexsort([*points[mine].T.round(9), -areas[mine].round(12)])]
         is_flat = facets["flat"][mine] >= 0.5
         left = mine[is_flat]
         while len(left):
@@ -104,11 +143,11 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
 
     Args:
         model: the model.
-        data: at `qpos0`.
+        data: of `in_own_frames`.
         facets: dtype `FACET_DTYPE`.
     """
     exposed = np.ones(len(facets))
-    points, normals, edges = place_in_world(data, facets)
+    points, normals, edges = _placed(data, facets)
     welds = model.body_weldid[facets["body"]]
     directions = _lobe()
     seen = copy.copy(model)  # rays meet what is visible
@@ -138,11 +177,11 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
                     seen, data, start + s * first + t * second, rays.ravel(), group, True, -1, hit,
                     distance, slant, len(rays), mujoco.mjMAXVAL,
                 )  # fmt: skip
-                # A ray that leaves a skin from within has not been stopped, nor has one that meets
-                # the facet itself by rounding.
+                # A ray that leaves the geom's own skin from within has not been stopped, nor has
+                # one that meets the facet itself by rounding.
                 leaves = np.einsum("ni,ni->n", slant.reshape(-1, 3), rays) > 0
-                itself = (hit == facets["geom"][row]) & (distance < least)
-                free.append(((hit < 0) | leaves | itself).mean())
+                itself = (hit == facets["geom"][row]) & (leaves | (distance < least))
+                free.append(((hit < 0) | itself).mean())
             exposed[row] = np.mean(free)
     return exposed
 
