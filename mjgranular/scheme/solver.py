@@ -141,22 +141,23 @@ def softness(w, velocity):
 
     With it grow the velocities of joints that cancel in that of a body: the rounding of its rest.
     """
-    largest = arm = 0.0
+    largest = 0.0
+    last = -1
     for i in range(w.count):
         body = w.heads[i].body
-        for lane in range(w.lanes):
-            arm = max(arm, norm(lane_vector(w, w.tiles[i], ARM, lane)))
-        if i + 1 < w.count and w.heads[i + 1].body == body:
+        if body == last:
             continue
+        last = body
+        arm = size(lane_vector(w, w.tiles[i], ARM, 0))
         while body > 0 and w.body_dofnum[body] == 0:
             body = w.body_parentid[body]
         j = w.body_dofadr[body] + w.body_dofnum[body] - 1 if body > 0 else -1
         total = 0.0
         while j >= 0:
             turning, moving = read_vector(w.cdof[j], 0), read_vector(w.cdof[j], 3)
-            total += abs(velocity[j]) * (arm * norm(turning) + norm(moving))
+            total += abs(velocity[j]) * (arm * size(turning) + size(moving))
             j = w.dof_parentid[j]
-        largest, arm = max(largest, total), 0.0
+        largest = max(largest, total)
     return _SOFT + _SOFT_SHARE * largest
 
 
@@ -192,3 +193,9 @@ def lane_vector(w, tile, row, lane):
     lanes = w.lanes
     first = row * lanes + lane
     return vector(tile[first], tile[first + lanes], tile[first + 2 * lanes])
+
+
+@compiled
+def size(v):
+    """|x| + |y| + |z|."""
+    return abs(v.x) + abs(v.y) + abs(v.z)

@@ -134,7 +134,7 @@ class Walk:
                 self.place(-1, 1)
                 spec = mujoco.MjSpec.from_string(self.drawn.model.xml)
                 # Memory excludes it, and a box of the model cannot be raised.
-                fixed = "memory" in given or isinstance(given["surface"], Bed)
+                fixed = "memory" in given or isinstance(given.get("surface"), Bed)
                 tunable = self.number % 4 == 0 and not fixed
                 add_sand(spec, **given, tunable=tunable)
                 self.inside = spec.compile()
