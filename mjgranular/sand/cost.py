@@ -70,7 +70,7 @@ def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
     advice = "take fewer geoms"
     if "normal" not in (elements.dtype.names or ()):
         return advice
-    # Facets go with its square, and along edges are rounded up to whole numbers.
+    # Their number grows with its square; edges are cut into whole numbers, hence one less.
     fits = math.floor((resolution or RESOLUTION) * math.sqrt(most / len(elements)))
     lower = max(2, fits - 1)
     return f"resolution={lower} would make some {most:,}, or {advice}"

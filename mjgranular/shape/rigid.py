@@ -35,38 +35,24 @@ def in_own_frames(model: mujoco.MjModel) -> mujoco.MjData:
 
     So nothing here depends on where the body is in the world, or how it is turned.
     """
-    data = mujoco.MjData(model)
+    data, not_same = mujoco.MjData(model), int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
+
+    def place(pos: np.ndarray, mat: np.ndarray, body: int, *local: np.ndarray) -> None:
+        mujoco.mj_local2Global(data, pos, mat, *local, body, not_same)
+
     for body in range(model.nbody):
-        pos, quat = data.xpos[body], data.xquat[body]
-        pos[:], quat[:] = 0.0, (1.0, 0.0, 0.0, 0.0)
+        data.xpos[body], data.xquat[body] = 0.0, (1.0, 0.0, 0.0, 0.0)
+        data.xmat[body] = np.eye(3).ravel()
         if model.body_weldid[body] != body:
-            parent = model.body_parentid[body]
-            mujoco.mju_rotVecQuat(pos, model.body_pos[body], data.xquat[parent])
-            pos += data.xpos[parent]
-            mujoco.mju_mulQuat(quat, data.xquat[parent], model.body_quat[body])
-        mujoco.mju_quat2Mat(data.xmat[body], quat)
+            parent, local = model.body_parentid[body], (model.body_pos[body], model.body_quat[body])
+            place(data.xpos[body], data.xmat[body], parent, *local)
+            mujoco.mju_mulQuat(data.xquat[body], data.xquat[parent], local[1])
         local = (model.body_ipos[body], model.body_iquat[body])
-        _place_on(data, body, *local, data.xipos[body], data.ximat[body])
+        place(data.xipos[body], data.ximat[body], body, *local)
     for geom, body in enumerate(model.geom_bodyid):
         local = (model.geom_pos[geom], model.geom_quat[geom])
-        _place_on(data, body, *local, data.geom_xpos[geom], data.geom_xmat[geom])
+        place(data.geom_xpos[geom], data.geom_xmat[geom], body, *local)
     return data
-
-
-def _place_on(
-    data: mujoco.MjData,
-    body: int,
-    local_pos: np.ndarray,
-    local_quat: np.ndarray,
-    pos: np.ndarray,
-    mat: np.ndarray,
-) -> None:
-    """Set a position and a matrix to those of a frame that is fixed to a body."""
-    turn = np.zeros(4)
-    mujoco.mju_rotVecQuat(pos, local_pos, data.xquat[body])
-    pos += data.xpos[body]
-    mujoco.mju_mulQuat(turn, data.xquat[body], local_quat)
-    mujoco.mju_quat2Mat(mat, turn)
 
 
 def _placed(data: mujoco.MjData, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

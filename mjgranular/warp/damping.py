@@ -223,7 +223,7 @@ def _turned_back(foreseen: wp.vec3, now: wp.vec3, eps: float):
 
 @wp.func
 def _yielding(c: wp.mat33, v: wp.vec3, soft: float):
-    """The damping of an element that is loaded beyond its limit, and the kick.
+    """The damping of an element that is loaded beyond its limit, and the constant force beside it.
 
     Its resistance is the limit whatever its speed: constant along the motion, damping across.
     """
@@ -248,7 +248,7 @@ def _with_momentum(
     v: wp.vec3,
     last: bool,
 ):
-    """The damping of an element with that of its moving sand, and the kick.
+    """The damping of an element with that of its moving sand, and the constant force beside it.
 
     Args:
         c: its damping by resistance, at the velocity v.

@@ -21,9 +21,8 @@ from attacks.draw import arguments
 from mjgranular import Plane, Sand
 
 STEPS, TIMESTEP = 16, 1e-3
-# In parts of the greatest speed; all but the first chosen. Patches of round skin and of hulls are
-# not mirrored, and the attacker draws few of them.
-EXACT, CUT, HALF, MIRRORED = 1e-6, 0.05, 0.05, 0.1
+EXACT, CUT, HALF = 1e-6, 0.05, 0.05  # of the greatest speed; the last two chosen
+FINE = 12  # resolution where skin is cut otherwise
 _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -226,7 +225,9 @@ def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iter
     if flat and not grid:
         there = {"surface": replace(plane, uphill=math.pi - plane.uphill)}
         mirrored = np.diag([-1.0, 1.0, 1.0])
-        yield Question("mirror", mirror, there, mirrored, tolerance=MIRRORED)
+        # Patches of round skin and of hulls are not mirrored.
+        fine = {"resolution": FINE} if "resolution" in given else {}
+        yield Question("mirror", mirror, there | fine, mirrored, tolerance=CUT)
     if law.startswith("rft") and not grid:  # of media without a grain size
         scale = float(rng.choice([0.5, 2.0]))
         there = {"surface": replace(plane, height=scale * plane.height)} if flat else {}
@@ -248,14 +249,15 @@ def ask(seed: int, number: int, program: tuple[str, str, str]) -> Iterator[tuple
     # Remembered sand is pressed and flows in the order of bodies and cells.
     least = max(10.0 * rounding, CUT if "memory" in given else 0.0)
     for question in questions(law, given, rng):
-        off = differ(question)
+        fine = {name: value for name, value in question.sand.items() if name == "resolution"}
+        off = differ(question, sand=fine)
         yield question.name, off, off > max(question.tolerance, least)
     yield "rounding alone", rounding, False
     coarse, fine = differ(Question("", refine=2)), differ(Question("", refine=4), refine=2)
     yield "half the time step", fine, fine > max(0.75 * coarse, HALF)
     if not law.startswith("link"):
         spec, text = models.draw_twin(rng, program, shape="box")
-        given = {**arguments(text), "resolution": 12}
+        given = {**arguments(text), "resolution": FINE}
         for count in (2, 4):
             off = differ(Question("", cut(count)))
             yield f"a box in {count} pieces", off, off > CUT

@@ -144,7 +144,7 @@ def test_entry_keeps_the_momentum_of_plate_and_sand(timestep):
     while data.qpos[0] < 0.1 / 8:
         sand.step(data)
     sand.step(data)  # the mass is that where a step begins
-    assert data.qvel[0] * (0.5 + of_plate(0.01, 0.1)) == pytest.approx(2.0 * 0.5, rel=1e-3)
+    assert data.qvel[0] * (0.5 + of_plate(0.01, 0.1)) == pytest.approx(2.0 * 0.5, rel=1e-9)
 
 
 def test_entry_follows_the_immersed_part():
