@@ -11,6 +11,7 @@ from attacks.draw import arguments
 from mjgranular import GranularError, Sand
 
 JOULES = 1e-12
+SOLVER_ENDS = ", not if the engine's solver goes to its end"
 # What sand inside `mj_step` remembers is copied by itself.
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION) & ~int(mujoco.mjtState.mjSTATE_PLUGIN)
 _NO_PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
@@ -70,7 +71,7 @@ def without_which(model: mujoco.MjModel, given: str, before: np.ndarray) -> str:
     opt.tolerance = opt.ls_tolerance = 0.0
     opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
     if work_of_new_sand(model, given, before) <= JOULES:
-        return ", not if the engine's solver goes to its end"
+        return SOLVER_ENDS
     return ""
 
 

@@ -28,6 +28,7 @@ from attacks.draw import Drawn, arguments
 from attacks.finding import Finding
 from attacks.measure import (
     JOULES,
+    SOLVER_ENDS,
     STATE,
     all_finite,
     documented,
@@ -385,7 +386,10 @@ class Walk:
         if work <= OF_KINETIC * kinetic + JOULES + OF_IMPULSE * impulse:
             return
         reason = documented(model) or ("counted or warned of" if announced else "")
-        kind = f"energy ({reason})" if reason else f"energy{self.without_what(before)}"
+        missing = "" if reason else self.without_what(before)
+        if missing == SOLVER_ENDS and work <= model.opt.tolerance * kinetic:
+            reason = "within the tolerance of the engine's solver"
+        kind = f"energy ({reason})" if reason else f"energy{missing}"
         if reason:
             self.counts[f"energy, {reason}"] += 1
         self.find(

@@ -460,7 +460,7 @@ def test_geom_within_another_has_no_facets():
     assert len(facets_from_model(model, [1])) == len(facets("cube"))
 
 
-def test_mesh_hides_nothing_but_is_hidden():
+def test_mesh_shelters_and_is_hidden():
     vertices, faces = 0.02 * CORNERS, SIDES
     spec = mujoco.MjSpec()
     spec.add_mesh(name="mesh", uservert=vertices.ravel(), userface=faces.ravel())
@@ -470,7 +470,7 @@ def test_mesh_hides_nothing_but_is_hidden():
     holder.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0])
     holder.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.03, 0.03, 0.03], pos=[0, 0, 0.025])
     model = spec.compile()
-    found = facets_from_model(model, range(3), meshes="triangles")
+    found = facets_from_model(model, range(3), meshes="triangles", sheltered="keep")
     small = facets_from_model(model, [1])
     assert (found["geom"] == 0).sum() == 6  # the floor, and of each wall the triangle below
     patches = facets_from_model(model, [0, 2])
@@ -478,6 +478,8 @@ def test_mesh_hides_nothing_but_is_hidden():
     assert seen == pytest.approx(0.04 * (0.04 + 4 * 0.015), rel=0.05)  # walls up to the box
     assert (found["geom"] == 1).sum() < len(small)  # by the box, not by the mesh
     assert (found["geom"] == 1).any()
+    outside = facets_from_model(model, range(3), meshes="triangles")
+    assert not (outside["geom"] == 1).any()  # no ray leaves a mesh that is around it
 
 
 PAIR = """
