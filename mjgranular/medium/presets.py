@@ -11,19 +11,17 @@ from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 _LINK_PAPER = (
     "Lee and Marghitu, Stopping Time for a Planar Link in Contact with a Granular Material"
 )
-_LI = "Li, Zhang, Goldman, Science 339, 1408 (2013), supplementary table S1"
+_LI = "Li, Zhang, Goldman, Science 339, 1408 (2013), supplementary table"
 _KATSURAGI = "Katsuragi, Durian, Nature Physics 3, 420 (2007)"
 _AGARWAL = "Agarwal, Goldman, Kamrin, PNAS 120 (2023), doi 10.1073/pnas.2214017120"
 _CHOSEN = "chosen, not measured"
 
 FOURIER_KEYS = ("A00", "A10", "B11", "B01", "Bm11", "C11", "C01", "Cm11", "D10")
 GENERIC_FOURIER = (0.206, 0.169, 0.212, 0.358, 0.055, -0.124, 0.253, 0.007, 0.088)
-_POPPY_LOOSE = (0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025)
-_POPPY_CLOSE = (0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046)
 
 
 def _fourier(values: tuple[float, ...], which: str) -> dict[str, Quantity]:
-    source = f"{_LI}: {which}"
+    source = f"{_LI} S2: {which}"
     return {
         key: Quantity(value, "N/cm^3", source)
         for key, value in zip(FOURIER_KEYS, values, strict=True)
@@ -81,7 +79,7 @@ glass_beads = register_medium(
         constants={
             "rft2d": {
                 **_fourier(GENERIC_FOURIER, "generic set"),
-                "scale": Quantity(0.33, "", f"{_LI}: scale factor used for glass beads"),
+                "scale": Quantity(0.33, "", f"{_LI} S2: scale factor used for glass beads"),
             },
             "depth_velocity": {
                 "stiffness": Quantity(
@@ -99,47 +97,82 @@ glass_beads = register_medium(
 
 # Their own law is the one that was confirmed on fast motion (docs/validity.md), though the table
 # for plates is what was measured of them.
-_POPPY_DENSITY = Quantity(638.0, "kg/m^3", f"{_CHOSEN}: the bulk density that public codes use")
-_POPPY_FRICTION = 36  # degrees
 
 
-def _rft3d_of(fourier: tuple[float, ...]) -> dict[str, Quantity]:
-    """Constants of `rft3d` for poppy seeds: a level plate pushed down is resisted as measured."""
-    density, mu = _POPPY_DENSITY.value, math.tan(math.radians(_POPPY_FRICTION))
-    flat = 1e6 * sum(fourier[:5])  # alpha_z at tilt 0, attack 90 degrees [N/m^3]
-    published = density * 9.81 * float(FRICTION_CUBIC(mu))
-    return {
-        "density": _POPPY_DENSITY,
-        "internal_friction": Quantity(mu, "", f"{_CHOSEN}: tangent of {_POPPY_FRICTION} degrees"),
-        "surface_friction": Quantity(0.4, "", _CHOSEN),
-        "scale": Quantity(
-            flat / (LEVEL_PLATE * published), "", f"{_LI}: alpha_z of a level plate pushed down"
-        ),
-    }
+def _measured(
+    name: str,
+    title: str,
+    *,
+    density: tuple[float, float],
+    repose: float,
+    plate: float,
+    fourier: tuple[float, ...],
+    surface_friction: Quantity,
+) -> Medium:
+    """Make a medium of Li, Zhang and Goldman 2013.
 
-
-poppy_seed_loose = register_medium(
-    Medium(
-        name="poppy_seed_loose",
-        title="Poppy seed, loosely packed",
-        density=_POPPY_DENSITY,
+    Args:
+        name: its name.
+        title: its title; with a small first letter, the name it has in their tables.
+        density: of the grains [kg/m^3] and the share of the bed that they fill.
+        repose: angle of repose [degrees].
+        plate: alpha_z of a level plate that is pushed straight down [N/cm^3], as measured. The
+            Fourier series is 5 to 27 % softer there.
+        fourier: coefficients of the series [N/cm^3].
+        surface_friction: of a body on the grains.
+    """
+    bulk = Quantity(
+        density[0] * density[1],
+        "kg/m^3",
+        f"{_LI} S1: grains of {density[0]:g} kg/m^3 fill {density[1]:g} of the bed",
+    )
+    mu = math.tan(math.radians(repose))
+    generic = LEVEL_PLATE * bulk.value * 9.81 * float(FRICTION_CUBIC(mu))
+    return Medium(
+        name=name,
+        title=title,
+        density=bulk,
         default_law="rft3d_dynamic",
         constants={
-            "rft2d": _fourier(_POPPY_LOOSE, "loosely packed poppy seed"),
-            "rft3d": _rft3d_of(_POPPY_LOOSE),
+            "rft2d": _fourier(fourier, title[0].lower() + title[1:]),
+            "rft3d": {
+                "density": bulk,
+                "internal_friction": Quantity(
+                    mu, "", f"{_LI} S1: tangent of the angle of repose, {repose:g} degrees"
+                ),
+                "surface_friction": surface_friction,
+                "scale": Quantity(
+                    1e6 * plate / generic,
+                    "",
+                    f"{_LI} S3: alpha_z of a level plate pushed down, {plate:g} N/cm^3",
+                ),
+            },
         },
+    )
+
+
+_ON_POPPY = Quantity(0.4, "", f"{_LI} S1: aluminum on poppy seeds")
+
+poppy_seed_loose = register_medium(
+    _measured(
+        "poppy_seed_loose",
+        "Poppy seed, loosely packed",
+        density=(1100.0, 0.58),
+        repose=36.0,
+        plate=0.351,
+        fourier=(0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025),
+        surface_friction=_ON_POPPY,
     )
 )
 
 poppy_seed_close = register_medium(
-    Medium(
-        name="poppy_seed_close",
-        title="Poppy seed, closely packed",
-        density=_POPPY_DENSITY,
-        default_law="rft3d_dynamic",
-        constants={
-            "rft2d": _fourier(_POPPY_CLOSE, "closely packed poppy seed"),
-            "rft3d": _rft3d_of(_POPPY_CLOSE),
-        },
+    _measured(
+        "poppy_seed_close",
+        "Poppy seed, closely packed",
+        density=(1100.0, 0.62),
+        repose=47.0,
+        plate=0.558,
+        fourier=(0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046),
+        surface_friction=_ON_POPPY,
     )
 )

@@ -16,6 +16,7 @@ from mjgranular.kernel import compiled
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import read_medium
 from mjgranular.medium.file import EXAMPLE
+from mjgranular.medium.stiffness import LEVEL_PLATE
 
 PUBLISHED = json.loads(
     (Path(__file__).parents[1] / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")
@@ -87,6 +88,18 @@ def test_coefficients_are_the_published(name, key):
     constants = mg.media[name].constants_for("rft2d")
     assert [constants[k] for k in planar["keys"]] == planar["sets"][key]
     assert constants.get("scale") == {"play_sand": 3.75, "glass_beads": 0.33}.get(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "plate", "density", "repose"),
+    [("poppy_seed_loose", 0.351, 638, 36), ("poppy_seed_close", 0.558, 682, 47)],
+)
+def test_a_level_plate_is_resisted_as_measured(name, plate, density, repose):
+    law = mg.Rft3dLaw.from_medium(name)
+    assert mg.media[name].density.value == pytest.approx(density, rel=1e-3)
+    assert law.density == mg.media[name].density.value
+    assert math.degrees(math.atan(law.internal_friction)) == pytest.approx(repose)
+    assert LEVEL_PLATE * 9.81e-6 * law.stiffness == pytest.approx(plate)
 
 
 @pytest.mark.parametrize("name", NAMES)
