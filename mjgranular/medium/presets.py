@@ -107,6 +107,7 @@ def _measured(
     repose: float,
     plate: float,
     fourier: tuple[float, ...],
+    grain: float,
     surface_friction: Quantity,
 ) -> Medium:
     """Make a medium of Li, Zhang and Goldman 2013.
@@ -119,6 +120,7 @@ def _measured(
         plate: alpha_z of a level plate that is pushed straight down [N/cm^3], as measured. The
             Fourier series is 5 to 27 % softer there.
         fourier: coefficients of the series [N/cm^3].
+        grain: diameter of a grain [m].
         surface_friction: of a body on the grains.
     """
     bulk = Quantity(
@@ -132,6 +134,7 @@ def _measured(
         name=name,
         title=title,
         density=bulk,
+        grain=Quantity(grain, "m", f"{_LI} S1"),
         default_law="rft3d_dynamic",
         constants={
             "rft2d": _fourier(fourier, title[0].lower() + title[1:]),
@@ -161,6 +164,7 @@ poppy_seed_loose = register_medium(
         repose=36.0,
         plate=0.351,
         fourier=(0.051, 0.047, 0.053, 0.083, 0.020, -0.026, 0.057, 0.000, 0.025),
+        grain=0.0007,
         surface_friction=_ON_POPPY,
     )
 )
@@ -173,6 +177,7 @@ poppy_seed_close = register_medium(
         repose=47.0,
         plate=0.558,
         fourier=(0.094, 0.092, 0.092, 0.151, 0.035, -0.039, 0.086, 0.018, 0.046),
+        grain=0.0007,
         surface_friction=_ON_POPPY,
     )
 )

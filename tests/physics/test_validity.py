@@ -144,8 +144,8 @@ def test_slope_of_dunes():
 
 
 def test_without_a_grain_size_the_inertial_number_is_not_known():
-    found, _ = moving(body(BOX), medium="poppy_seed_loose")
-    assert media["poppy_seed_loose"].grain is None
+    found, _ = moving(body(BOX), medium="quikrete_medium")
+    assert media["quikrete_medium"].grain is None
     assert found["inertial_number"].value is None
     assert found["inertial_number"].holds
     coarse = dataclasses.replace(media["glass_beads"], grain=Quantity(0.03, "m", "chosen"))
