@@ -181,3 +181,68 @@ poppy_seed_close = register_medium(
         surface_friction=_ON_POPPY,
     )
 )
+
+_ON_GLASS = Quantity(0.4, "", _CHOSEN)
+# Of grains: the table gives 2500 to 2600 for both sizes of beads; the middle is taken.
+_GLASS = 2550.0
+
+glass_beads_loose = register_medium(
+    _measured(
+        "glass_beads_loose",
+        "Glass beads of 0.3 mm, loosely packed",
+        density=(_GLASS, 0.58),
+        repose=25.0,
+        plate=0.24,
+        fourier=(0.040, 0.030, 0.045, 0.077, 0.000, -0.031, 0.066, 0.000, 0.017),
+        grain=0.00027,
+        surface_friction=_ON_GLASS,
+    )
+)
+
+glass_beads_close = register_medium(
+    _measured(
+        "glass_beads_close",
+        "Glass beads of 0.3 mm, closely packed",
+        density=(_GLASS, 0.62),
+        repose=35.0,
+        plate=0.40,
+        fourier=(0.081, 0.063, 0.078, 0.133, 0.024, -0.050, 0.087, 0.000, 0.033),
+        grain=0.00027,
+        surface_friction=_ON_GLASS,
+    )
+)
+
+glass_beads_3mm_close = register_medium(
+    _measured(
+        "glass_beads_3mm_close",
+        "Glass beads of 3 mm, closely packed",
+        density=(_GLASS, 0.63),
+        repose=21.0,
+        plate=0.29,
+        fourier=(0.045, 0.031, 0.046, 0.084, 0.012, -0.031, 0.060, 0.000, 0.015),
+        grain=0.0032,
+        surface_friction=_ON_GLASS,
+    )
+)
+
+
+def _natural(name: str, title: str, plate: float) -> Medium:
+    """Make a medium of which one number was measured: a level plate pushed down [N/cm^3]."""
+    return Medium(
+        name=name,
+        title=title,
+        density=Quantity(1550.0, "kg/m^3", f"{_CHOSEN}: that of quikrete_medium"),
+        default_law="rft2d_dynamic",
+        constants={
+            "rft2d": {
+                **_fourier(GENERIC_FOURIER, "generic set"),
+                "scale": Quantity(plate, "", f"{_LI}s: alpha_z of a level plate in N/cm^3"),
+            }
+        },
+    )
+
+
+yuma_sand = register_medium(_natural("yuma_sand", "Sand of Yuma", 0.691))
+twentynine_palms_sand = register_medium(
+    _natural("twentynine_palms_sand", "Sand of 29 Palms", 0.888)
+)

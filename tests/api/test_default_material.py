@@ -37,7 +37,7 @@ BODIES = {
 MARK = '<custom><text name="mjgranular.law" data="link"/></custom>'
 DEFAULT, OF_LINKS = ("quikrete_medium", "rft3d_dynamic"), ("play_sand", "link")
 
-OF_RFT3D = "constants for it: poppy_seed_close, poppy_seed_loose, quikrete_medium"
+OF_RFT3D = "constants for it: glass_beads_3mm_close, glass_beads_close, glass_beads_loose, poppy"
 
 
 def xml(geoms, head=""):

@@ -21,7 +21,11 @@ from mjgranular.medium.stiffness import LEVEL_PLATE
 PUBLISHED = json.loads(
     (Path(__file__).parents[1] / "data" / "resistive_force_theory.json").read_text(encoding="utf-8")
 )
-NAMES = ["play_sand", "quikrete_medium", "glass_beads", "poppy_seed_loose", "poppy_seed_close"]
+NAMES = [
+    *("play_sand", "quikrete_medium", "glass_beads", "poppy_seed_loose", "poppy_seed_close"),
+    *("glass_beads_loose", "glass_beads_close", "glass_beads_3mm_close"),
+    *("yuma_sand", "twentynine_palms_sand"),
+]
 
 
 def body(geom="type='capsule' size='.01 .1'"):
@@ -79,20 +83,33 @@ def test_every_medium_serves_its_own_law_and_those_it_has_constants_for(name):
     [
         ("poppy_seed_loose", "poppy seed, loose"),
         ("poppy_seed_close", "poppy seed, close"),
+        ("glass_beads_loose", "glass, 0.3 mm, loose"),
+        ("glass_beads_close", "glass, 0.3 mm, close"),
+        ("glass_beads_3mm_close", "glass, 3 mm, close"),
         ("play_sand", "generic"),
         ("glass_beads", "generic"),
+        ("yuma_sand", "generic"),
+        ("twentynine_palms_sand", "generic"),
     ],
 )
 def test_coefficients_are_the_published(name, key):
     planar = PUBLISHED["planar"]
     constants = mg.media[name].constants_for("rft2d")
     assert [constants[k] for k in planar["keys"]] == planar["sets"][key]
-    assert constants.get("scale") == {"play_sand": 3.75, "glass_beads": 0.33}.get(name)
+    scales = {"play_sand": 3.75, "glass_beads": 0.33}
+    scales |= {"yuma_sand": 0.691, "twentynine_palms_sand": 0.888}
+    assert constants.get("scale") == scales.get(name)
 
 
 @pytest.mark.parametrize(
     ("name", "plate", "density", "repose"),
-    [("poppy_seed_loose", 0.351, 638, 36), ("poppy_seed_close", 0.558, 682, 47)],
+    [
+        ("poppy_seed_loose", 0.351, 638, 36),
+        ("poppy_seed_close", 0.558, 682, 47),
+        ("glass_beads_loose", 0.24, 1479, 25),
+        ("glass_beads_close", 0.40, 1581, 35),
+        ("glass_beads_3mm_close", 0.29, 1606.5, 21),
+    ],
 )
 def test_a_level_plate_is_resisted_as_measured(name, plate, density, repose):
     law = mg.Rft3dLaw.from_medium(name)

@@ -163,20 +163,20 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "medium with a blank": (
         lambda: sand(medium="play sand"),
-        "no medium 'play sand'; there are: glass_beads, play_sand, ... did you mean play_sand?",
+        "no medium 'play sand'; there are: glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
     ),
-    "empty medium": (lambda: sand(medium=""), "no medium ''; there are: glass_beads, play_sand,"),
+    "empty medium": (lambda: sand(medium=""), "no medium ''; there are: glass_beads, glass_beads_3mm_close,"),
     "number for medium": (
         lambda: sand(medium=1500),
-        "no medium 1500; there are: glass_beads, play_sand,",
+        "no medium 1500; there are: glass_beads, glass_beads_3mm_close,",
     ),
     "bytes for medium": (
         lambda: sand(medium=b"play_sand"),
-        "no medium b'play_sand'; there are: glass_beads, play_sand, ... did you mean play_sand?",
+        "no medium b'play_sand'; there are: glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
     ),
     "list for medium": (
         lambda: sand(medium=["play_sand"]),
-        "no medium ['play_sand']; there are: glass_beads, play_sand, ... did you mean play_sand?",
+        "no medium ['play_sand']; there are: glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
     ),
     "missing medium file": (
         lambda: sand(medium="my_sand.yaml"),
@@ -212,7 +212,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "law of a missing medium": (
         lambda: mg.Rft3dLaw.from_medium("moon"),
-        "no medium 'moon'; there are: glass_beads, play_sand,",
+        "no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,",
     ),
     "surface's name": (
         lambda: sand(surface="floor"),
@@ -331,7 +331,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "model for add_sand": (lambda: mg.add_sand(MODEL), "add_sand takes a mujoco.MjSpec"),
     "medium of add_sand": (
         lambda: added(medium="moon"),
-        "no medium 'moon'; there are: glass_beads, play_sand,",
+        "no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,",
     ),
     "medium by place of add_sand": (lambda: added("play_sand"), "sand is described by a SandSpec"),
     "field of add_sand": (
@@ -427,7 +427,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "medium of an environment": (
         lambda: on_sand("Hopper-v5", medium="moon"),
-        "no medium 'moon'; there are: glass_beads, play_sand,",
+        "no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,",
     ),
     "option of an environment": (
         lambda: on_sand("Hopper-v5", medum="play_sand"),
@@ -447,7 +447,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "medium of a task": (
         lambda: task("Hexapod", medium="moon"),
-        "no medium 'moon'; there are: glass_beads, play_sand,",
+        "no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,",
     ),
     "camera of a task": (
         lambda: task("Hexapod", render_mode="rgb_array", camera_name="top"),
@@ -469,7 +469,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "range of a medium": (
         lambda: ranges(media=("moon",)),
-        "no medium 'moon'; there are: glass_beads, play_sand,",
+        "no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,",
     ),
     "short action": (lambda: stepped(np.zeros(1)), "Action dimension mismatch. Expected"),
     "action not a number": (

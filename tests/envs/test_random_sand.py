@@ -193,7 +193,7 @@ def test_ranges_that_cannot_be_are_named(options, message):
 
 
 def test_wrong_input_is_told():
-    with pytest.raises(UnknownNameError, match=r"no medium 'mud'; there are: glass_beads, play"):
+    with pytest.raises(UnknownNameError, match=r"no medium 'mud'; there are: glass_beads, glass"):
         SandRanges(media=("mud",))
     with pytest.raises(UnknownNameError, match=r"no law 'wet'; there are: depth_velocity"):
         SandRanges(laws=("wet",))

@@ -28,6 +28,9 @@ SETS = {
     "generic": Rft2dLaw.generic(1.0),
     "poppy seed, loose": Rft2dLaw.from_medium(media["poppy_seed_loose"]),
     "poppy seed, close": Rft2dLaw.from_medium(media["poppy_seed_close"]),
+    "glass, 0.3 mm, loose": Rft2dLaw.from_medium(media["glass_beads_loose"]),
+    "glass, 0.3 mm, close": Rft2dLaw.from_medium(media["glass_beads_close"]),
+    "glass, 3 mm, close": Rft2dLaw.from_medium(media["glass_beads_3mm_close"]),
 }
 GENERIC = SETS["generic"]
 QUIKRETE = Rft3dLaw.from_medium(media["quikrete_medium"])
