@@ -2,6 +2,7 @@
 
 from mjgranular.models.chain import Chain as Chain
 from mjgranular.models.hexapod import Hexapod as Hexapod
+from mjgranular.models.li_robot import LiRobot as LiRobot
 from mjgranular.models.link import Link as Link
 from mjgranular.models.link import model_path as model_path
 from mjgranular.models.projectile import Projectile as Projectile

@@ -1,4 +1,4 @@
-"""Models of worms and hexapods: masses, poses, the sense of their joints."""
+"""Models of worms, hexapods and a measured robot: masses, poses, the sense of their joints."""
 
 import math
 from itertools import pairwise
@@ -7,9 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjgranular import InputError
-from mjgranular.models import Hexapod, Worm
+from mjgranular import InputError, Sand
+from mjgranular.models import Hexapod, LiRobot, Worm
 from mjgranular.models.hexapod import LEGS
+from mjgranular.shape.meshes import mesh_corners
 
 
 def posed(spec, qpos):
@@ -136,6 +137,38 @@ def test_a_hexapod_stands_and_its_legs_go_where_they_say():
     assert (np.diff(left[:, 0]) < 0).all()  # front, middle, rear
 
 
+@pytest.mark.parametrize("curvature", [-1.0, -0.5, 0.0, 0.5, 1.0])
+def test_a_leg_of_the_robot_of_li_is_an_arc(curvature):
+    robot = LiRobot(curvature)
+    model = robot.model()
+    corners = mesh_corners(model, model.geom("front_left").id)  # which warns of no open edge
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    geom = data.geom("front_left")
+    at = corners @ geom.xmat.reshape(3, 3).T + geom.xpos - data.joint("front_left").xanchor
+    half = math.asin(abs(curvature))
+    long = robot.chord * (half / math.sin(half) if half else 1.0)
+    signed = np.einsum("ni,ni->n", at[:, 0], np.cross(at[:, 1], at[:, 2]))
+    assert signed.sum() / 6 == pytest.approx(long * 0.01 * 0.003, rel=0.01)
+    # From the hip to the tip, and where it bulges: behind a leg that hangs down.
+    assert at[..., 2].min() == pytest.approx(-0.041, abs=0.0016)
+    deep = robot.chord / 2 * math.tan(half / 2)
+    bulge = -at[..., 0] if curvature >= 0 else at[..., 0]
+    assert bulge.max() == pytest.approx(deep + 0.0015, abs=1e-4)
+    assert model.body_mass.sum() == pytest.approx(0.15)
+
+
+def test_the_robot_of_li_walks_ahead_at_a_constant_rate():
+    robot = LiRobot()
+    sand = Sand(robot.model(), medium="poppy_seed_loose", instead_of="floor")
+    data = mujoco.MjData(sand.model)
+    data.qpos, data.qvel, data.ctrl = robot.start(1.0)
+    for _ in range(2000):
+        sand.step(data)
+    assert data.qpos[3:] - robot.start(1.0)[0][3:] == pytest.approx(4 * math.pi, abs=0.01)
+    assert 0.1 < data.qpos[0] / 2 < 0.2  # measured: 0.075 and 0.173 m/s at 0.47 and 1.2 Hz
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -143,6 +176,8 @@ def test_a_hexapod_stands_and_its_legs_go_where_they_say():
         (lambda: Worm(posture="curled"), "posture must be one of level, upright, not 'curled'"),
         (lambda: Worm(0), "a worm has one link or more, not 0"),
         (lambda: Worm(armature=-1.0), "armature must be finite"),
+        (lambda: LiRobot(1.5), "curvature must be from -1 to 1, got 1.5"),
+        (lambda: LiRobot(chord=0.0), "chord must be positive, got 0.0"),
         (lambda: Hexapod(lower=-0.1), "the hexapod's lower must be positive, not -0.1"),
     ],
 )

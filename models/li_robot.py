@@ -1,0 +1,172 @@
+"""The six-legged robot of which Li, Zhang and Goldman measured speeds on poppy seed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import InputError
+from mjgranular.given import is_finite
+from mjgranular.models.link import model_path
+
+HIPS = (-0.05, 0.0, 0.05)
+"""Places of the hips along the body [m]; not printed, chosen as Li et al. draw them."""
+
+_PIECES = 16  # straight pieces of an arc; chosen
+_TALL = 0.01  # height of the body [m]; chosen, not measured
+_APART = 0.02  # of the middles of the legs from that of the body, along y [m]; chosen
+_LEG_MASS = 1e-5  # [kg]; the printed mass is taken for the body's
+# Of the motors, so that they keep their rate: inertia of a rotor [kg m^2], torque over the error of
+# the rate [N m s/rad]. Chosen.
+_ROTOR, _GAIN = 1e-2, 100.0
+
+
+@dataclass(frozen=True)
+class LiRobot:
+    """A robot with six legs that turn at a constant rate, in alternating tripods, in a plane.
+
+    Li, Zhang and Goldman (Science 339, 1408, 2013, supplement) measured the speeds of this robot on
+    loosely packed poppy seed, with seven legs of different curvature.
+
+    Body `body` moves in the plane y = 0: its joints are the slides `x`, ahead, and `z`, up, and the
+    hinge `pitch` about y. Joints and motors `front_left` to `rear_right` turn the legs about y;
+    the control of a motor is the leg's rate [rad/s]. A leg at angle 0 hangs down from its hip, and
+    is drawn back as it turns. Parts of the robot do not touch each other.
+
+    Where the hips sit and how far the belly is from them is not printed. They are assumed at `HIPS`
+    along the body and at the height of the belly.
+
+    Attributes:
+        curvature: of the legs, half the chord over the radius of the arc: 1 is a semicircle that
+            bulges to where the leg goes in the sand, 0 is straight, -1 the reversed semicircle.
+        length: of the body [m].
+        width: of the belly [m].
+        mass: of the robot [kg].
+        inertia: about the pitch axis, through the center of mass [kg m^2].
+        chord: from hip to tip of a leg [m].
+        leg_width: of a leg, along y [m].
+        thickness: of a leg [m].
+
+    Raises:
+        InputError: a value outside its range.
+    """
+
+    curvature: float = 1.0
+    length: float = 0.13
+    width: float = 0.02
+    mass: float = 0.15
+    inertia: float = 2.08e-4
+    chord: float = 0.041
+    leg_width: float = 0.01
+    thickness: float = 0.003
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name != "curvature" and not (is_finite(value) and value > 0):
+                raise InputError(f"the robot's {name} must be positive, got {value}")
+        if not (is_finite(self.curvature) and abs(self.curvature) <= 1):
+            raise InputError(f"the legs' curvature must be from -1 to 1, got {self.curvature}")
+
+    def spec(self, timestep: float = 1e-3) -> mujoco.MjSpec:
+        """Build an editable model, with a floor at z = 0.
+
+        Args:
+            timestep: with the implicit-fast integrator [s].
+        """
+        spec = mujoco.MjSpec.from_file(str(model_path("link")))
+        spec.modelname = "li_robot"
+        spec.comment = "The robot of Li et al. 2013: mjgranular.models.LiRobot."
+        for each in (*spec.cameras, *spec.texts):
+            spec.delete(each)
+        for each in (spec.body("link"), spec.key("impact"), spec.geom("bed"), spec.geom("table")):
+            spec.delete(each)
+        spec.option.timestep = timestep
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
+        for name, color in (("shell", (0.86, 0.45, 0.16)), ("leg", (0.25, 0.27, 0.31))):
+            spec.add_material(name=name, rgba=[*color, 1], specular=0.3, shininess=0.4)
+        body = spec.worldbody.add_body(
+            name="body",
+            mass=self.mass - 6 * _LEG_MASS,
+            inertia=[self.inertia] * 3,
+            explicitinertial=True,
+        )
+        slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+        body.add_joint(name="x", type=slide, axis=[1, 0, 0])
+        body.add_joint(name="z", type=slide, axis=[0, 0, 1])
+        body.add_joint(name="pitch", type=hinge, axis=[0, 1, 0])
+        body.add_geom(
+            name="belly",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[self.length / 2, self.width / 2, _TALL / 2],
+            material="shell",
+            contype=0,
+            conaffinity=1,
+        )
+        vertices, faces = self._leg()
+        spec.add_mesh(name="leg", uservert=vertices.ravel(), userface=faces.ravel())
+        for name, x, side in self._legs():
+            leg = body.add_body(name=name, pos=[x, side * _APART, -_TALL / 2])
+            leg.add_joint(name=name, type=hinge, axis=[0, 1, 0], armature=_ROTOR)
+            leg.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname="leg",
+                mass=_LEG_MASS,
+                material="leg",
+                contype=0,
+                conaffinity=1,
+            )
+            motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            motor.set_to_velocity(kv=_GAIN)
+        return spec
+
+    def model(self, timestep: float = 1e-3) -> mujoco.MjModel:
+        """Compile the model with that time step [s]."""
+        return self.spec(timestep).compile()
+
+    def start(self, frequency: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `qpos`, `qvel` and `ctrl` with the belly on z = 0 and the legs turning.
+
+        Args:
+            frequency: turns of the legs per second [Hz].
+        """
+        rate = 2 * math.pi * frequency
+        # One tripod is drawn back as the other comes ahead: none begins in the sand.
+        sides = [(1 if x == 0 else -1) * side for _, x, side in self._legs()]
+        qpos = np.array([0.0, _TALL / 2, 0.0, *(side * math.pi / 2 for side in sides)])
+        return qpos, np.array([0.0, 0.0, 0.0, *[rate] * 6]), np.full(6, rate)
+
+    def _legs(self) -> list[tuple[str, float, int]]:
+        """Return name, place along the body [m] and side of each leg."""
+        names = zip(("rear", "middle", "front"), HIPS, strict=True)
+        return [(f"{n}_{s}", x, y) for n, x in names for s, y in (("left", 1), ("right", -1))]
+
+    def _leg(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the vertices [m] and triangles of a leg's mesh, in the frame of its hip."""
+        half = math.asin(abs(self.curvature))
+        turn = math.copysign(1.0, self.curvature) * half
+        s = np.linspace(-1.0, 1.0, (_PIECES if half else 1) + 1)
+        # The middle line, and its normal to the side of the bulge of a positive curvature.
+        x, z = np.zeros_like(s), s
+        if half:
+            radius = 1 / self.curvature
+            x, z = radius * (np.cos(turn) - np.cos(s * turn)), radius * np.sin(s * turn)
+        line = self.chord / 2 * np.stack([x, 0 * s, -1.0 - z], -1)
+        normal = np.stack([-np.cos(s * turn), 0 * s, -np.sin(s * turn)], -1)
+        corners = ((1, -1), (1, 1), (-1, 1), (-1, -1))
+        vertices = np.stack(
+            [
+                line + out * self.thickness / 2 * normal + [0, y * self.leg_width / 2, 0]
+                for out, y in corners
+            ],
+            axis=1,
+        ).reshape(-1, 3)
+        quads = [(0, 1, 2, 3), tuple(4 * len(s) - n for n in (1, 2, 3, 4))]
+        for row in range(0, 4 * (len(s) - 1), 4):
+            for k, after in ((0, 1), (1, 2), (2, 3), (3, 0)):
+                quads.append((row + k, row + 4 + k, row + 4 + after, row + after))
+        return vertices, np.array([t for a, b, c, d in quads for t in ((c, b, a), (d, c, a))])
