@@ -21,6 +21,7 @@ import numpy as np
 from mjgranular import Explicit, Sand
 from mjgranular.law import Law
 from mjgranular.medium import Medium, Quantity, get_medium
+from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 from mjgranular.medium.stiffness import FRICTION_CUBIC, LEVEL_PLATE
 from mjgranular.models import Projectile
 from mjgranular.referee import MeasuredRun, Motion, simulate
@@ -38,6 +39,7 @@ HIP, RATE = 0.02, 0.2  # height of the hip [m], rate [rad/s]
 
 
 def rows_of(name: str) -> list[dict[str, str]]:
+    """Return the rows of a file of measurements, by column."""
     with (DATA / name).open() as file:
         return list(csv.DictReader(file))
 
@@ -52,21 +54,24 @@ def sand_of(name: str, density: float, friction: float, surface: float, **more: 
         surface: friction of the body.
         more: `grain` [m]; `level`: stress over depth under a level plate pushed down [N/m^3].
     """
-    level = LEVEL_PLATE * GRAVITY * density * float(FRICTION_CUBIC(friction))
+    published = LEVEL_PLATE * GRAVITY * density * float(FRICTION_CUBIC(friction))
+    level = more.get("level", published)
     values = {
         "density": density,
         "internal_friction": friction,
         "surface_friction": surface,
-        "scale": more.get("level", level) / level,
+        "scale": level / published,
     }
     given = {key: Quantity(value, "", "referee/sideways.py") for key, value in values.items()}
+    generic = dict(zip(FOURIER_KEYS, GENERIC_FOURIER, strict=True)) | {"scale": 1e-6 * level}
+    generic = {key: Quantity(value, "", "referee/sideways.py") for key, value in generic.items()}
     return Medium(
         name=name,
         title=name,
         density=given["density"],
         grain=Quantity(more["grain"], "m", "referee/sideways.py") if "grain" in more else None,
         default_law="rft3d_dynamic",
-        constants={"rft3d": given},
+        constants={"rft3d": given, "rft2d": generic},
     )
 
 
@@ -93,10 +98,7 @@ def mesh(curvature: float, length: float, width: float, thickness: float) -> str
         turn = np.linspace(half, -half, pieces + 1)
         sign = math.copysign(1.0, curvature)
         sides.append(
-            [
-                (-sign * (r * math.cos(t) - middle), -length / 2 + r * math.sin(t))
-                for t in turn
-            ]
+            [(-sign * (r * math.cos(t) - middle), -length / 2 + r * math.sin(t)) for t in turn]
         )
     outer, inner = sides
     count = len(outer)
@@ -203,6 +205,7 @@ def drawn(law: Choice) -> dict[str, tuple[float, float]]:
 
 
 def numbers(name: str) -> np.ndarray:
+    """Return a file of measurements as numbers."""
     return np.array([[float(cell) for cell in row.values()] for row in rows_of(name)])
 
 
@@ -221,13 +224,10 @@ def wheel(law: Choice) -> dict[str, dict[str, float]]:
         velocity, spin = (v * math.cos(angle), v * math.sin(angle), 0.0), rim / RADIUS
         load, sinkage = -float(row["F_vertical_N"]), -1e-3 * float(row["sinkage_mm"])
         measured = np.array([float(row["F_longitudinal_N"]), float(row["F_lateral_N"])])
-        fx, fy, fz = force(RADIUS - sinkage, 0.0, velocity, spin)
+        settling = (velocity[0], velocity[1], -SETTLES * v)
+        fx, fy, fz = force(RADIUS - sinkage, 0.0, settling, spin)
 
-        def lift(deep: float) -> float:
-            return force(RADIUS - deep, 0.0, velocity, spin)[2] - load  # noqa: B023
-
-        deep = _crossing(lift, 0.12)
-        free = -force(RADIUS - deep, 0.0, velocity, spin)[:2]
+        free, deep = rolled(geom, medium, law, velocity, spin, load)
         name = f"slip {float(row['slip']):+.2f}, {float(row['slip_angle_deg']):.0f} deg"
         size = np.linalg.norm(measured)
         base = max(size, SMALL * load)
@@ -243,20 +243,37 @@ def wheel(law: Choice) -> dict[str, dict[str, float]]:
     return found
 
 
+SETTLES = 0.01  # sinking over travel where the sinkage is given: skin below leads; chosen
 WHEEL_FRICTION = 0.4  # of the wheel; chosen, not measured
 SMALL = 0.25  # forces below that part of the load are compared with that part of it; chosen
 
 
-def _crossing(lift: Callable[[float], float], deepest: float) -> float:
-    """Return where something first becomes positive; the deepest if it never does."""
-    high = 0.0
-    while lift(high) < 0 and high < deepest:
-        high += 0.004
-    low = max(0.0, high - 0.004)
-    for _ in range(20):
-        middle = (low + high) / 2
-        low, high = (middle, high) if lift(middle) < 0 else (low, middle)
-    return high
+HEAVY = 1e4  # inertia of what keeps its speed [kg, kg m^2]; chosen
+ROLLED, ROLL_STEP = 0.2, 1e-2  # travel [m] and step [s]; half of either changes 3 % at most
+
+
+def rolled(
+    geom: str, medium: Medium, law: Choice, velocity: Vector, spin: float, load: float
+) -> tuple[np.ndarray, float]:
+    """Return drag along x and y [N] and depth [m] of a wheel that is free to sink under a load."""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{ROLL_STEP}"/><worldbody><body name="it" pos="0 0 {RADIUS}">'
+        f'<inertial pos="0 0 0" mass="{load / GRAVITY}" diaginertia="1e-3 1e-3 1e-3"/>'
+        f'<joint type="slide" axis="0 0 1"/><joint type="slide" axis="1 0 0" armature="{HEAVY}"/>'
+        f'<joint type="slide" axis="0 1 0" armature="{HEAVY}"/>'
+        f'<joint axis="0 1 0" armature="{HEAVY}"/>{geom}</body></worldbody></mujoco>'
+    )
+    sand = Sand(model, medium=medium, law=law, scheme="implicit")
+    data = mujoco.MjData(model)
+    led = np.array([velocity[0], velocity[1], spin])
+    steps = round(ROLLED / math.hypot(*velocity) / ROLL_STEP)
+    lost = np.zeros((steps, 2))
+    for step in range(steps):
+        data.qvel[1:] = led
+        sand.step(data)
+        lost[step] = led[:2] - data.qvel[1:3]
+    drag = HEAVY * lost[-steps // 5 :].mean(axis=0) / ROLL_STEP
+    return drag, -float(data.qpos[0])
 
 
 CHORD, ARC = 0.041, {"width": 0.01, "thickness": 0.003}
@@ -322,7 +339,9 @@ def score(law: Choice = "rft3d_dynamic") -> dict[str, Any]:
     """Return all scores of a law, in parts."""
     found: dict[str, Any] = {"legs": legs(law), "drawn": drawn(law), "wheel": wheel(law)}
     found["robot"] = robot(law)
-    errors = {name: simulated / measured - 1 for name, (measured, simulated) in found["robot"].items()}
+    errors = {
+        name: simulated / measured - 1 for name, (measured, simulated) in found["robot"].items()
+    }
     cases = list(found["wheel"].values())
     pulls = [abs(x - 1) for x, _ in found["drawn"].values()]
     found["summary"] = {
