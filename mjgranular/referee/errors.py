@@ -16,12 +16,15 @@ class Errors:
 
     Attributes:
         trajectory: of a drop the root-mean-square of the error in depth over time, in parts of the
-            final depth; of a push or drag that of the error in force over the path, in parts of the
-            greatest force.
-        final: of the final depth of a drop; of the mean force in the last fifth of a push or drag.
+            final depth; of a robot the mean error of its speeds; else that of the error in force, a
+            vector where lift was measured, in parts of the greatest force.
+        final: of the final depth of a drop; of the mean force in the last fifth of a push or drag;
+            of forces on a leg or wheel by least squares; mean of the errors of a robot's speeds.
         stop: of the stopping time; None where one of the two does not stop, and for a push or drag.
         peak: of the greatest force after a 1 ms mean; None where no force was measured.
         pitch: of the final pitch [degrees]; None for bodies without one.
+        lift: by least squares; None where none was measured or it is the load.
+        depth: of a wheel's sinkage, the mean; None where it is given.
     """
 
     trajectory: float
@@ -29,6 +32,8 @@ class Errors:
     stop: float | None = None
     peak: float | None = None
     pitch: float | None = None
+    lift: float | None = None
+    depth: float | None = None
 
     def plain(self) -> dict[str, float | None]:
         """By name, as for JSON."""
@@ -40,7 +45,7 @@ def compare(measured: Motion, simulated: Motion) -> Errors:
 
     Args:
         measured: the motion that is taken for right.
-        simulated: the same one under a law; of a drop at any times, of a push or drag row by row.
+        simulated: the same one under a law; of a drop at any times, of others row by row.
 
     Raises:
         InputError: one is a drop and the other is not, or a drop of which nothing is in the sand.
@@ -66,17 +71,44 @@ def compare(measured: Motion, simulated: Motion) -> Errors:
     )
 
 
+def gain(measured: np.ndarray, simulated: np.ndarray) -> float:
+    """Return the factor by least squares from measured to simulated values, less one."""
+    return float((measured * simulated).sum() / (measured * measured).sum()) - 1
+
+
 def _compare_forces(measured: Motion, simulated: Motion) -> Errors:
+    if measured.rate is not None:
+        assert measured.speed is not None
+        assert simulated.speed is not None
+        parts = simulated.speed / measured.speed - 1
+        return Errors(trajectory=float(np.abs(parts).mean()), final=float(parts.mean()))
     if measured.force is None or simulated.force is None:
         raise InputError("a push or drag is compared by its force: one of the two has none")
     if measured.force.shape != simulated.force.shape:
         raise InputError("a push or drag is compared row by row: the two differ in length")
-    late = max(1, len(measured.force) // 5)
-    mean = float(measured.force[-late:].mean())
-    error = simulated.force - measured.force
+    pairs = [
+        (one, other)
+        for one, other in (
+            (measured.force, simulated.force),
+            (measured.side, simulated.side),
+            (measured.lift, simulated.lift),
+        )
+        if one is not None and other is not None
+    ]
+    forces, found = np.array(pairs).transpose(1, 0, 2)
+    error = np.linalg.norm(found - forces, axis=0)
+    if measured.angle is None:
+        late = max(1, len(measured.force) // 5)
+        final = float(simulated.force[-late:].mean() / measured.force[-late:].mean()) - 1
+    else:
+        final = gain(measured.force, simulated.force)
+    free = not np.array_equal(measured.depth, simulated.depth, equal_nan=True)
+    both = measured.lift is not None and simulated.lift is not None
     return Errors(
-        trajectory=float(np.sqrt((error**2).mean()) / np.abs(measured.force).max()),
-        final=float(simulated.force[-late:].mean()) / mean - 1,
+        trajectory=float(np.sqrt((error**2).mean()) / np.linalg.norm(forces, axis=0).max()),
+        final=final,
+        lift=gain(measured.lift, simulated.lift) if both and not free else None,
+        depth=float((simulated.depth / measured.depth).mean()) - 1 if free else None,
     )
 
 

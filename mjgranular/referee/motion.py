@@ -12,16 +12,22 @@ _MEAN = 1e-3  # forces are averaged over so long before the greatest is looked f
 
 @dataclass(frozen=True)
 class Motion:
-    """A drop, a push or a drag, one row a sample; arrays of shape (n,). SI units and degrees.
+    """A measured or simulated motion, one row a sample; arrays of shape (n,). SI units and degrees.
 
     Attributes:
-        depth: of the body's lowest point [m], positive below the surface.
+        depth: of the body's lowest point [m], positive below the surface; NaN where it is unknown.
         time: [s]; None for a push or drag without one.
-        speed: of the mass centre, down; of a drag along its path [m/s]; None if it is not known.
-        force: of the sand against the motion [N]: of a drop its mean since the row before, up; None
-            if it is not known.
+        speed: of the mass centre, down; of a drag, wheel or robot along its path [m/s]; None if it
+            is not known.
+        force: of the sand against the motion [N]: of a drop its mean since the row before, up; of a
+            wheel along its heading, of a leg that turns along x. None if it is not known.
         pitch: of the body's axis from the vertical [degrees]; None if it has none.
         to_the_stop: whether the record ends where the lowest point stops.
+        lift: of the sand, up [N].
+        side: force of the sand against a wheel's motion along its axle [N].
+        angle: of a leg from straight down, of a wheel's path from its heading [degrees].
+        spin: of a wheel, positive where it rolls ahead [rad/s].
+        rate: turns of a robot's legs in a second [Hz].
     """
 
     depth: np.ndarray
@@ -30,6 +36,11 @@ class Motion:
     force: np.ndarray | None = None
     pitch: np.ndarray | None = None
     to_the_stop: bool = False
+    lift: np.ndarray | None = None
+    side: np.ndarray | None = None
+    angle: np.ndarray | None = None
+    spin: np.ndarray | None = None
+    rate: np.ndarray | None = None
 
     @property
     def final_depth(self) -> float:

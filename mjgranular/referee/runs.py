@@ -12,6 +12,12 @@
          speed: 0.05, data: plate.csv}
       - {name: drawn, kind: drag, body: {shape: plate, length: 0.016, diameter: 0.001},
          angle: 90, depth: 0.028, data: drawn.csv}
+      - {name: leg, kind: turn, body: {file: leg.xml}, speed: 0.2, data: leg.csv}
+
+A body from an MJCF file has a joint for each motion that it is led along: `x`, `y` and `z` slide,
+`turn` is a hinge. At `qpos0` its lowest point is at the surface; of a leg that turns, the hip is at
+its height. A robot that walks starts at its first keyframe, and its legs are all the hinges but
+`pitch`.
 
 `about.json` beside it has `title`, `source`, the `marks` of runs by name, and the names of runs
 that are `guided` (the body keeps its angle) or recorded only `to_the_stop` of the lowest point.
@@ -24,9 +30,11 @@ import io
 import json
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, UnknownNameError, listed, shown
@@ -39,7 +47,7 @@ from mjgranular.models.projectile import Shape
 from mjgranular.reading import place, read_file
 from mjgranular.referee.motion import Motion
 
-Kind = Literal["drop", "intrude", "drag"]
+Kind = Literal["drop", "intrude", "drag", "turn", "roll", "sink", "walk"]
 Mark = Literal["fitted to", "seen", "blind"]
 
 MARKS: dict[Mark, str] = {
@@ -56,8 +64,22 @@ _COLUMNS = {
     "speed": "speed [m/s]",
     "force": "force [N]",
     "pitch": "pitch [deg]",
+    "lift": "lift [N]",
+    "side": "side force [N]",
+    "angle": "angle [deg]",
+    "spin": "spin [rad/s]",
+    "rate": "rate [Hz]",
 }
-_NEEDED = {"drop": ("time", "depth"), "intrude": ("depth", "force"), "drag": ("speed", "force")}
+_WHEEL = ("speed", "angle", "spin", "depth", "force", "side", "lift")
+_NEEDED = {
+    "drop": ("time", "depth"),
+    "intrude": ("depth", "force"),
+    "drag": ("speed", "force"),
+    "turn": ("angle", "force", "lift"),
+    "roll": _WHEEL,
+    "sink": _WHEEL,
+    "walk": ("rate", "speed"),
+}
 
 
 @dataclass(frozen=True)
@@ -67,9 +89,12 @@ class MeasuredRun:
     Attributes:
         name: of the run.
         kind: "drop": let go on the surface; "intrude": pushed straight down at constant speed;
-            "drag": drawn along the surface at constant depth, each row at a speed of its own.
-        body: what meets the sand.
-        speed: at the first row, down; of a push [m/s].
+            "drag": drawn along the surface at constant depth, each row at a speed of its own;
+            "turn": a leg that turns about its hip, each row at an angle; "roll": a wheel with given
+            sinkage, speed and spin, each row another; "sink": the same under its load, free to
+            sink; "walk": a robot whose legs turn at a constant rate, each row at a rate.
+        body: what meets the sand: a shape or an MJCF file.
+        speed: at the first row, down; of a push [m/s]; of a turn [rad/s].
         angle: of the body's axis from the vertical at first [degrees].
         depth: of a drag, of the lowest point [m].
         guided: whether the body keeps its angle.
@@ -79,7 +104,7 @@ class MeasuredRun:
 
     name: str
     kind: Kind
-    body: Projectile
+    body: Projectile | Path
     motion: Motion
     speed: float = 0.0
     angle: float = 0.0
@@ -97,7 +122,7 @@ class MeasuredRun:
                 raise InputError(f"{where}: the {name} must be a finite number, not {shown(value)}")
         if self.kind == "drop" and self.motion.time is None:
             raise InputError(f"{where}: a drop needs a column of times")
-        if self.kind != "drop" and self.motion.force is None:
+        if self.kind not in ("drop", "walk") and self.motion.force is None:
             raise InputError(f"{where}: a {self.kind} needs a column of forces")
         if self.motion.time is not None and (np.diff(self.motion.time) <= 0).any():
             raise InputError(f"{where}: its times must grow from row to row")
@@ -108,14 +133,26 @@ class MeasuredRun:
         return self.motion.to_the_stop
 
     @property
+    def shape(self) -> str:
+        """Of the body; the name of its MJCF file."""
+        return self.body.name if isinstance(self.body, Path) else self.body.shape
+
+    @cached_property
     def width(self) -> float:
-        """Second largest extent of the body [m], the width of Froude numbers."""
+        """Second largest extent of the body [m], the width of Froude numbers.
+
+        Of an MJCF file that of its last geom: a leg, a wheel.
+        """
+        if isinstance(self.body, Path):
+            return 2 * float(sorted(load_machine(self.body).compile().geom_aabb[-1, 3:])[1])
         return 2 * sorted(self.body.halves)[1]
 
     @property
     def froude(self) -> float:
         """Greatest Froude number of the run, v / sqrt(g w) at 9.81 m/s^2."""
         speed = self.speed
+        if self.kind == "turn":
+            speed *= self.width
         if self.motion.speed is not None:
             speed = max(speed, float(np.abs(self.motion.speed).max()))
         return speed / math.sqrt(9.81 * self.width)
@@ -149,6 +186,18 @@ class RunSet:
             if run.name == name:
                 return run
         raise UnknownNameError(f"run of {self.name}", name, [run.name for run in self.runs])
+
+
+def load_machine(file: Path) -> mujoco.MjSpec:
+    """Load a body from its MJCF file.
+
+    Raises:
+        InputError: MuJoCo cannot read it.
+    """
+    try:
+        return mujoco.MjSpec.from_file(str(file))
+    except ValueError as error:
+        raise InputError(f"{place(file)} is not a model: {error}") from None
 
 
 def read_runs(folder: str | Path) -> RunSet:
@@ -205,7 +254,7 @@ def _medium(name: str, about: dict[str, Any], given: Any) -> Medium:
         raise InputError("medium: say what is known, {density: ..., internal_friction: ..., ...}")
     if "base" in given:
         return get_medium(str(given["base"]))
-    known = ("density", "internal_friction", "surface_friction", "grain")
+    known = ("density", "internal_friction", "surface_friction", "grain", "scale")
     for key in given:
         if key not in known:
             raise UnknownNameError("constant of a set's medium", key, ("base", *known))
@@ -222,7 +271,9 @@ def _medium(name: str, about: dict[str, Any], given: Any) -> Medium:
         grain=Quantity(values["grain"], "m", source) if "grain" in values else None,
         default_law="rft3d",
         constants={
-            "rft3d": {k: Quantity(values[k], units.get(k, ""), source) for k in known[:3]},
+            "rft3d": {
+                k: Quantity(v, units.get(k, ""), source) for k, v in values.items() if k != "grain"
+            },
         },
     )
 
@@ -243,7 +294,7 @@ def _run(folder: Path, entry: Any, about: dict[str, Any]) -> MeasuredRun:
     return MeasuredRun(
         name=str(entry["name"]),
         kind=kind,
-        body=_body(entry["body"]),
+        body=_body(folder, entry["body"]),
         motion=motion,
         guided=entry["name"] in about["guided"],
         mark=about["marks"].get(entry["name"], "seen"),
@@ -251,7 +302,10 @@ def _run(folder: Path, entry: Any, about: dict[str, Any]) -> MeasuredRun:
     )
 
 
-def _body(entry: Any) -> Projectile:
+def _body(folder: Path, entry: Any) -> Projectile | Path:
+    if isinstance(entry, dict) and set(entry) == {"file"}:
+        load_machine(folder / str(entry["file"]))
+        return folder / str(entry["file"])
     if not isinstance(entry, dict) or "shape" not in entry:
         raise InputError("body: {shape: sphere, diameter: 0.0254, mass: 0.0692}, for example")
     shape: Any = entry["shape"]
@@ -287,16 +341,10 @@ def _motion(file: Path, kind: Kind, numbers: dict[str, float]) -> Motion:
     columns = {names[h]: table[:, i] for i, h in enumerate(headings) if h in names}
     if kind != "drop":
         columns.pop("time", None)
-    if "depth" not in columns and "depth" not in numbers:
+    if kind == "drag" and "depth" not in {*columns, *numbers}:
         raise InputError("a drag needs the depth of the body's lowest point [m]")
     depth = columns.pop("depth", np.full(len(table), numbers.get("depth", math.nan)))
-    return Motion(
-        depth=depth,
-        time=columns.get("time"),
-        speed=columns.get("speed"),
-        force=columns.get("force"),
-        pitch=columns.get("pitch"),
-    )
+    return Motion(depth=depth, **columns)
 
 
 def _number(key: str, value: Any) -> float:
