@@ -12,6 +12,7 @@ BANDS = (0.4, 1.5, 2.5, 4.0, 7.0, 10.0)
 """Froude numbers that part the runs into groups; chosen, 0.4 is the limit of quasi-static RFT."""
 
 _WIDE = 5.0  # grains across a body that counts as wide; chosen
+_FORCES = ("drop", "intrude", "drag")  # of legs, wheels and robots too little is measured
 _NOT_MEASURED = ("paper_link",)
 
 Row = tuple[float, float, float, int]
@@ -28,7 +29,7 @@ def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
     for comparison in (c for group in found for c in group):
         if comparison.errors is None or comparison.mark == "fitted to":
             continue
-        if comparison.runs.name in _NOT_MEASURED:
+        if comparison.runs.name in _NOT_MEASURED or comparison.run.kind not in _FORCES:
             continue
         run, grain = comparison.run, comparison.runs.medium.grain
         grains = run.width / grain.value if grain is not None else 100.0

@@ -43,6 +43,14 @@ _WHAT = {
 }
 
 
+_AXES = {
+    "turn": ("angle [deg]", "thrust [N]"),
+    "roll": ("spin [rad/s]", "lift [N]"),
+    "sink": ("spin [rad/s]", "sinkage [mm]"),
+    "walk": ("rate [Hz]", "speed [m/s]"),
+}
+
+
 def draw(found: list[Comparison], folder: Path) -> str:
     """Draws all runs of a set; returns the name of the file."""
     runs = found[0].runs
@@ -85,6 +93,8 @@ def draw(found: list[Comparison], folder: Path) -> str:
                 axis.set_xlim(0, 1.05 * x[-1])
             elif run.kind == "drag":
                 axis.set(xlabel="speed [m/s]", ylabel="force [N]", ylim=(0, 1.25 * y.max()))
+            elif run.kind in _AXES:
+                axis.set(xlabel=_AXES[run.kind][0], ylabel=_AXES[run.kind][1])
             else:
                 axis.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0, None))
         figure.legend(
@@ -98,10 +108,24 @@ def draw(found: list[Comparison], folder: Path) -> str:
 
 
 def _curve(kind: str, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """What is drawn: height over time of a drop [mm, ms], force over depth [mm] or speed [N]."""
+    """What is drawn: height over time of a drop [mm, ms], force over depth [mm] or speed [N].
+
+    Of legs, wheels and robots what `_AXES` says.
+    """
     if kind == "drop":
         assert motion.time is not None
         return 1e3 * motion.time, -1e3 * motion.depth
+    columns = {
+        "turn": (motion.angle, motion.force),
+        "roll": (motion.spin, motion.lift),
+        "sink": (motion.spin, 1e3 * motion.depth),
+        "walk": (motion.rate, motion.speed),
+    }
+    if kind in columns:
+        x, y = columns[kind]
+        assert x is not None
+        assert y is not None
+        return x, y
     assert motion.force is not None
     if kind == "drag":
         assert motion.speed is not None

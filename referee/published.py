@@ -178,33 +178,38 @@ def _until_tip_stops(
 
 
 def plates() -> None:
-    """Upright plate drawn along its normal: F = K |z| + lambda rho A v^2."""
+    """Upright plate drawn along its normal, per meter of width: F = K |z| + lambda rho h v^2."""
     given = json.loads((ROOT / "tests" / "data" / "resistive_force_theory.json").read_text())
     given = given["inertial"]
-    side, thick = given["plate"], 0.001
+    height = given["plate"]
     runs, marks = [], {}
     speeds = np.linspace(given["speeds"][0], given["speeds"][-1], 13)
     folder = DATA / "plates"
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / "plate.xml").write_text(
+        "<mujoco>\n<worldbody>\n"
+        '<body><joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide"/>'
+        f'<geom type="box" size="0.0005 0.5 {height / 2}" pos="0 0 {height / 2}"/></body>\n'
+        "</worldbody>\n</mujoco>\n"
+    )
     for middle in given["depths"]:
         name, file = f"plate at {1e3 * middle:.0f} mm", f"z{1e3 * middle:.0f}.csv"
-        force = given["K"] * middle + given["lambda"] * given["density"] * side**2 * speeds**2
+        force = given["K"] * middle + given["lambda"] * given["density"] * height * speeds**2
         write_thin(
             folder / file, ["speed [m/s]", "force [N]"], np.column_stack([speeds, force]), []
         )
-        body = f"{{shape: plate, length: {side}, diameter: {thick}}}"
         runs.append(
-            f"name: {name}, kind: drag, body: {body}, angle: 90, depth: {middle + side / 2}, "
+            f"name: {name}, kind: drag, body: {{file: plate.xml}}, depth: {middle + height / 2}, "
             f"data: {file}"
         )
         marks[name] = "fitted to"
     about = {
-        "title": "Upright plate of 16 mm drawn along its normal, 0.04 to 0.64 m/s",
-        "source": f"{given['source']}; K = 580 N/m, lambda = 1.1",
+        "title": "Upright plate, 16 mm high, drawn along its normal in plane strain, 0.04 to "
+        "0.64 m/s",
+        "source": f"{given['source']}; K = 580 N/m, lambda = 1.1; forces on a meter of width",
         "marks": marks,
-        "doubts": "the line through the measurements, not the measurements; the part that grows "
-        "with speed is a hundredth of it and hardly tests the inertial term; the friction of the "
-        "sand is not printed with it, so the stiffness is taken from the line",
+        "doubts": "the line through simulations of a continuum in plane strain, not measurements; "
+        "the friction of the sand is not printed with it, so the stiffness is taken from the line",
     }
     medium = "{density: 900, internal_friction: 0.6, surface_friction: 0.4}"
     _set("plates", medium, runs, about)

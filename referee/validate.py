@@ -27,12 +27,21 @@ from mjgranular import (
     Rft3dLaw,
 )
 from mjgranular.errors import GranularError
+from mjgranular.models import Projectile
 from mjgranular.referee import Errors, MeasuredRun, Motion, RunSet, compare, read_runs, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "referee" / "data"
-SETS = ("seen", "small_bed", "wide_bed", "katsuragi_durian", "plates", "quikrete", "paper_link")
+SIDEWAYS = ("drawn", "drawn_rough", "legs_poppy", "legs_glass", "robot", "wheel")
+"""Those of bodies that are drawn, turn, roll or walk."""
+
+SETS = (
+    *("seen", "small_bed", "wide_bed", "katsuragi_durian", "plates", "quikrete", "paper_link"),
+    *SIDEWAYS,
+)
 """Folders of data, in the order of the page."""
+
+_JUDGED_SIDEWAYS = ("rft2d", "rft2d_dynamic", "rft3d", "rft3d_dynamic")
 
 SIMULATED = ("seen", "small_bed", "wide_bed")
 """Those of simulated grains."""
@@ -81,7 +90,7 @@ def candidates(runs: RunSet) -> list[Candidate]:
     found: list[Candidate] = []
     stiffness, fitted = _slow_stiffness(runs)
     play_sand = "play sand's of the link paper; the density is that of the bed"
-    if any(run.body.shape in ("link", "capsule") for run in runs.runs):
+    if any(run.shape in ("link", "capsule") for run in runs.runs):
         own = runs.name == "paper_link"
         names = tuple(run.name for run in runs.runs) if own else ()
         for law in (LinkLaw, DistributedLinkLaw):
@@ -105,6 +114,8 @@ def candidates(runs: RunSet) -> list[Candidate]:
         text = f"{text}, lambda = 1.1, kappa = {KAPPA:g}"
         found.append(Candidate(f"{name} added", with_mass, theirs, text))
         found.append(_dynamic(runs, with_mass, by, theirs))
+    if runs.name in SIDEWAYS:
+        return [c for c in found if c.name in _JUDGED_SIDEWAYS]
     return found
 
 
@@ -176,6 +187,7 @@ def _slow_stiffness(runs: RunSet) -> tuple[float | None, tuple[str, ...]]:
     if run is None:
         return None, ()
     assert run.motion.force is not None
+    assert isinstance(run.body, Projectile)
     area = run.body.length**2
     depth, force = run.motion.depth, run.motion.force
     return float((force * depth).sum() / (depth**2).sum() / area), (run.name,)
@@ -188,7 +200,7 @@ def _scale_to_line(runs: RunSet, law: Rft2dLaw | Rft3dLaw) -> float:
     force = simulate(still, runs.medium, law).force
     assert force is not None
     assert run.depth is not None
-    return float(580.0 * (run.depth - run.body.length / 2) / force[0])
+    return float(580.0 * (run.depth - run.width / 2) / force[0])
 
 
 def hold(runs: RunSet) -> list[Comparison]:
@@ -210,9 +222,9 @@ def hold(runs: RunSet) -> list[Comparison]:
 def _foreign(run: MeasuredRun, candidate: Candidate) -> bool:
     """Whether the law is for other bodies: rods, or the one sphere that it was fitted to."""
     if candidate.name in ("link", "link_distributed"):
-        return run.body.shape not in ("link", "capsule")
+        return run.shape not in ("link", "capsule")
     if candidate.name == "depth_velocity":
-        return run.body.shape != "sphere" or abs(run.body.diameter - 0.0254) > 1e-4
+        return run.shape != "sphere" or abs(run.width - 0.0254) > 1e-4
     return False
 
 
