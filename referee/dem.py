@@ -27,6 +27,9 @@ from grains import GRAVITY, HEAD, Bed, Grains, lammps_version, make_bed, read_be
 from intruders import Intruder, capsule, plate, sphere
 
 _ROWS = 100  # of a data file, at most
+_LATE = 0.025  # of travel, beyond which a drag is averaged: its heap grows until then [m]
+_RAMP = 0.005  # of travel in which a drawn body comes to its speed [m]; chosen
+_SLAB = 2.0  # thickness of the frozen slab of grains [diameters]; chosen
 _EVERY = 5  # steps between two readings of the force that a row averages
 
 
@@ -80,9 +83,19 @@ def main(words: list[str] | None = None) -> None:
 def _drag(
     bed: Bed, intruder: Intruder, options: argparse.Namespace, speed: float
 ) -> tuple[float, float, float, float]:
-    """Speed, mean force against the motion and lift over the second half of the way, spread."""
+    """Speed, mean force against the motion and lift beyond `_LATE` of travel, spread.
+
+    Raises:
+        SystemExit: a way that ends before it, or beyond the bed.
+    """
+    free = 0.75 * bed.lengths[0] - intruder.sides[0] - _SLAB * bed.grains.diameter
+    if not _LATE < options.distance < free:
+        raise SystemExit(
+            f"--distance must be between {_LATE} m, where averaging begins, and {free:.3f} m, "
+            f"where this bed ends; got {options.distance}"
+        )
     found = _run(bed, intruder, options, speed, f"{options.name}_{speed:g}")
-    late = found[len(found) // 2 :]
+    late = found[speed * found[:, 0] > _LATE + _RAMP]
     return speed, -late[:, 4].mean(), late[:, 3].mean(), late[:, 4].std()
 
 
@@ -161,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
         )
         part.add_argument("--duration", type=float, default=0.12, help="of a drop, at most [s]")
         part.add_argument("--depth", type=float, default=0.03, help="of a push; of a drag [m]")
-        part.add_argument("--distance", type=float, default=0.03, help="of a drag [m]")
+        part.add_argument("--distance", type=float, default=0.05, help="of a drag [m]")
         if what == "tandem":
             part.add_argument("--plates", type=int, default=2, help="one behind another")
             part.add_argument("--gaps", type=float, nargs="*", default=[1.0], help="over --length")
@@ -246,7 +259,7 @@ def _script(
     single = len(intruder.centers) == 1
     step = bed.grains.timestep(options.stiffness)
     drawn = _is_drawn(options)
-    travel = options.distance if drawn else options.depth + 0.004
+    travel = options.distance + _RAMP if drawn else options.depth + 0.004
     duration = options.duration if free else travel / speed
     steps = round(duration / step)
     every = _EVERY * max(1, steps // (_EVERY * 4 * _ROWS))
@@ -280,11 +293,19 @@ def _script(
                 f"group out{i} intersect hole{i} grains",
                 f"delete_atoms group out{i} compress no",
             ]
+        # One slab of grains is frozen, or the body would carry the periodic bed along.
+        parts += [
+            f"region slab block 0 {_SLAB * bed.grains.diameter:g} INF INF INF INF",
+            "group slab region slab",
+            "group frozen intersect slab grains",
+            "velocity frozen set 0 0 0",
+            "group loose subtract grains frozen",
+        ]
     parts.append(world(bed.grains, options.stiffness))
     parts += [
         "thermo 2000",
         "thermo_modify lost ignore",
-        "fix move grains nve/sphere",
+        f"fix move {'loose' if drawn else 'grains'} nve/sphere",
         f"fix drag grains viscous {30 * bed.grains.mass:.6g}",
         "fix hold intruder setforce 0 0 0",
         f"run {round((0.03 if drawn else 0.004) / step)}",
@@ -303,9 +324,18 @@ def _script(
         line = f"1 {mass:.9g} {place} {six} 0 0 {-v:g} 0 0 0 0 0 0"
         (bed.folder / f"{name}.body").write_text(f"1\n{line}\n")
         parts.append(f"fix fall intruder rigid single infile {name}.body{only}")
+    elif drawn:
+        ramp = 2 * _RAMP / v  # [s]: the speed grows evenly
+        parts += [
+            f"variable t equal step*{step:.9g}",
+            f"variable speed equal {v:g}*((v_t<{ramp:.9g})*v_t/{ramp:.9g}+(v_t>={ramp:.9g}))",
+            f"variable way equal {v:g}*((v_t<{ramp:.9g})*v_t*v_t/{2 * ramp:.9g}"
+            f"+(v_t>={ramp:.9g})*(v_t-{ramp / 2:.9g}))",
+            "variable none equal 0",
+            "fix fall intruder move variable v_way v_none v_none v_speed v_none v_none",
+        ]
     else:
-        along = f"{v:g} 0 0" if drawn else f"0 0 {-v:g}"
-        parts.append(f"fix fall intruder move linear {along}")
+        parts.append(f"fix fall intruder move linear 0 0 {-v:g}")
         # Moved bodies are given their speed as well as their place: friction and damping read it.
     low, high = count + 1, count + len(intruder.centers)
     each = len(intruder.centers) // len(intruder.places)
@@ -375,7 +405,7 @@ def _keep(
         "angle": math.degrees(intruder.angle),
         "rows_before_thinning": rows,
         "force": "of the contacts on the body, up, mean since the row before; of a drag against "
-        "the motion and up, mean over the second half of the way, with its standard deviation",
+        f"the motion and up, mean beyond {_LATE} m of travel, with its standard deviation",
         "seconds_it_took": round(seconds),
     }
     file.write_text(json.dumps(about, indent=2) + "\n")
