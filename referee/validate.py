@@ -27,7 +27,6 @@ from mjgranular import (
     Rft3dLaw,
 )
 from mjgranular.errors import GranularError
-from mjgranular.models import Projectile
 from mjgranular.referee import Errors, MeasuredRun, Motion, RunSet, compare, read_runs, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -187,8 +186,7 @@ def _slow_stiffness(runs: RunSet) -> tuple[float | None, tuple[str, ...]]:
     if run is None:
         return None, ()
     assert run.motion.force is not None
-    assert isinstance(run.body, Projectile)
-    area = run.body.length**2
+    area = run.width**2
     depth, force = run.motion.depth, run.motion.force
     return float((force * depth).sum() / (depth**2).sum() / area), (run.name,)
 

@@ -103,11 +103,13 @@ def _compare_forces(measured: Motion, simulated: Motion) -> Errors:
     else:
         final = gain(measured.force, simulated.force)
     free = not np.array_equal(measured.depth, simulated.depth, equal_nan=True)
-    both = measured.lift is not None and simulated.lift is not None
+    lift = None
+    if measured.lift is not None and simulated.lift is not None and not free:
+        lift = gain(measured.lift, simulated.lift)
     return Errors(
         trajectory=float(np.sqrt((error**2).mean()) / np.linalg.norm(forces, axis=0).max()),
         final=final,
-        lift=gain(measured.lift, simulated.lift) if both and not free else None,
+        lift=lift,
         depth=float((simulated.depth / measured.depth).mean()) - 1 if free else None,
     )
 

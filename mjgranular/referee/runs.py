@@ -70,6 +70,13 @@ _COLUMNS = {
     "spin": "spin [rad/s]",
     "rate": "rate [Hz]",
 }
+_JOINTS = {
+    "drag": ("x", "z"),
+    "turn": ("turn",),
+    "roll": ("x", "y", "z", "turn"),
+    "sink": ("x", "y", "z", "turn"),
+    "walk": ("x",),
+}
 _WHEEL = ("speed", "angle", "spin", "depth", "force", "side", "lift")
 _NEEDED = {
     "drop": ("time", "depth"),
@@ -120,12 +127,27 @@ class MeasuredRun:
         for name, value in (("speed", self.speed), ("angle", self.angle)):
             if not is_finite(value):
                 raise InputError(f"{where}: the {name} must be a finite number, not {shown(value)}")
+        if isinstance(self.body, Path):
+            self._check_joints(load_machine(self.body))
+        elif self.kind in ("turn", "roll", "sink", "walk"):
+            raise InputError(f"{where}: a {self.kind} needs a body from a file: {{file: leg.xml}}")
         if self.kind == "drop" and self.motion.time is None:
             raise InputError(f"{where}: a drop needs a column of times")
         if self.kind not in ("drop", "walk") and self.motion.force is None:
             raise InputError(f"{where}: a {self.kind} needs a column of forces")
         if self.motion.time is not None and (np.diff(self.motion.time) <= 0).any():
             raise InputError(f"{where}: its times must grow from row to row")
+
+    def _check_joints(self, spec: mujoco.MjSpec) -> None:
+        needed = _JOINTS.get(self.kind)
+        if needed is None:
+            raise InputError(f"run {shown(self.name)}: a {self.kind} needs a shape, not a file")
+        names = [joint.name for joint in spec.joints]
+        for name in needed:
+            if name not in names:
+                raise InputError(f"{shown(self.shape)}: a {self.kind} needs a joint {name!r}")
+        if self.kind == "walk" and not spec.keys:
+            raise InputError(f"{shown(self.shape)}: a walk needs a keyframe to start from")
 
     @property
     def to_the_stop(self) -> bool:
@@ -304,7 +326,6 @@ def _run(folder: Path, entry: Any, about: dict[str, Any]) -> MeasuredRun:
 
 def _body(folder: Path, entry: Any) -> Projectile | Path:
     if isinstance(entry, dict) and set(entry) == {"file"}:
-        load_machine(folder / str(entry["file"]))
         return folder / str(entry["file"])
     if not isinstance(entry, dict) or "shape" not in entry:
         raise InputError("body: {shape: sphere, diameter: 0.0254, mass: 0.0692}, for example")
@@ -338,7 +359,7 @@ def _motion(file: Path, kind: Kind, numbers: dict[str, float]) -> Motion:
         raise InputError(f"{place(file)}: a row has what is no number") from None
     if table.ndim != 2 or table.shape[1] != len(headings) or not np.isfinite(table).all():
         raise InputError(f"{place(file)}: each row has {len(headings)} finite numbers")
-    columns = {names[h]: table[:, i] for i, h in enumerate(headings) if h in names}
+    columns: dict[str, Any] = {names[h]: table[:, i] for i, h in enumerate(headings) if h in names}
     if kind != "drop":
         columns.pop("time", None)
     if kind == "drag" and "depth" not in {*columns, *numbers}:

@@ -91,6 +91,29 @@ def test_forces_are_compared_row_by_row():
         compare(push, Motion(depth=depth[:5], force=depth[:5]))
 
 
+def test_forces_in_two_directions_are_compared_as_vectors():
+    one = np.ones(4)
+    drag = Motion(depth=one, speed=one, force=3 * one, lift=4 * one)
+    errors = compare(drag, replace(drag, force=2 * one, lift=5 * one))
+    assert errors.trajectory == pytest.approx(math.sqrt(2) / 5)
+    assert (errors.final, errors.lift) == (pytest.approx(-1 / 3), pytest.approx(1 / 4))
+    assert errors.depth is None
+
+
+def test_a_wheel_that_sinks_is_compared_by_depth_and_horizontal_force():
+    one, zero = np.ones(3), np.zeros(3)
+    wheel = Motion(depth=one, angle=zero, force=one, side=zero, lift=one)
+    errors = compare(wheel, replace(wheel, depth=2 * one, force=0.5 * one))
+    assert (errors.depth, errors.final, errors.lift) == (1.0, -0.5, None)
+
+
+def test_a_robot_is_compared_by_speed():
+    walk = Motion(depth=np.full(2, np.nan), rate=np.ones(2), speed=np.array([1.0, 2.0]))
+    errors = compare(walk, replace(walk, speed=np.array([1.1, 1.6])))
+    assert errors.trajectory == pytest.approx(0.15)
+    assert errors.final == pytest.approx(-0.05)
+
+
 def test_a_drop_above_the_sand_is_refused():
     with pytest.raises(InputError, match="above the sand"):
         compare(braking(start=-1.0), braking())
@@ -144,6 +167,8 @@ def test_seen_runs_are_what_their_source_says():
 RUN = (
     "{name: a, kind: drop, body: {shape: sphere, diameter: 0.02, mass: 0.1}, speed: 1, data: a.csv}"
 )
+TURN = "{name: a, kind: turn, body: {file: leg.xml}, speed: 0.2, data: a.csv}"
+BALL = "{shape: sphere, diameter: 0.02}"
 MEDIUM = "{density: 1500, internal_friction: 0.5, surface_friction: 0.4}"
 
 
@@ -179,6 +204,10 @@ def test_a_set_of_ones_own(tmp_path):
         ({"medium": "{density: 1500}"}, InputError, "internal_friction is missing"),
         ({"medium": "{densty: 1500}"}, UnknownNameError, "densty"),
         ({"run": RUN.replace("a.csv", "b.csv")}, InputError, "b.csv"),
+        ({"run": TURN.replace("{file: leg.xml}", BALL)}, InputError, "needs a body from a file"),
+        ({"run": TURN}, InputError, "leg.xml is not a model"),
+        ({"run": TURN.replace("leg", "rod")}, InputError, "needs a joint 'turn'"),
+        ({"run": TURN.replace("turn", "walk")}, InputError, r"no column 'rate \[Hz\]'"),
         (
             {"run": RUN.replace("drop", "drag"), "table": "speed [m/s],force [N]\n1,1\n"},
             InputError,
@@ -187,6 +216,13 @@ def test_a_set_of_ones_own(tmp_path):
     ],
 )
 def test_what_is_wrong_in_a_set_is_said(tmp_path, wrong, error, message):
+    (tmp_path / "rod.xml").write_bytes((DATA / "drawn" / "rod.xml").read_bytes())
+    if wrong.get("run") in (
+        TURN,
+        TURN.replace("leg", "rod"),
+        TURN.replace("{file: leg.xml}", BALL),
+    ):
+        wrong = {**wrong, "table": "angle [deg],force [N],lift [N]\n0,1,1\n"}
     with pytest.raises(error, match=message):
         read_runs(written(tmp_path, **wrong))
 
@@ -218,3 +254,42 @@ def test_momentum_is_what_the_forces_say():
     gained = run.body.mass * 9.81 * steps.sum() - (motion.force[1:] * steps).sum()
     assert gained == pytest.approx(run.body.mass * (motion.speed[-1] - motion.speed[0]), rel=1e-9)
     assert isinstance(run, MeasuredRun)
+
+
+def rows_of(run, rows):
+    columns = {key: value[rows] for key, value in vars(run.motion).items() if np.ndim(value)}
+    return replace(run, motion=replace(run.motion, **columns))
+
+
+def test_a_wheel_sinks_until_it_bears_its_load():
+    runs = read_runs(DATA / "wheel")
+    given, free = (rows_of(run, [0, 4]) for run in runs.runs[:2])
+    sunk = simulate(free, runs.medium, "rft3d_dynamic")
+    led = simulate(replace(given, motion=sunk), runs.medium, "rft3d_dynamic")
+    # What is led sinks by 1 % of its way, so that it bears a little more.
+    assert led.lift == pytest.approx(given.motion.lift, rel=0.1)
+    assert led.force == pytest.approx(sunk.force, rel=0.1)
+    assert np.abs(sunk.side).max() < 1e-3
+    assert sunk.force[0] > 3 * abs(sunk.force[1])  # locked, and rolling
+
+
+def test_a_leg_that_turns_is_thrust_against_its_motion():
+    runs = read_runs(DATA / "legs_poppy")
+    flat = runs["flat"]
+    motion = simulate(flat, runs.medium, "rft3d_dynamic")
+    down = np.argmin(np.abs(flat.motion.angle))
+    assert motion.force[down] > 0
+    # Above the sand, where its tip is.
+    out = 0.0762 * np.cos(np.radians(flat.motion.angle)) < 0.0195
+    assert motion.force[out] == pytest.approx(0, abs=1e-12)
+    back = simulate(replace(flat, speed=-0.2), runs.medium, "rft3d_dynamic")
+    assert back.force[down] == pytest.approx(-motion.force[down], rel=0.01)  # patches of a mesh
+
+
+def test_a_robot_walks_no_farther_than_its_legs_reach():
+    runs = read_runs(DATA / "robot")
+    run = rows_of(runs["curvature 0"], [2])
+    motion = simulate(run, runs.medium, "rft3d_dynamic")
+    # Two steps a turn, each with a chord of 4.1 cm at most twice as long.
+    assert 0 < motion.speed[0] < 2 * 2 * 0.041 * run.motion.rate[0]
+    assert abs(compare(run.motion, motion).final) < 0.3
