@@ -138,6 +138,7 @@ def _measured(
         default_law="rft3d_dynamic",
         constants={
             "rft2d": _fourier(fourier, title[0].lower() + title[1:]),
+            "rft2d_measured": {"density": bulk},
             "rft3d": {
                 "density": bulk,
                 "internal_friction": Quantity(

@@ -36,8 +36,15 @@ def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
         elif kind.base.kind == "i":
             fields[key] = wp.int32
         else:
-            fields[key] = _BY_SHAPE[kind.shape]
+            fields[key] = _of_shape(kind.shape)
     return struct(name, fields)
+
+
+def _of_shape(shape: tuple[int, ...]) -> Any:
+    """The type of a field of numbers."""
+    if shape not in _BY_SHAPE and len(shape) == 1:
+        return wp.types.vector(length=shape[0], dtype=wp.float32)
+    return _BY_SHAPE[shape]
 
 
 def _without_base(relief: np.dtype) -> np.dtype:
