@@ -32,7 +32,7 @@ _DTYPE = np.dtype([*((name, np.float64) for name in _FIELDS), ("table", np.float
 
 @partial(compiled, inline=True)
 def around(c, s):
-    """Coordinate of a direction, and its derivative by the angle.
+    """Return the coordinate of a direction, and its derivative by the angle.
 
     It is the tangent of the angle near the first axis and 2 less the cotangent near the second, and
     so on around: -1 at -45 degrees, 0, 2, 4 and 6 along the axes. It has a continuous derivative.
@@ -46,14 +46,19 @@ def around(c, s):
 
 @partial(compiled, inline=True)
 def at_corner(table, at, h, k, h_x, k_x, i, j, i_y, j_y):
-    """Share of a corner in an interpolated number and in its derivatives, a vector.
+    """Return the share of a corner in an interpolated number and its derivatives by x and by y.
 
     Args:
         table: numbers.
         at: place of the number at the corner; behind it are its slopes by x and by y.
-        h, k: weights of the number and of its slope along x.
-        h_x, k_x: their derivatives.
-        i, j, i_y, j_y: the same along y.
+        h: weight of the number along x.
+        k: weight of its slope along x.
+        h_x: derivative of h.
+        k_x: derivative of k.
+        i: weight of the number along y.
+        j: weight of its slope along y.
+        i_y: derivative of i.
+        j_y: derivative of j.
     """
     f, f_x, f_y = table[at], table[at + 1], table[at + 2]
     along, turned = f * h + f_x * k, f * h_x + f_x * k_x
@@ -62,7 +67,7 @@ def at_corner(table, at, h, k, h_x, k_x, i, j, i_y, j_y):
 
 @partial(compiled, inline=True)
 def table_response(law, sin_b, cos_b, sin_g, cos_g):
-    """The measured response, interpolated by cubics: see `planar_response`."""
+    """Return the measured response, interpolated by cubics: see `planar_response`."""
     x, x_b = around(cos_b, sin_b)
     y, y_g = around(cos_g, sin_g)
     # The tilt's cell: its tangents are 0, tan 30, 2 - tan 30 and 2 in each quarter.
@@ -73,10 +78,10 @@ def table_response(law, sin_b, cos_b, sin_g, cos_g):
     width = 2.0 - 2.0 * _TAN_30 if cell == 1 else _TAN_30
     x = (x - low) / width
     y = 3.0 * y + 3.0
-    column = min(max(int(y), 0), 23)
+    column = min(max(int(y), 0), _COLUMNS - 2)
     y = y - float(column)
-    first = 6 * (25 * (quarter + cell) + column)
-    second = first + 150
+    first = _NUMBERS * (_COLUMNS * (quarter + cell) + column)
+    second = first + _NUMBERS * _COLUMNS
 
     p, q = 1.0 - x, 1.0 - y
     a, a_x, b, b_x = (1.0 + 2.0 * x) * p * p, -6.0 * x * p, x * x * (3.0 - 2.0 * x), 6.0 * x * p
@@ -111,7 +116,7 @@ def table_response(law, sin_b, cos_b, sin_g, cos_g):
 
 @partial(compiled, inline=True)
 def table_level(law, rise, down):
-    """The measured response of level elements: see `level_response`."""
+    """Return the measured response of level elements: see `level_response`."""
     cos_g = math.sqrt(max(1.0 - rise * rise, _STEEP * _STEEP))
     up, up_g, _, back, back_g, _ = table_response(
         law, 0.0, -1.0 if down > 0.0 else 1.0, -rise, cos_g
@@ -214,7 +219,7 @@ class MeasuredRft2dLaw(RftLaw):
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
         medium = get_medium(medium)
-        constants = medium.constants_for(cls.name)
+        constants: dict[str, Any] = medium.constants_for(cls.name)
         for key in constants.keys() - {field.name for field in fields(cls)}:
             raise InputError(
                 f"medium {medium.name!r}: the law {cls.name!r} has no constant {key!r}"

@@ -37,7 +37,10 @@ BODIES = {
 MARK = '<custom><text name="mjgranular.law" data="link"/></custom>'
 DEFAULT, OF_LINKS = ("quikrete_medium", "rft3d_dynamic"), ("play_sand", "link")
 
-OF_RFT3D = "constants for it: glass_beads_3mm_close, glass_beads_close, glass_beads_loose, poppy"
+OF_RFT3D = (
+    "constants for it: glass_beads_3mm_close, glass_beads_close, glass_beads_loose, "
+    "poppy_seed_close, poppy_seed_loose, quikrete_medium"
+)
 
 
 def xml(geoms, head=""):

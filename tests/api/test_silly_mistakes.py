@@ -163,20 +163,23 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "medium with a blank": (
         lambda: sand(medium="play sand"),
-        "no medium 'play sand'; there are: glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
+        "no medium 'play sand'; there are: "
+        "glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
     ),
-    "empty medium": (lambda: sand(medium=""), "no medium ''; there are: glass_beads, glass_beads_3mm_close,"),
+    "empty medium": (lambda: sand(medium=""), "no medium ''; there are: glass_beads, glass"),
     "number for medium": (
         lambda: sand(medium=1500),
         "no medium 1500; there are: glass_beads, glass_beads_3mm_close,",
     ),
     "bytes for medium": (
         lambda: sand(medium=b"play_sand"),
-        "no medium b'play_sand'; there are: glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
+        "no medium b'play_sand'; there are: "
+        "glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
     ),
     "list for medium": (
         lambda: sand(medium=["play_sand"]),
-        "no medium ['play_sand']; there are: glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
+        "no medium ['play_sand']; there are: "
+        "glass_beads, glass_beads_3mm_close, ... did you mean play_sand?",
     ),
     "missing medium file": (
         lambda: sand(medium="my_sand.yaml"),

@@ -95,7 +95,7 @@ drop block.xml --medium sand | no medium 'sand' ... did you mean play_sand?
 drop block.xml --medium '' | no medium ''; there are: glass_beads, glass_beads_3mm_close,
 drop block.xml --medium Play_Sand | no medium 'Play_Sand' ... did you mean play_sand?
 drop block.xml --medium my_sand.yaml | cannot read the medium my_sand.yaml
-drop block.xml --medium notes.txt | no medium 'notes.txt'; there are: glass_beads, glass_beads_3mm_close,
+drop block.xml --medium notes.txt | no medium 'notes.txt'; there are: glass_beads, glass
 drop block.xml --medium list.yaml | list.yaml: a medium is a mapping with the keys name
 drop block.xml --medium unit.yaml | unit.yaml: medium 'mine': the bulk density must be from 10 to
 drop block.xml --medium typo.yaml | medium 'mine': the law 'rft3d' has no constant 'scael'
@@ -225,7 +225,7 @@ evaluate CartPole-v1 --agent zero --seeds 1 | an evaluation needs at least 2 see
 evaluate CartPole-v1 --agent zero --on medium | a variant of an environment is NAME=VALUE,NAME=VALUE
 evaluate CartPole-v1 --agent zero --gait waves=1 | --gait is for --agent
 evaluate Hexapod-v0/ppo-0 --env CartPole-v1 | is for mjgranular/Hexapod-v0: its observations are
-evaluate Hexapod-v0/ppo-0 --on medium=moon | no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,
+evaluate Hexapod-v0/ppo-0 --on medium=moon | no medium 'moon'; there are: glass_beads, glass
 gait Ant-v5 | there is no scripted gait for Ant-v5
 gait mjgranular/ChainSwim-v0 --search 0 | a search tries at least 2 gaits
 gait mjgranular/ChainSwim-v0 --range waves | a range is NAME=LOW:HIGH, not
