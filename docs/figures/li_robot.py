@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-from collections import defaultdict
 from pathlib import Path
 
 import mujoco
@@ -15,7 +13,7 @@ from style import save
 from mjgranular import Sand
 from mjgranular.models import LiRobot
 
-SPEEDS = Path(__file__).parents[2] / "referee" / "data" / "li2013_robot" / "speeds.csv"
+MEASURED = Path(__file__).parents[2] / "referee" / "data" / "robot"
 WARM, MEAN = 2.0, 3.0  # the least time before it is steady, and that of the mean [s]
 
 
@@ -39,18 +37,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--law", help="name of the law; that of the medium without")
     law = parser.parse_args().law
-    legs = defaultdict(list)
-    with SPEEDS.open() as file:
-        for row in csv.DictReader(file):
-            curvature, *numbers = map(float, row.values())
-            legs[curvature].append(numbers)
+    legs = [float(file.stem.removeprefix("curvature_")) for file in MEASURED.glob("*.csv")]
     figure, axis = plt.subplots(figsize=(6.0, 3.8))
     errors = []
     colors = plt.get_cmap("viridis")(np.linspace(0, 0.9, len(legs)))
-    for color, (curvature, rows) in zip(colors, sorted(legs.items()), strict=True):
+    for color, curvature in zip(colors, sorted(legs), strict=True):
         robot = LiRobot(curvature)
         sand = Sand(robot.model(), medium="poppy_seed_loose", law=law, instead_of="floor")
-        frequency, measured, deviation = np.array(sorted(rows)).T
+        rows = np.loadtxt(MEASURED / f"curvature_{curvature:g}.csv", delimiter=",", skiprows=1)
+        frequency, measured, deviation = rows.T
         simulated = np.array([speed(robot, sand, f) for f in frequency])
         for f, there, here in zip(frequency, measured, simulated, strict=True):
             print(f"{curvature:5} {f:6.3f} Hz  {there:.3f} {here:.3f} m/s  {here / there - 1:+.0%}")
