@@ -91,7 +91,7 @@ drop block.xml --timestep 0 | the time step must be positive and finite
 drop block.xml --timestep -0.001 | the time step must be positive and finite
 drop block.xml --slope 90 | the plane's slope must be less than 90 degrees
 drop block.xml --slope nan | the plane's slope must be finite
-drop block.xml --medium sand | no medium 'sand' ... did you mean play_sand?
+drop block.xml --medium sand | no medium 'sand' ... did you mean yuma_sand?
 drop block.xml --medium '' | no medium ''; there are: glass_beads, glass_beads_3mm_close,
 drop block.xml --medium Play_Sand | no medium 'Play_Sand' ... did you mean play_sand?
 drop block.xml --medium my_sand.yaml | cannot read the medium my_sand.yaml
