@@ -91,12 +91,9 @@ def _wheel(law: str | Law) -> dict[str, dict[str, float]]:
         size = np.linalg.norm(measured, axis=0)
         base = np.maximum(size, SMALL * motion.lift)
 
-        def against(found: Any) -> tuple[np.ndarray, np.ndarray]:
-            forces = np.array([found.force, found.side])
-            ratio = np.linalg.norm(forces, axis=0) / size  # noqa: B023
-            return ratio, np.linalg.norm(forces - measured, axis=0) / base  # noqa: B023
-
-        (force, error), (free_force, free_error) = against(led), against(sunk)
+        pairs = np.array([[each.force, each.side] for each in (led, sunk)])
+        force, free_force = np.linalg.norm(pairs, axis=1) / size
+        error, free_error = np.linalg.norm(pairs - measured, axis=1) / base
         for i, (spin, angle) in enumerate(zip(motion.spin, motion.angle, strict=True)):
             out[f"{angle:.0f} deg, {spin:.3f} rad/s"] = {
                 "measured": float(size[i]),

@@ -89,10 +89,10 @@ class RftLaw(Law):
         sheared = self.rate > 0 and self.grain > 0
         return raised_kernel(sheared) if self.cone > 0 or sheared else not_raised
 
-    def check_options(self) -> None:
-        """Refuses options without meaning."""
+    def check_options(self, *more: str) -> None:
+        """Refuses options without meaning; `more` names other numbers that are not negative."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
-        for key in ("inertia", "added", "cone", "rate"):
+        for key in (*more, "inertia", "added", "cone", "rate"):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):
                 raise InputError(

@@ -226,19 +226,10 @@ class Rft2dLaw(RftLaw):
     cone: float = 0.0
 
     def __post_init__(self) -> None:
-        self.check_options()
+        check_plates(self)
         for key in FOURIER_KEYS:
             if not is_finite(getattr(self, key)):
                 raise InputError(f"Rft2dLaw: {key} must be finite, not {shown(getattr(self, key))}")
-        for key in ("density", "scale"):
-            value = getattr(self, key)
-            if not (is_finite(value) and value >= 0):
-                raise InputError(
-                    f"Rft2dLaw: {key} must be finite and not negative, not {shown(value)}"
-                )
-
-        if (self.inertia > 0 or self.added > 0) and self.density == 0:
-            raise InputError("Rft2dLaw: inertia of sand needs the bulk density [kg/m^3]")
 
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
@@ -257,10 +248,25 @@ class Rft2dLaw(RftLaw):
             parameters[key] = getattr(self, key)
         # A plate drawn along itself: alpha_x at tilt 0, attack 0.
         parameters["side"] = self.C11 + self.C01 + self.Cm11
-        parameters["scale"] = self.scale * _PER_CUBIC_CENTIMETRE
-        parameters["inertia"] = self.inertia * self.density
-        parameters["added"] = self.added
-        parameters["density"] = self.density
-        parameters["rise"] = self.rise
-        parameters["cone"] = self.cone
+        write_plates(self, parameters)
         return parameters
+
+
+def check_plates(law: Any) -> None:
+    """Refuse options that no law of plates can have.
+
+    Raises:
+        InputError: one that is negative, or inertia of sand without its density.
+    """
+    law.check_options("density", "scale")
+    if (law.inertia > 0 or law.added > 0) and law.density == 0:
+        name = type(law).__name__
+        raise InputError(f"{name}: inertia of sand needs the bulk density [kg/m^3]")
+
+
+def write_plates(law: Any, parameters: np.ndarray) -> None:
+    """Write what the records of all laws of plates have, but for the stresses."""
+    parameters["scale"] = law.scale * _PER_CUBIC_CENTIMETRE
+    parameters["inertia"] = law.inertia * law.density
+    for key in ("added", "density", "rise", "cone"):
+        parameters[key] = getattr(law, key)

@@ -9,13 +9,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError, shown
-from mjgranular.given import is_finite
+from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law
 from mjgranular.law.rft import RftLaw
-from mjgranular.law.rft2d import Rft2dLaw, split_slope
+from mjgranular.law.rft2d import Rft2dLaw, check_plates, split_slope, write_plates
 from mjgranular.medium import Medium, get_medium
 from mjgranular.medium.stresses import ATTACKS, TILTS, measured_stresses
 
@@ -23,7 +22,6 @@ from mjgranular.medium.stresses import ATTACKS, TILTS, measured_stresses
 # spaced in the coordinate of `around`; alpha_z and alpha_x, each with its slopes.
 _COLUMNS, _NUMBERS = 2 * (ATTACKS - 1) + 1, 6
 _TABLE = TILTS * _COLUMNS * _NUMBERS
-_PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
 _TAN_30 = math.tan(math.radians(30))
 _STEEP = 1e-6  # least horizontal part of a motion that is divided by; chosen
 _FIELDS = ("side", "scale", "inertia", "added", "density", "rise", "cone")
@@ -203,18 +201,10 @@ class MeasuredRft2dLaw(RftLaw):
     cone: float = 0.0
 
     def __post_init__(self) -> None:
-        self.check_options()
+        check_plates(self)
         known = measured_stresses()
         if not isinstance(self.table, str) or self.table not in known:
             raise UnknownNameError("measured stresses of", self.table, sorted(known))
-        for key in ("density", "scale"):
-            value = getattr(self, key)
-            if not (is_finite(value) and value >= 0):
-                raise InputError(
-                    f"MeasuredRft2dLaw: {key} must be finite and not negative, got {shown(value)}"
-                )
-        if (self.inertia > 0 or self.added > 0) and self.density == 0:
-            raise InputError("MeasuredRft2dLaw: inertia of sand needs the bulk density [kg/m^3]")
 
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
@@ -232,8 +222,5 @@ class MeasuredRft2dLaw(RftLaw):
         parameters["table"] = table
         # A plate drawn along itself: alpha_x at tilt 0, attack 0.
         parameters["side"] = table[_NUMBERS * 3 + 3]
-        parameters["scale"] = self.scale * _PER_CUBIC_CENTIMETRE
-        parameters["inertia"] = self.inertia * self.density
-        for key in ("added", "density", "rise", "cone"):
-            parameters[key] = getattr(self, key)
+        write_plates(self, parameters)
         return parameters

@@ -118,7 +118,7 @@ def _measured(
         density: of the grains [kg/m^3] and the share of the bed that they fill.
         repose: angle of repose [degrees].
         plate: alpha_z of a level plate that is pushed straight down [N/cm^3], as measured. The
-            Fourier series is 5 to 27 % softer there.
+            Fourier series is 5 to 28 % softer there.
         fourier: coefficients of the series [N/cm^3].
         grain: diameter of a grain [m].
         surface_friction: of a body on the grains.

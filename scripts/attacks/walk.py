@@ -47,6 +47,7 @@ from mjgranular.engine import add_sand
 
 ALIKE = 1e-8  # doors, in parts of the speeds at hand
 OF_KINETIC = 1e-10
+OF_EARLY_END = 1e-8  # where it is gone with an exact engine's solver: MuJoCo's own tolerance
 OF_IMPULSE = 1e-13  # rounding, in parts of the energy that the sand's impulse alone would make
 STILL, MOVED = 1e-7, 1e-5  # [m/s, rad/s]
 LEFT_REASON = 1e7  # accelerations; at 1e10 MuJoCo finds a state bad, and rounding decides
@@ -91,7 +92,7 @@ class Walk:
         self.pending = False  # NaN in the state of the first door, of which nobody has heard yet
         self.step = -1
         self.begun = 0  # the step at which it last began
-        self.asked, self.last_answer = 0, ""
+        self.asked = 0
         self.given = self.energy = 0.0  # work of the sand since it last began, and energy put in
 
     # The beginning
@@ -387,7 +388,7 @@ class Walk:
             return
         reason = documented(model) or ("counted or warned of" if announced else "")
         missing = "" if reason else self.without_what(before)
-        if missing == SOLVER_ENDS and work <= model.opt.tolerance * kinetic:
+        if missing == SOLVER_ENDS and work <= OF_EARLY_END * kinetic:
             reason = "within the tolerance of the engine's solver"
         kind = f"energy ({reason})" if reason else f"energy{missing}"
         if reason:
@@ -427,10 +428,9 @@ class Walk:
     def without_what(self, before: np.ndarray) -> str:
         """Tells whether the work is gone with a new Sand, or with an exact solver."""
         if self.asked > 5:
-            return self.last_answer
+            return ""
         self.asked += 1
-        self.last_answer = without_which(self.model, self.drawn.model.sand, before)
-        return self.last_answer
+        return without_which(self.model, self.drawn.model.sand, before)
 
     def watch_rest(self) -> None:
         """Tells whether what lies still goes on lying still."""
