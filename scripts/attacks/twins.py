@@ -134,7 +134,7 @@ def reorder(spec: mujoco.MjSpec) -> None:
 def weld(spec: mujoco.MjSpec) -> None:
     """Move every other geom of each body to a body that is welded to it."""
     for body in [body for body in spec.bodies[1:] if not body.explicitinertial]:
-        child = body.add_body(name=f"{body.name} welded")
+        child = body.add_body(name=f"{body.name} welded", gravcomp=body.gravcomp)
         for geom in list(body.geoms)[1::2] or list(body.geoms):
             moved(spec, geom, child)
 
