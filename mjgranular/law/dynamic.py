@@ -8,13 +8,14 @@ with the rate of shear (docs/laws/rft.md, docs/validity.md).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.raised import RATE, cone_under
 from mjgranular.law.rft import RftLaw
 from mjgranular.law.rft2d import Rft2dLaw
 from mjgranular.law.rft3d import Rft3dLaw
+from mjgranular.law.sideways import lateral_strength
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 
@@ -75,7 +76,13 @@ class _Dynamic(RftLaw):
         if medium.grain is not None and cls.rate > 0:
             general["grain"] = medium.grain
         given = {name: quantity.value for name, quantity in general.items()}
-        return cls(**{**given, **constants, "cone": cone, "scale": scale})
+        given = {**given, **constants, "cone": cone, "scale": scale}
+        return cls(**{"lateral": cls.lateral_in(given), **given})
+
+    @classmethod
+    def lateral_in(cls, given: dict[str, Any]) -> float:
+        """C H of `law.sideways`, from the law's constants."""
+        return 1.0 + given["cone"]
 
 
 @register_law
@@ -102,6 +109,11 @@ class DynamicRft3dLaw(_Dynamic, Rft3dLaw):
     added: float = ADDED
     cone: float = cone_under(FRICTION)
     rate: float = RATE
+    lateral: float = (1.0 + cone_under(FRICTION)) * lateral_strength(FRICTION)
+
+    @classmethod
+    def lateral_in(cls, given: dict[str, Any]) -> float:
+        return super().lateral_in(given) * lateral_strength(given["internal_friction"])
 
 
 @register_law

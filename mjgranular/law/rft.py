@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, ClassVar
 
 import mujoco
@@ -12,27 +11,14 @@ import numpy as np
 
 from mjgranular.errors import InputError, shown
 from mjgranular.given import check_switch, is_finite
-from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law
 from mjgranular.law.raised import not_raised, raised_kernel
+from mjgranular.law.sideways import sideways_of
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
-
-
-@cache
-def stress_of(slope: Any) -> Any:
-    """Makes the `stress` that a `slope` stands for (`RftLaw`)."""
-
-    @compiled
-    def stress(law, g, n, u, z):
-        strength, factors, _, _, _ = slope(law, g, dot(u, z), dot(n, z), dot(n, u))
-        return strength * (factors.x * n + factors.y * u + factors.z * z)
-
-    return stress
 
 
 class RftLaw(Law):
@@ -52,6 +38,7 @@ class RftLaw(Law):
         cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); likewise.
         rate: rise of friction from slow flow to fast; likewise.
         grain: diameter of a grain, without which there is no such rise [m].
+        lateral: factor on sideways strength (`law.sideways`); likewise.
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -72,6 +59,7 @@ class RftLaw(Law):
     cone: float = 0.0
     rate: float = 0.0
     grain: float = 0.0
+    lateral: float = 0.0
     rise: bool
 
     @property
@@ -92,7 +80,7 @@ class RftLaw(Law):
     def check_options(self, *more: str) -> None:
         """Refuses options without meaning; `more` names other numbers that are not negative."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
-        for key in (*more, "inertia", "added", "cone", "rate"):
+        for key in (*more, "inertia", "added", "cone", "rate", "lateral"):
             value = getattr(self, key)
             if not (is_finite(value) and value >= 0):
                 raise InputError(
@@ -106,6 +94,12 @@ class RftLaw(Law):
         return facets_from_model(model, geoms, resolution)
 
     def kernel(self, surface: Surface) -> LawKernel:
+        return self._kernel(surface)
+
+    def kernel_of_forces(self, surface: Surface) -> LawKernel:
+        return self._kernel(surface, forces_alone=True)
+
+    def _kernel(self, surface: Surface, *, forces_alone: bool = False) -> LawKernel:
         law, place = type(self), type(surface)
         return facet_kernel(
             surface.probe_kernel(),
@@ -116,16 +110,6 @@ class RftLaw(Law):
             ceiling=surface.ceiling_kernel(),
             added=self.adds_mass,
             raised=self.raised,
-        )
-
-    def kernel_of_forces(self, surface: Surface) -> LawKernel:
-        law = type(self)
-        return facet_kernel(
-            surface.probe_kernel(),
-            stress=law.stress if law.slope is None else stress_of(law.slope),
-            is_plane=type(surface).is_plane,
-            toward=surface.toward_kernel(),
-            ceiling=surface.ceiling_kernel(),
-            added=self.adds_mass,
-            raised=self.raised,
+            sideways=sideways_of(self.lateral),
+            forces_alone=forces_alone,
         )

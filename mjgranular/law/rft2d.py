@@ -22,7 +22,7 @@ from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 RFT2D_DTYPE = np.dtype(
     [
         (name, np.float64)
-        for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "density", "rise", "cone")
+        for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "density", "rise", "cone", "lateral")
     ]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
@@ -192,6 +192,7 @@ class Rft2dLaw(RftLaw):
         inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
         added: kappa of the added mass, see `Rft3dLaw`; 0 leaves it out.
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
+        lateral: C H, factor on sideways strength (`law.sideways`); 0 leaves it out.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
     Raises:
@@ -224,6 +225,7 @@ class Rft2dLaw(RftLaw):
     rise: bool = False
     added: float = 0.0
     cone: float = 0.0
+    lateral: float = 0.0
 
     def __post_init__(self) -> None:
         check_plates(self)
@@ -268,5 +270,5 @@ def write_plates(law: Any, parameters: np.ndarray) -> None:
     """Write what the records of all laws of plates have, but for the stresses."""
     parameters["scale"] = law.scale * _PER_CUBIC_CENTIMETRE
     parameters["inertia"] = law.inertia * law.density
-    for key in ("added", "density", "rise", "cone"):
+    for key in ("added", "density", "rise", "cone", "lateral"):
         parameters[key] = getattr(law, key)

@@ -40,7 +40,7 @@ RFT3D_DTYPE = np.dtype(
         (name, np.float64)
         for name in (
             *("stiffness", "friction", "inertia", "added", "density", "rise"),
-            *("cone", "shear", "rate_1", "rate_2", "rate_3"),
+            *("cone", "lateral", "shear", "rate_1", "rate_2", "rate_3"),
         )
     ]
 )
@@ -185,6 +185,7 @@ class Rft3dLaw(RftLaw):
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
         rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 leaves it out.
         grain: diameter of a grain [m], which `rate` needs.
+        lateral: C H, factor on sideways strength (`law.sideways`); 0 leaves it out.
 
     Raises:
         InputError: a value outside its range.
@@ -212,6 +213,7 @@ class Rft3dLaw(RftLaw):
     cone: float = 0.0
     rate: float = 0.0
     grain: float = 0.0
+    lateral: float = 0.0
 
     def __post_init__(self) -> None:
         self.check_options()
@@ -260,6 +262,7 @@ class Rft3dLaw(RftLaw):
         parameters["density"] = self.density
         parameters["rise"] = self.rise
         parameters["cone"] = self.cone
+        parameters["lateral"] = self.lateral
         shear = shear_constants(self.density, self.grain, self.internal_friction, self.rate)
         for key, value in zip(("shear", "rate_1", "rate_2", "rate_3"), shear, strict=True):
             parameters[key] = value
