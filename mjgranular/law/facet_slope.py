@@ -105,8 +105,10 @@ def led_slope_kernel(slope: Any, sideways: Any = as_it_is) -> Any:
         scale = 1.0 / norm(m)
         m = scale * m
         rise, down, lead = dot(u, z), dot(m, z), dot(m, u)
-        factors = slope(law, g, rise, down, lead)
-        factors = sideways(law, facet.flat, factors, rise, down, lead)
+        strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
+        factors = sideways(
+            law, facet.flat, strength, f, by_rise, by_down, by_lead, rise, down, lead
+        )
         strength, f, by_rise, by_down, by_lead = dissipative(factors, rise, lead, eps)
         strength *= facet.area
         gain = strength * load
@@ -161,8 +163,10 @@ def simple_slope_kernel(slope: Any, sideways: Any = as_it_is) -> Any:
     def led(facet, law, g, u, eps):
         n, z = facet.normal, facet.up
         rise, down, lead = dot(u, z), dot(n, z), dot(n, u)
-        factors = slope(law, g, rise, down, lead)
-        factors = sideways(law, facet.flat, factors, rise, down, lead)
+        strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
+        factors = sideways(
+            law, facet.flat, strength, f, by_rise, by_down, by_lead, rise, down, lead
+        )
         strength, f, by_rise, _, by_lead = dissipative(factors, rise, lead, eps)
         gain = strength * facet.mean * facet.area
         force, by_p = plate_slope(
@@ -209,8 +213,11 @@ def stress_of(slope: Any, sideways: Any = as_it_is) -> Any:
     @compiled
     def stress(law, g, n, u, z, flat):
         rise, down, lead = dot(u, z), dot(n, z), dot(n, u)
-        factors = sideways(law, flat, slope(law, g, rise, down, lead), rise, down, lead)
-        return factors[0] * dot(factors[1], vector(n, u, z))
+        strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
+        strength, f, by_rise, by_down, by_lead = sideways(
+            law, flat, strength, f, by_rise, by_down, by_lead, rise, down, lead
+        )
+        return strength * (f.x * n + f.y * u + f.z * z)
 
     return stress
 

@@ -22,7 +22,17 @@ from mjgranular.medium.presets import FOURIER_KEYS, GENERIC_FOURIER
 RFT2D_DTYPE = np.dtype(
     [
         (name, np.float64)
-        for name in (*FOURIER_KEYS, "side", "scale", "inertia", "added", "density", "rise", "cone", "lateral")
+        for name in (
+            *FOURIER_KEYS,
+            "side",
+            "scale",
+            "inertia",
+            "added",
+            "density",
+            "rise",
+            "cone",
+            "lateral",
+        )
     ]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3

@@ -45,13 +45,13 @@ def lateral_strength(friction: float) -> float:
 
 
 @partial(compiled, inline=True)
-def as_it_is(law, flat, factors, rise, down, lead):
+def as_it_is(law, flat, strength, f, by_rise, by_down, by_lead, rise, down, lead):
     """No more and no less than the law says."""
-    return factors
+    return strength, f, by_rise, by_down, by_lead
 
 
 @partial(compiled, inline=True)
-def sideways(law, flat, factors, rise, down, lead):
+def sideways(law, flat, strength, f, by_rise, by_down, by_lead, rise, down, lead):
     """Return what a `slope` gives (`RftLaw`), times G of (S2).
 
     The law's record has `lateral`, C H.
@@ -59,12 +59,15 @@ def sideways(law, flat, factors, rise, down, lead):
     Args:
         law: its record.
         flat: b.
-        factors: what the `slope` gives.
+        strength: what the `slope` gives, as all until `by_lead`; Warp takes no tuples.
+        f: factors of n, u and z.
+        by_rise: their derivatives by u.z.
+        by_down: by n.z.
+        by_lead: by n.u.
         rise: u.z.
         down: n.z.
         lead: n.u.
     """
-    strength, f, by_rise, by_down, by_lead = factors
     c = max(lead, 0.0)
     c_3 = c * c * c
     shape = 0.5 * flat * (1.0 + c_3 * c_3 * c * c) + _CURVED * (1.0 - flat)
