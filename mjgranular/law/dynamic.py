@@ -81,7 +81,7 @@ class _Dynamic(RftLaw):
 
     @classmethod
     def lateral_in(cls, given: dict[str, Any]) -> float:
-        """C H of `law.sideways`, from the law's constants."""
+        """Return L of `law.sideways`, from the law's constants."""
         return 1.0 + given["cone"]
 
 

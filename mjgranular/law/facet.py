@@ -16,13 +16,10 @@ from mjgranular.law.facet_slope import (
     led_by_differences,
     led_slope_kernel,
     simple_slope_kernel,
-    stress_alone,
-    stress_of,
 )
 from mjgranular.law.kernel import AddedMass, LawKernel
 from mjgranular.law.patch import wet_part
 from mjgranular.law.raised import not_raised
-from mjgranular.law.sideways import as_it_is
 
 LANES = 8
 # A multiplier of which the square is smaller than this has no direction. Chosen: far above the
@@ -66,7 +63,6 @@ class FacetSample(NamedTuple):
     push: float  # lambda rho area: the inertial term's [N s^2/m^2]
     moved: float  # sand that moves along once the facet is in the sand [kg]
     entry: float  # depth over which it comes to move along, beside the facet's own height [m]
-    flat: float  # share of what the geom shows there that is one flat face
 
 
 @cache
@@ -80,8 +76,6 @@ def facet_kernel(
     ceiling: Any = None,
     added: bool = False,
     raised: Any = not_raised,
-    sideways: Any = as_it_is,
-    forces_alone: bool = False,
 ) -> LawKernel:
     """The kernels of a law of surface elements for surfaces with that `probe`.
 
@@ -94,8 +88,6 @@ def facet_kernel(
         ceiling: see `Surface.ceiling_kernel`.
         added: whether sand is moved along (`facet_added`).
         raised: factor on static resistance (`law.raised`).
-        sideways: what becomes of a slope in sideways motion (`law.sideways`).
-        forces_alone: whether derivatives are not asked for, and a slope need not be led.
 
     The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
     turning body is lowered; where sand is moved along also `added`, kappa, and `density`, rho.
@@ -136,7 +128,6 @@ def facet_kernel(
                 depth,
                 depth,
                 depth,
-                depth,
             )
         lowered = middle
         if law.rise != 0.0:
@@ -168,7 +159,6 @@ def facet_kernel(
             choose(depth <= 0.0, 0.0, law.inertia * facet.area),
             moved(law, facet, dot(outward, up), mean),
             _ENTRY * facet.face,
-            0.0 * mean + facet.flat,
         )
 
     def respond_kernel(led: Any) -> Any:
@@ -206,26 +196,20 @@ def facet_kernel(
         found = 1 if abs(lead) >= bound else 2
         return 0 if trails and facet.push == 0.0 else found
 
-    if slope is None:
-        led = led_by_differences(stress_alone(stress))
-    elif forces_alone:
-        led = led_by_differences(stress_of(slope, sideways))
-    else:
-        led = led_slope_kernel(slope, sideways)
     kernel = LawKernel(
         Facet,
         FacetSample,
         facet_sample,
-        respond_kernel(led),
+        respond_kernel(led_by_differences(stress) if slope is None else led_slope_kernel(slope)),
         lanes=LANES,
         probe=ceiling,
         cull=None if ceiling is None else facet_cull,
         side_by_side=is_plane,
         added=facet_added if added else None,
     )
-    if slope is None or forces_alone:
+    if slope is None:
         return kernel
-    simple = respond_kernel(simple_slope_kernel(slope, sideways))
+    simple = respond_kernel(simple_slope_kernel(slope))
     return replace(kernel, complexity=complexity, respond_simple=simple)
 
 

@@ -27,7 +27,6 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import across, cross, diagonal, dot, norm, outer, vector
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.law.patch_slope import leading_slope, wet_slope
-from mjgranular.law.sideways import as_it_is
 
 # Where the velocity at the end of a step is sought, a flat face begins to lead over directions
 # within this sine of its plane on either side. Chosen: the search needs a slope where the law
@@ -67,12 +66,11 @@ def dissipative(factors, rise, lead, eps):
 
 
 @cache
-def led_slope_kernel(slope: Any, sideways: Any = as_it_is) -> Any:
+def led_slope_kernel(slope: Any) -> Any:
     """Makes the kernel `led` for any facet.
 
     Args:
         slope: the law's, see `RftLaw`.
-        sideways: what becomes of it in sideways motion (`law.sideways`).
     """
 
     @partial(compiled, inline=True)
@@ -105,11 +103,9 @@ def led_slope_kernel(slope: Any, sideways: Any = as_it_is) -> Any:
         scale = 1.0 / norm(m)
         m = scale * m
         rise, down, lead = dot(u, z), dot(m, z), dot(m, u)
-        strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
-        factors = sideways(
-            law, facet.flat, strength, f, by_rise, by_down, by_lead, rise, down, lead
+        strength, f, by_rise, by_down, by_lead = dissipative(
+            slope(law, g, rise, down, lead), rise, lead, eps
         )
-        strength, f, by_rise, by_down, by_lead = dissipative(factors, rise, lead, eps)
         strength *= facet.area
         gain = strength * load
         # What turning towards a spread does to the normal along itself, to n'.z and to n'.u.
@@ -151,23 +147,20 @@ def led_slope_kernel(slope: Any, sideways: Any = as_it_is) -> Any:
 
 
 @cache
-def simple_slope_kernel(slope: Any, sideways: Any = as_it_is) -> Any:
+def simple_slope_kernel(slope: Any) -> Any:
     """Makes the kernel `led` for facets that lead as a whole or not at all, on small turns too.
 
     Args:
         slope: the law's, see `RftLaw`.
-        sideways: what becomes of it in sideways motion (`law.sideways`).
     """
 
     @partial(compiled, inline=True)
     def led(facet, law, g, u, eps):
         n, z = facet.normal, facet.up
         rise, down, lead = dot(u, z), dot(n, z), dot(n, u)
-        strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
-        factors = sideways(
-            law, facet.flat, strength, f, by_rise, by_down, by_lead, rise, down, lead
+        strength, f, by_rise, _, by_lead = dissipative(
+            slope(law, g, rise, down, lead), rise, lead, eps
         )
-        strength, f, by_rise, _, by_lead = dissipative(factors, rise, lead, eps)
         gain = strength * facet.mean * facet.area
         force, by_p = plate_slope(
             gain * f, gain * by_rise, gain * by_lead, vector(n, u, z), rise, lead
@@ -207,38 +200,11 @@ def plate_slope(f, by_rise, by_lead, frame, rise, lead):
 
 
 @cache
-def stress_of(slope: Any, sideways: Any = as_it_is) -> Any:
-    """Makes the `stress` that a `slope` stands for (`RftLaw`), by the share of flat skin too."""
-
-    @compiled
-    def stress(law, g, n, u, z, flat):
-        rise, down, lead = dot(u, z), dot(n, z), dot(n, u)
-        strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
-        strength, f, by_rise, by_down, by_lead = sideways(
-            law, flat, strength, f, by_rise, by_down, by_lead, rise, down, lead
-        )
-        return strength * (f.x * n + f.y * u + f.z * z)
-
-    return stress
-
-
-@cache
-def stress_alone(stress: Any) -> Any:
-    """Makes a `stress` of one that knows nothing of flat skin."""
-
-    @partial(compiled, inline=True)
-    def of_any(law, g, n, u, z, flat):
-        return stress(law, g, n, u, z)
-
-    return of_any
-
-
-@cache
 def led_by_differences(stress: Any) -> Any:
     """Makes the kernel `led` of a law without a slope, with a derivative from two small turns.
 
     Args:
-        stress: of `stress_of` or `stress_alone`.
+        stress: the law's, see `RftLaw`.
     """
 
     @partial(compiled, inline=True)
@@ -249,7 +215,7 @@ def led_by_differences(stress: Any) -> Any:
         load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b)
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
         m = m / norm(m)
-        force = (load * facet.area) * stress(law, g, m, u, facet.up, facet.flat)
+        force = (load * facet.area) * stress(law, g, m, u, facet.up)
         if load <= 0.0 or dot(m, u) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
         # The fit describes faces that lead; on the ramp it is asked for some that just do not.

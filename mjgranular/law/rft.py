@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, ClassVar
 
 import mujoco
@@ -11,14 +12,28 @@ import numpy as np
 
 from mjgranular.errors import InputError, shown
 from mjgranular.given import check_switch, is_finite
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law
 from mjgranular.law.raised import not_raised, raised_kernel
-from mjgranular.law.sideways import sideways_of
+from mjgranular.law.sideways import sideways_slope
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
+
+
+@cache
+def stress_of(slope: Any) -> Any:
+    """Makes the `stress` that a `slope` stands for (`RftLaw`)."""
+
+    @compiled
+    def stress(law, g, n, u, z):
+        strength, factors, _, _, _ = slope(law, g, dot(u, z), dot(n, z), dot(n, u))
+        return strength * (factors.x * n + factors.y * u + factors.z * z)
+
+    return stress
 
 
 class RftLaw(Law):
@@ -38,7 +53,7 @@ class RftLaw(Law):
         cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); likewise.
         rate: rise of friction from slow flow to fast; likewise.
         grain: diameter of a grain, without which there is no such rise [m].
-        lateral: factor on sideways strength (`law.sideways`); likewise.
+        lateral: factor L on sideways strength (`law.sideways`); 0 leaves `slope` as it is.
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -94,22 +109,25 @@ class RftLaw(Law):
         return facets_from_model(model, geoms, resolution)
 
     def kernel(self, surface: Surface) -> LawKernel:
-        return self._kernel(surface)
+        return self._kernel(surface, type(self).stress, self._slope)
 
     def kernel_of_forces(self, surface: Surface) -> LawKernel:
-        return self._kernel(surface, forces_alone=True)
+        slope = self._slope
+        return self._kernel(surface, type(self).stress if slope is None else stress_of(slope))
 
-    def _kernel(self, surface: Surface, *, forces_alone: bool = False) -> LawKernel:
-        law, place = type(self), type(surface)
+    @property
+    def _slope(self) -> Any:
+        slope = type(self).slope
+        return sideways_slope(slope) if self.lateral > 0 else slope
+
+    def _kernel(self, surface: Surface, stress: Any, slope: Any = None) -> LawKernel:
         return facet_kernel(
             surface.probe_kernel(),
-            stress=law.stress,
-            slope=law.slope,
-            is_plane=place.is_plane,
+            stress=stress,
+            slope=slope,
+            is_plane=type(surface).is_plane,
             toward=surface.toward_kernel(),
             ceiling=surface.ceiling_kernel(),
             added=self.adds_mass,
             raised=self.raised,
-            sideways=sideways_of(self.lateral),
-            forces_alone=forces_alone,
         )

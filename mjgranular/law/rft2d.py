@@ -202,7 +202,7 @@ class Rft2dLaw(RftLaw):
         inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
         added: kappa of the added mass, see `Rft3dLaw`; 0 leaves it out.
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
-        lateral: C H, factor on sideways strength (`law.sideways`); 0 leaves it out.
+        lateral: L, factor on sideways strength (`law.sideways`); 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
     Raises:
@@ -260,6 +260,7 @@ class Rft2dLaw(RftLaw):
             parameters[key] = getattr(self, key)
         # A plate drawn along itself: alpha_x at tilt 0, attack 0.
         parameters["side"] = self.C11 + self.C01 + self.Cm11
+        parameters["lateral"] = self.lateral
         write_plates(self, parameters)
         return parameters
 
@@ -280,5 +281,5 @@ def write_plates(law: Any, parameters: np.ndarray) -> None:
     """Write what the records of all laws of plates have, but for the stresses."""
     parameters["scale"] = law.scale * _PER_CUBIC_CENTIMETRE
     parameters["inertia"] = law.inertia * law.density
-    for key in ("added", "density", "rise", "cone", "lateral"):
+    for key in ("added", "density", "rise", "cone"):
         parameters[key] = getattr(law, key)

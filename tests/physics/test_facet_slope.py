@@ -16,6 +16,7 @@ import pytest
 from mjgranular import MeasuredRft2dLaw, Plane, Rft2dLaw, Rft3dLaw, media
 from mjgranular.law import rft3d
 from mjgranular.law.facet import facet_kernel
+from mjgranular.law.rft import stress_of
 
 REAL = np.longdouble
 FINE = np.finfo(REAL).eps < 1e-17
@@ -287,7 +288,7 @@ def test_a_facet_begins_to_lead_as_a_whole_without_a_jump(kernels, name):
 @pytest.mark.parametrize("name", ["rft2d", "rft3d"])
 def test_without_a_slope_there_are_differences(kernels, name):
     law = LAWS[name]
-    other = facet_kernel(Plane.probe, slope=law.slope, forces_alone=True)
+    other = facet_kernel(Plane.probe, stress=stress_of(law.slope))
     assert other.complexity is None
     closed, other = kernels.Kernels(law.kernel(Plane())), kernels.Kernels(other)
     record = law.parameters(media["quikrete_medium"])[0]

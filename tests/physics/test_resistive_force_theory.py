@@ -24,7 +24,7 @@ from mjgranular import (
     media,
 )
 from mjgranular.kernel.vector import read_vector
-from mjgranular.law.facet_slope import stress_of
+from mjgranular.law.rft import stress_of
 from mjgranular.law.rft2d import planar_response
 from mjgranular.law.rft2d_measured import table_response
 from mjgranular.law.rft3d import C1, C2, C3, polynomial_slope
@@ -152,8 +152,8 @@ def called(kernel):
     """A law's stress as a function of arrays."""
 
     @njit(error_model="numpy")
-    def call(law, g, n, u, z, flat=1.0):
-        found = kernel(law, g, read_vector(n, 0), read_vector(u, 0), read_vector(z, 0), flat)
+    def call(law, g, n, u, z):
+        found = kernel(law, g, read_vector(n, 0), read_vector(u, 0), read_vector(z, 0))
         return found.x, found.y, found.z
 
     return call
