@@ -1,8 +1,8 @@
 """Resistive force theory for feet and bodies as fast as robots move.
 
 The quasi-static laws with everything that sand in motion adds, each with its published constant:
-lambda of the inertial term, an added mass, stagnant sand under flat faces and friction that grows
-with the rate of shear (docs/laws/rft.md, docs/validity.md).
+lambda of the inertial term, an added mass, stagnant sand under flat faces, a strength sideways of
+its own and friction that grows with the rate of shear (docs/laws/rft.md, docs/validity.md).
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ FRICTION = 0.6
 _CITATION = (
     "; inertial term: S. Agarwal, A. Karsai, D. I. Goldman, K. Kamrin, Sci. Adv. 7 eabe0631 "
     "(2021); added mass after J. Aguilar, D. I. Goldman, Nature Physics 12, 278 (2016); stagnant "
-    "sand: W. Kang, Y. Feng, C. Liu, R. Blumenfeld, Nature Communications 9, 1101 (2018)"
+    "sand: W. Kang, Y. Feng, C. Liu, R. Blumenfeld, Nature Communications 9, 1101 (2018); strength "
+    "sideways after R. Lancellotta, Geotechnique 52, 617 (2002)"
 )
 
 _WITHIN = 0.25  # error of trajectories up to which a law is an estimate; chosen (docs/validity.md)
@@ -134,3 +135,4 @@ class DynamicRft2dLaw(_Dynamic, Rft2dLaw):
     inertia: float = INERTIA
     added: float = ADDED
     cone: float = cone_under(FRICTION)
+    lateral: float = 1.0 + cone_under(FRICTION)

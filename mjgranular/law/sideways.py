@@ -2,7 +2,7 @@
 
 A fit of resistive force theory has one ratio of lateral to vertical strength for all sand: an
 upright plate that is drawn meets 0.219 of the stress of a level one that is pushed down. Passive
-pressure on a rough wall (R. Lancellotta, Geotechnique Letters, 2002) over bearing capacity
+pressure on a rough wall (R. Lancellotta, Geotechnique 52, 617, 2002) over bearing capacity
 (Prandtl, Reissner) gives a ratio for every friction angle phi,
 
     R = (1 - sin phi) exp(-(pi/2 - phi) tan phi),                                 (S1)

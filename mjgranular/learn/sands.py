@@ -81,7 +81,9 @@ def sands_made(env_id: str, arguments: Mapping[str, Any]) -> Sands | None:
 
 
 def read_sands(content: Any, where: object) -> Sands | None:
-    """Sands from a file; None if it has none noted.
+    """Return sands from a file; None if it has none noted.
+
+    A constant that a law did not have when they were noted is 0: it had no effect.
 
     Raises:
         OutputError: they are not as `Sands` says.
@@ -92,7 +94,13 @@ def read_sands(content: Any, where: object) -> Sands | None:
         raise OutputError(
             f"{where}: sand must be a list of tables with medium, law, constants, surface, memory"
         )
-    return content
+    return [_with_new_constants(sand) for sand in content]
+
+
+def _with_new_constants(sand: dict[str, Any]) -> dict[str, Any]:
+    law = laws.get(sand["law"])
+    new = {} if law is None else {field.name: 0.0 for field in fields(law)}  # pyright: ignore[reportArgumentType]
+    return {**sand, "constants": {**new, **sand["constants"]}}
 
 
 def told(sands: Sands) -> str:
