@@ -9,7 +9,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.given import is_finite
-from mjgranular.models.link import model_path
+from mjgranular.models.link import robot_scene
 
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
 """Names of the legs, in the order of their joints and servos."""
@@ -88,21 +88,7 @@ class Hexapod:
         Args:
             timestep: with the implicit-fast integrator.
         """
-        spec = mujoco.MjSpec.from_file(str(model_path("link")))
-        spec.modelname = "hexapod"
-        spec.comment = "A hexapod: mjgranular.models.Hexapod."
-        spec.delete(spec.body("link"))
-        spec.delete(spec.key("impact"))
-        for name in ("bed", "table"):
-            spec.delete(spec.geom(name))
-        for camera in list(spec.cameras):
-            spec.delete(camera)
-        spec.option.timestep = timestep
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-        for name, colour in (("shell", (0.86, 0.45, 0.16)), ("leg", (0.25, 0.27, 0.31))):
-            material = spec.add_material(name=name)
-            material.rgba, material.specular, material.shininess = [*colour, 1], 0.3, 0.4
+        spec = robot_scene("hexapod", timestep)
         torso = spec.worldbody.add_body(name="torso", pos=[0, 0, self.standing])
         torso.add_freejoint(name="root")
         torso.add_geom(

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.given import is_finite
-from mjgranular.models.link import model_path
+from mjgranular.models.link import robot_scene
 
 HIPS = (-0.05, 0.0, 0.05)
 """Places of the hips along the body [m]; not printed, chosen as Li et al. draw them."""
@@ -76,18 +76,7 @@ class LiRobot:
         Args:
             timestep: with the implicit-fast integrator [s].
         """
-        spec = mujoco.MjSpec.from_file(str(model_path("link")))
-        spec.modelname = "li_robot"
-        spec.comment = "The robot of Li et al. 2013: mjgranular.models.LiRobot."
-        for each in (*spec.cameras, *spec.texts):
-            spec.delete(each)
-        for each in (spec.body("link"), spec.key("impact"), spec.geom("bed"), spec.geom("table")):
-            spec.delete(each)
-        spec.option.timestep = timestep
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-        for name, color in (("shell", (0.86, 0.45, 0.16)), ("leg", (0.25, 0.27, 0.31))):
-            spec.add_material(name=name, rgba=[*color, 1], specular=0.3, shininess=0.4)
+        spec = robot_scene("li_robot", timestep)
         body = spec.worldbody.add_body(
             name="body",
             mass=self.mass - 6 * _LEG_MASS,

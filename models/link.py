@@ -160,3 +160,25 @@ def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
     """
     s, c = math.sin(q), math.cos(q)
     return point[0] * c - point[1] * s, point[0] * s + point[1] * c
+
+
+def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:
+    """Return an editable model without bodies: lights, a floor at z = 0, materials of robots.
+
+    Args:
+        name: of the model.
+        timestep: with the implicit-fast integrator [s].
+    """
+    spec = mujoco.MjSpec.from_file(str(model_path("link")))
+    spec.modelname = name
+    spec.comment = f"Made by mjgranular.models: {name}."
+    for each in (*spec.cameras, *spec.texts, spec.body("link"), spec.key("impact")):
+        spec.delete(each)
+    for each in ("bed", "table"):
+        spec.delete(spec.geom(each))
+    spec.option.timestep = timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
+    for part, color in (("shell", (0.86, 0.45, 0.16)), ("leg", (0.25, 0.27, 0.31))):
+        spec.add_material(name=part, rgba=[*color, 1], specular=0.3, shininess=0.4)
+    return spec

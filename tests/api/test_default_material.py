@@ -21,7 +21,7 @@ from mjgranular import (
 )
 from mjgranular.cli import main
 from mjgranular.experiment import Drop, run_drop
-from mjgranular.models import Chain, Link, Projectile, model_path
+from mjgranular.models import Chain, Hexapod, LiRobot, Link, Projectile, model_path
 
 LINK = '<geom name="g" type="capsule" size=".01 .1"/>'
 ROBOT = (
@@ -117,6 +117,12 @@ CAPSULES = {  # orientation, radius, half length [m]
     "thin": ("1 .4 .2 0", 0.003, 0.1),
     "stubby": ("1 .3 .6 .1", 0.05, 0.01),
 }
+
+
+@pytest.mark.parametrize("robot", [Hexapod(), LiRobot()], ids=["Hexapod", "LiRobot"])
+def test_robots_of_the_package_need_no_words_about_their_sand(robot):
+    sand = Sand(robot.spec(2e-3).compile(), instead_of="floor")
+    assert (sand.medium.name, sand.law.name) == DEFAULT
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
