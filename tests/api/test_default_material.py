@@ -21,7 +21,7 @@ from mjgranular import (
 )
 from mjgranular.cli import main
 from mjgranular.experiment import Drop, run_drop
-from mjgranular.models import Chain, Hexapod, LiRobot, Link, Projectile, model_path
+from mjgranular.models import Chain, Hexapod, Link, LiRobot, Projectile, model_path
 
 LINK = '<geom name="g" type="capsule" size=".01 .1"/>'
 ROBOT = (
