@@ -21,27 +21,16 @@ PROGRAMS = (
 )
 
 
-@pytest.fixture(scope="module")
-def at_work():
-    """Children that walk models, with all their programs compiled."""
-    with importlib.import_module("attacks.crew").Crew(jobs=2) as crew:
-        for _ in crew.warm(PROGRAMS):
-            pass
-        yield crew
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "options", "hostile", "rest"])
-def test_random_models(kind, at_work):
-    tally = importlib.import_module("attacks.report").Tally()
-    for row in at_work.walk(0, range(MODELS // 4), STEPS, PROGRAMS, kind):
-        tally.add(row)
-    assert tally.models == MODELS // 4
-    assert tally.counts["steps"] > 0.4 * MODELS // 4 * STEPS
-    failures = [
-        f"seed 0, {f['number']}, step {f['step']}, {f['door']}: {f['kind']}: {f['text']}"
-        for f in tally.failures
-    ]
+def test_random_models(kind):
+    common = {"seed": 0, "steps": STEPS, "programs": PROGRAMS, "kind": kind, "bare": False}
+    cases = [{**common, "number": number} for number in range(MODELS // 4)]
+    failures, steps = [], 0
+    for number, result in importlib.import_module("attacks.worker").run("attacks.walk", cases, 2):
+        steps += result.counts.get("steps", 0)
+        failures += [f"seed 0, {number}: {found}" for found in result.findings if found.failed]
+    assert steps > 0.4 * MODELS // 4 * STEPS
     assert not failures, "\n".join(failures)
 
 
