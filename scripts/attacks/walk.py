@@ -494,7 +494,7 @@ def _restore(changed: Any, original: Any) -> None:
     """Copy all numbers of a model, or of its options, back."""
     for name in dir(original):
         value = getattr(original, name)
-        if isinstance(value, np.ndarray):
+        if isinstance(value, np.ndarray) and value.flags.writeable:
             getattr(changed, name)[:] = value
         elif isinstance(original, mujoco.MjOption) and isinstance(value, (int, float)):
             setattr(changed, name, value)

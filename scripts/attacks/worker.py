@@ -139,7 +139,7 @@ class Worker:
             kind = signal.Signals(-code).name
         self.close()
         log = (self._folder / "log").read_text(errors="replace").strip()
-        return Finding(kind, f"the worker {kind}: {log[-2000:]}", self._noted.value.decode())
+        return Finding(kind, log[-2000:] or "no message", self._noted.value.decode())
 
 
 def run(attack: str, cases: Sequence[Case], jobs: int = 1) -> Iterator[tuple[int, Result]]:
