@@ -31,7 +31,7 @@ from rich.progress import track
 
 STEPS = 155  # of a model: with those that end early, 3,000 make 400,000
 MODELS = 3000
-COUNTS = {"files": 200, "kills": 16, "media": 200, "mjcf": 200}
+COUNTS = {"files": 200, "kills": 16, "workers": 8, "media": 200, "mjcf": 200}
 """Attacks besides models, and the number of cases by default."""
 
 

@@ -5,7 +5,7 @@ An attack is a module with
     cases(options, numbers)    list the cases with these numbers: dictionaries for JSON
     attempt(case, note)        return a `Result`; `note` records in words how far it has come
     describe(case)             optional: return a case in words
-    prepare()                  optional: called once in each worker
+    prepare(), finish()        optional: called once in each worker
     PATIENCE                   optional: seconds that a case may take
 """
 
@@ -99,6 +99,8 @@ class Worker:
     def close(self) -> None:
         """End the process."""
         if self._process is not None:
+            self._connection.close()  # asks it to finish
+            self._process.join(5.0)
             self._process.kill()
             self._process.join()
             self._process = None
@@ -127,7 +129,7 @@ class Worker:
         """Wait for an answer; None if there is none in time or the process has died."""
         try:
             return self._connection.recv() if self._connection.poll(patience) else None
-        except (EOFError, ConnectionResetError):
+        except (EOFError, OSError):
             return None
 
     def _death(self) -> Finding:
@@ -210,3 +212,5 @@ def _serve(attack: str, folder: Path, connection: Connection, noted: Any) -> Non
     with contextlib.suppress(EOFError):
         while True:
             connection.send(attempt_here(module, connection.recv(), note))
+    if hasattr(module, "finish"):
+        module.finish()

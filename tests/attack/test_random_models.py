@@ -1,6 +1,7 @@
 """The short form of `scripts/attack.py`: random models through both doors."""
 
 import importlib
+import signal
 from collections import Counter
 
 import mujoco
@@ -32,6 +33,41 @@ def test_random_models(kind):
         failures += [f"seed 0, {number}: {found}" for found in result.findings if found.failed]
     assert steps > 0.4 * MODELS // 4 * STEPS
     assert not failures, "\n".join(failures)
+
+
+DEATHS = """
+import ctypes, os, signal, time
+from attacks.worker import Result
+PATIENCE = 3.0
+
+def attempt(case, note):
+    note(f"at {case['how']}")
+    exec(case["how"])
+    return Result(counts={"fine": 1})
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal")
+def test_a_worker_that_dies_or_hangs_is_a_finding_and_the_rest_goes_on(tmp_path, monkeypatch):
+    (tmp_path / "deaths.py").write_text(DEATHS)
+    monkeypatch.syspath_prepend(tmp_path)
+    deaths = {
+        "os.kill(os.getpid(), signal.SIGKILL)": "SIGKILL",
+        "ctypes.string_at(0)": "SIGSEGV",
+        "os._exit(3)": "exit code 3",
+        "time.sleep(60)": "hangs",
+        "raise KeyError": "the attack itself",
+    }
+    lines = ["pass", *(line for death in deaths for line in (death, "pass"))]
+    run = importlib.import_module("attacks.worker").run
+    found = {}
+    for index, result in run("deaths", [{"how": line} for line in lines], 2):
+        assert result.counts == ({"fine": 1} if lines[index] == "pass" else {})
+        for finding in result.findings:
+            assert finding.failed
+            assert finding.where in ("", f"at {lines[index]}")
+            found[lines[index]] = finding.kind
+    assert found == deaths
 
 
 def test_every_event_can_happen():
