@@ -70,7 +70,8 @@ def run_all(name: str, options: argparse.Namespace, console: Console) -> bool:
                 kinds[f"{found.kind}{'' if found.failed else ' (no failure)'}"].append(found)
             failures = [found for found in result.findings if found.failed]
             for found in failures:
-                text = f"FOUND {name} {number}, {found.where}: {found.kind}: {found.text}"
+                place = f"{name} {number} {found.where}".strip()
+                text = f"FOUND {place}: {found.kind}: {found.text}"
                 console.print(text, markup=False, soft_wrap=True)
             if failures:
                 console.print(f"  again: {again(name, number, options)}", soft_wrap=True)
