@@ -1,6 +1,6 @@
-"""What happens to a simulation under way: controls, switched options, hostile numbers.
+"""Draw what happens to a running simulation: controls, switched options, hostile numbers.
 
-Each event is a line of Python with the names `model`, `data`, `mujoco`, `np` and `random` (a seeded
+An event is a line of Python with the names `model`, `data`, `mujoco`, `np` and `random` (a seeded
 generator), so that a list of events can be read, repeated and pasted.
 """
 
@@ -44,7 +44,7 @@ RARE_OPTIONS = (
     *(_OFF.format(bit) for bit in range(FLAGS)),
     *(_ON.format(bit) for bit in range(ENABLES)),
 )
-"""Legal all of them, and not all without effect."""
+"""All legal, not all without effect."""
 
 BAD_OPTIONS = (
     *(f"model.opt.timestep = {value}" for value in ("0", "-1e-3", "np.nan", "np.inf", "1e-30")),
@@ -82,7 +82,7 @@ FIELDS = (
     "model.actuator_gainprm *= -1",
     "model.actuator_biasprm *= 5",
 )
-"""Of the model, that may be changed while it runs."""
+"""Changes of the model that are legal while it runs."""
 
 BAD_FIELDS = (
     "model.hfield_data = np.nan",
@@ -103,7 +103,7 @@ BAD_FIELDS = (
     "model.jnt_stiffness = 1e12",
     "model.actuator_gainprm = np.nan",
 )
-"""Models that are none."""
+"""Changes that no model should have."""
 
 BAD_STATES = (
     *(f"data.ctrl = {value}" for value in ("np.nan", "np.inf", "1e10", "-1e300")),
@@ -124,7 +124,7 @@ BAD_STATES = (
     *(f"data.mocap_quat = {value}" for value in ("np.nan", "0", "1e200")),
     *(f"data.time = {value}" for value in ("np.nan", "1e300")),
 )
-"""States and controls that are none, or nearly."""
+"""Bad or extreme states and controls."""
 
 CALM_FLAGS = tuple(
     template.format(int(getattr(flags, f"{prefix}_{name}")).bit_length() - 1)
@@ -144,11 +144,11 @@ KINDS = ("plain", "options", "hostile", "rest")
 
 @dataclass
 class Plan:
-    """What is done, and when.
+    """What happens, and when.
 
     Attributes:
-        events: lines of Python by the step before which they come.
-        settled: step at which everything is to lie still, and from then on; None if nothing is.
+        events: lines of Python by the step before which they run.
+        settled: step from which everything must lie still; None if nothing must.
     """
 
     events: dict[int, list[str]]
@@ -159,7 +159,7 @@ class Plan:
 
 
 def plan(rng: np.random.Generator, kind: str, steps: int) -> Plan:
-    """Draws events for a simulation of so many steps."""
+    """Draw events for a simulation."""
     made = Plan({})
     if kind == "rest":
         made.settled = (3 * steps) // 4
@@ -183,7 +183,7 @@ def plan(rng: np.random.Generator, kind: str, steps: int) -> Plan:
 
 
 def begin(rng: np.random.Generator, made: Plan) -> None:
-    """Begins in motion, and somewhere else than the model says."""
+    """Start in motion, and away from the pose of the model."""
     speed = rng.choice([0, 0.1, 1, 1, 5, 30])
     made.add(0, seeded(rng, f"data.qvel = random.normal(scale={speed}, size=model.nv)"))
     if rng.random() < 0.6:
@@ -192,7 +192,7 @@ def begin(rng: np.random.Generator, made: Plan) -> None:
 
 
 def push(rng: np.random.Generator, made: Plan, step: int) -> None:
-    """Controls, forces from outside, a mocap body that is moved, an equality switched."""
+    """Add controls, external forces, a moving mocap body, a switched equality."""
     lines = (
         ("data.ctrl = random.normal(scale=2, size=model.nu)", 0.5),
         ("data.qfrc_applied = random.normal(scale=0.5, size=model.nv)", 0.1),
@@ -212,12 +212,12 @@ def push(rng: np.random.Generator, made: Plan, step: int) -> None:
 
 
 def seeded(rng: np.random.Generator, line: str) -> str:
-    """The line with a generator of its own in the place of `random`."""
+    """Return the line with a seeded generator in place of `random`."""
     return line.replace("random.", f"np.random.default_rng({rng.integers(1 << 31)}).")
 
 
 def run(line: str, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Makes an event happen; what the model has nothing for does not happen."""
+    """Make an event happen, unless the model has nothing for it."""
     try:
         exec(line, {"model": model, "data": data, "mujoco": mujoco, "np": np})
     except (IndexError, ValueError, TypeError):

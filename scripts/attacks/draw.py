@@ -1,7 +1,8 @@
-"""A model and what is done to it, from a seed and a number."""
+"""Draw a model and what happens to it from a seed and a number."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,10 @@ from attacks import changes, models
 import mjgranular
 
 SHARES = (0.4, 0.3, 0.2, 0.1)
-"""Of the kinds of runs."""
+"""Of the kinds of events."""
+
+RESTING = ("link_distributed", "rft2d", "rft3d", *models.MOVING)
+"""Laws under which everything comes to rest."""
 
 
 @dataclass
@@ -27,22 +31,16 @@ def draw(
     seed: int,
     number: int,
     steps: int,
-    programs: tuple[tuple[str, str, str], ...] = models.PROGRAMS,
+    programs: Sequence[tuple[str, str, str]] = models.PROGRAMS,
     kind: str | None = None,
 ) -> Drawn:
-    """Draws a model, its sand, and what is done to it."""
+    """Draw a model, its sand, and what happens to it."""
     rng = np.random.default_rng([seed, number])
     chosen = str(rng.choice(changes.KINDS, p=SHARES))
     program = programs[int(rng.integers(len(programs)))]
     kind = kind or chosen
     if kind == "rest":
-        laws = (
-            "link_distributed",
-            "rft2d",
-            "rft3d",
-            *models.MOVING,
-        )  # under which everything comes to rest
-        still = [p for p in programs if p[0] in laws and p[1:] == ("plane", "implicit")]
+        still = [p for p in programs if p[0] in RESTING and p[1:] == ("plane", "implicit")]
         still = still or [("link_distributed", "plane", "implicit")]
         made = models.draw_at_rest(rng, still[int(rng.integers(len(still)))])
     else:
@@ -51,5 +49,5 @@ def draw(
 
 
 def arguments(sand: str) -> dict[str, Any]:
-    """Arguments of `Sand`, from how they are written."""
+    """Return the arguments of `Sand` that a text writes."""
     return eval(f"dict({sand})", vars(mjgranular).copy())

@@ -1,4 +1,4 @@
-"""What is measured of a step: work, sensitivity, what is known not to be foreseen."""
+"""Measure a step: work of the sand, sensitivity to rounding, exceptions that the docs name."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from mjgranular import GranularError, Sand
 
 JOULES = 1e-12
 SOLVER_ENDS = ", not if the engine's solver goes to its end"
-# What sand inside `mj_step` remembers is copied by itself.
+# The memory of sand inside `mj_step` is copied separately.
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION) & ~int(mujoco.mjtState.mjSTATE_PLUGIN)
 _NO_PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
 _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 
 
 def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """All that a simulation goes on from."""
+    """Return all that a simulation continues from."""
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
 
 
 def sand_force(sand: Sand, data: mujoco.MjData) -> np.ndarray:
-    """Generalized forces of the sand in the last step [N, N m]."""
+    """Return the generalized forces of the sand in the last step [N, N m]."""
     total = np.zeros(sand.model.nv)
     for row in sand._bindings[data].bodies:
         wrench, body = row["wrench"], int(row["body"])
@@ -36,7 +36,7 @@ def sand_force(sand: Sand, data: mujoco.MjData) -> np.ndarray:
 
 
 def work_of_new_sand(model: mujoco.MjModel, given: str, before: np.ndarray) -> float:
-    """Of one step from a state [J]; infinite where it cannot be made."""
+    """Return the work of one step from a state [J]; infinite where it fails."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, before, STATE)
     try:
@@ -47,20 +47,20 @@ def work_of_new_sand(model: mujoco.MjModel, given: str, before: np.ndarray) -> f
     return float(model.opt.timestep * sand_force(sand, data) @ data.qvel)
 
 
-def quiet(data: mujoco.MjData) -> None:
-    """Forgets MuJoCo's warnings: a reset begins to count anew, and would hide one more."""
+def clear_warnings(data: mujoco.MjData) -> None:
+    """Clear MuJoCo's warnings: a reset would set the counts to 0 and hide one."""
     for kind in range(len(data.warning.number)):
         data.warning[kind].number = 0
 
 
 def sand_force_inside(data: mujoco.MjData) -> np.ndarray:
-    """What is in `qfrc_passive` beside MuJoCo's own parts of it."""
+    """Return what `qfrc_passive` holds besides MuJoCo's own parts."""
     own = data.qfrc_spring + data.qfrc_damper + data.qfrc_gravcomp + data.qfrc_fluid
     return data.qfrc_passive - own
 
 
 def without_which(model: mujoco.MjModel, given: str, before: np.ndarray) -> str:
-    """Tells whether the work is gone with a new Sand, or if the engine's solver goes to its end."""
+    """Return whether the work is gone with a new Sand, or with a solver that converges."""
     if model.opt.integrator not in (0, 2, 3):
         return ""
     model = copy.copy(model)
@@ -76,7 +76,7 @@ def without_which(model: mujoco.MjModel, given: str, before: np.ndarray) -> str:
 
 
 def documented(model: mujoco.MjModel) -> str:
-    """Why the balance does not foresee this step, if docs/scheme.md says that it does not."""
+    """Return why docs/scheme.md excludes this step from the balance; empty if it does not."""
     opt = model.opt
     if opt.noslip_iterations > 0:
         return "noslip"
@@ -87,9 +87,9 @@ def documented(model: mujoco.MjModel) -> str:
 def sensitivity(
     model: mujoco.MjModel, data: mujoco.MjData, before: np.ndarray, rate: float
 ) -> float:
-    """How far apart steps end whose forces differ by rounding.
+    """Return how far apart steps end whose forces differ by rounding.
 
-    The engine's solver CG, or one that is stopped early, goes another way then.
+    MuJoCo's solver CG, or one that stops early, takes another path then.
     """
     ends = []
     for seed in range(12):
@@ -102,19 +102,13 @@ def sensitivity(
     return max(float(np.abs(end - ends[0]).max()) for end in ends)
 
 
-def doors_may_differ(model: mujoco.MjModel) -> bool:
-    """Tells whether the doors are known to differ here (docs/plugin.md)."""
+def interfaces_may_differ(model: mujoco.MjModel) -> bool:
+    """Return whether the interfaces are known to differ here (docs/plugin.md)."""
     opt = model.opt
-    if opt.disableflags & _NO_PASSIVE == _NO_PASSIVE:
-        return True
-    return bool(opt.enableflags & _SLEEP)
+    return opt.disableflags & _NO_PASSIVE == _NO_PASSIVE or bool(opt.enableflags & _SLEEP)
 
 
 def all_finite(data: mujoco.MjData) -> bool:
-    """Tells whether positions, velocities and accelerations are numbers."""
-    return bool(
-        np.isfinite(data.qpos).all()
-        and np.isfinite(data.qvel).all()
-        and np.isfinite(data.qacc).all()
-        and np.isfinite(data.qacc_warmstart).all()
-    )
+    """Return whether positions, velocities and accelerations are finite."""
+    fields = (data.qpos, data.qvel, data.qacc, data.qacc_warmstart)
+    return all(np.isfinite(each).all() for each in fields)

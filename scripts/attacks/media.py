@@ -1,15 +1,22 @@
-"""Files of media as strangers might write them: mutated, swollen, nested, or no files at all."""
+"""Read files of media as strangers might write them: mutated, huge, nested, or not files at all."""
 
 from __future__ import annotations
 
-import os
+import json
 import re
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
-from typing import Any
 
-from attacks.trial import CANARY, try_all
+from attacks import untrusted
+from attacks.untrusted import CANARY
+from attacks.worker import Case, Note, Result
+
+from mjgranular.cli import main
+from mjgranular.law import get_law
+from mjgranular.medium import get_medium
+from mjgranular.medium.file import EXAMPLE
 
 VALUES = (
     "", "~", "null", "true", "no", "1e400", "-1e400", ".nan", ".inf", "-.Inf", "nan",
@@ -29,22 +36,14 @@ KINDS = ("pipe", "zero", "folder", "loop", "sparse", "missing", "long", "null", 
 """What may stand in the place of a file."""
 
 
-def run(seed: int, count: int) -> list[str]:
-    """Tries mutated files.
-
-    Args:
-        seed: of the mutations.
-        count: how many.
-
-    Returns:
-        Failures: each a sentence with the case.
-    """
-    random = Random(seed)
-    return try_all("attacks.media", [make_case(random) for _ in range(count)])
+def cases(options: Namespace, numbers: range) -> list[Case]:
+    """List cases; each depends on those before it."""
+    random = Random(options.seed)
+    return [make_case(random) for _ in range(numbers.stop)][numbers.start :]
 
 
-def make_case(random: Random) -> dict[str, Any]:
-    """A random case: what stands in the place of a file, or its bytes, each as a character."""
+def make_case(random: Random) -> Case:
+    """Draw a case: what stands in the place of a file, or its bytes, each as a character."""
     if random.random() < 0.08:
         return {"kind": random.choice(KINDS)}
     content = (_bomb if random.random() < 0.25 else _mutant)(random)
@@ -52,72 +51,45 @@ def make_case(random: Random) -> dict[str, Any]:
 
 
 def prepare() -> None:
-    """Loads what the first case would, and makes sure that a sound file is taken."""
-    from mjgranular.medium.file import EXAMPLE
+    """Load what the first case would, and check that a sound file is taken."""
+    read({"kind": "file", "content": EXAMPLE})
+    untrusted.guard()
 
-    attempt({"kind": "file", "content": EXAMPLE})
+
+def attempt(case: Case, _note: Note) -> Result:
+    """Read a case."""
+    return untrusted.read(lambda: read(case), json.dumps(case))
 
 
-def attempt(case: dict[str, Any]) -> str:
-    """Reads the file, makes its law, and shows it by the command line.
-
-    Raises:
-        GranularError: it is refused.
-    """
-    from mjgranular.cli import main
-    from mjgranular.law import get_law
-    from mjgranular.medium import get_medium
-
-    path = _lay(case)
+def read(case: Case) -> str:
+    """Read the file, make its law, and list it with the command."""
+    path = put_file(case)
     try:
         medium = get_medium(path)
     except Exception:
         assert main(["media", path]) == 2
         raise
-    # Laws look at the constants of their own: names and values may be wrong yet.
+    # Each law checks its own constants: names and values may still be wrong.
     shown = {main(["media", path, *form]) for form in ([], ["--json"])}
     assert shown in ({0}, {2})
     return f"{medium.name} {get_law(None, medium)}"[:500]
 
 
-def _lay(case: dict[str, Any]) -> str:
-    """Lays what is to be read where it is to be read from."""
+def put_file(case: Case) -> str:
+    """Make the file of a case, and return its path."""
     path = Path("stranger.yaml")
-    if path.is_dir():
-        path.rmdir()
-    path.unlink(missing_ok=True)
-    kind = case["kind"]
-    if kind == "file":
+    if case["kind"] == "file":
+        untrusted.remove(path)
         path.write_bytes(case["content"].encode("latin-1"))
-    elif kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "zero":
-        path.symlink_to("/dev/zero")
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "loop":
-        path.symlink_to(path)
-    elif kind == "sparse":
-        with path.open("wb") as file:
-            file.truncate(10**11)
-    elif kind == "unreadable":
-        path.symlink_to("/proc/self/mem")
-    return {"long": "x" * 5000 + ".yaml", "null": "a\0b.yaml"}.get(kind, str(path))
+    else:
+        untrusted.put_special(path, case["kind"])
+    return {"long": "x" * 5000 + ".yaml", "null": "a\0b.yaml"}.get(case["kind"], str(path))
 
 
 def _mutant(random: Random) -> bytes:
-    """The example with some things changed."""
-    from mjgranular.medium.file import EXAMPLE
-
+    """Change some things in the example."""
     text = EXAMPLE + "grain: {value: 0.0003, unit: m, source: sieved}\n"
-    changes: tuple[Callable[[str, Random], str], ...] = (
-        _word,
-        _word,
-        _value,
-        _value,
-        _lines,
-        _letters,
-    )
+    changes: list[Callable[[str, Random], str]] = [*[_word] * 2, *[_value] * 2, _lines, _letters]
     for _ in range(random.choice((1, 1, 2, 4))):
         text = random.choice(changes)(text, random)
     content = text.encode("utf-8", "surrogatepass")
@@ -130,21 +102,21 @@ def _mutant(random: Random) -> bytes:
 
 
 def _word(text: str, random: Random) -> str:
-    """Another word in the place of one."""
+    """Replace a word."""
     words = list(re.finditer(r"[^\s:{},]+", text))
     found = random.choice(words)
     return text[: found.start()] + random.choice(VALUES) + text[found.end() :]
 
 
 def _value(text: str, random: Random) -> str:
-    """Another value behind a colon."""
+    """Replace a value after a colon."""
     found = random.choice(list(re.finditer(r"(?<=: )[^,}\n]+", text)) or [re.match("", text)])
     assert found is not None
     return text[: found.start()] + random.choice(VALUES) + text[found.end() :]
 
 
 def _lines(text: str, random: Random) -> str:
-    """A line more, less, elsewhere or further in."""
+    """Delete, copy, indent or add a line."""
     lines = text.split("\n")
     at = random.randrange(len(lines))
     kind = random.randrange(4)
@@ -155,27 +127,22 @@ def _lines(text: str, random: Random) -> str:
     elif kind == 2:
         lines[at] = " " * random.randrange(9) + lines[at]
     else:
-        lines.insert(
-            at, random.choice(("---", "...", "%YAML 9.9", "- x", "? y", "# z", "a: &b {c: d}"))
-        )
+        strange = ("---", "...", "%YAML 9.9", "- x", "? y", "# z", "a: &b {c: d}")
+        lines.insert(at, random.choice(strange))
     return "\n".join(lines)
 
 
 def _letters(text: str, random: Random) -> str:
-    """Some characters lost or put in."""
+    """Delete or insert some characters."""
     for _ in range(random.randrange(1, 6)):
         at = random.randrange(len(text) + 1)
-        put = random.choice(
-            ("", "{", "}", "[", "]", "&", "*", "!", "%", "'", '"', ":", "-", "\x1b")
-        )
+        put = random.choice(("", *"{}[]&*!%'\":-\x1b"))
         text = text[:at] + put + text[at + random.randrange(2) :]
     return text
 
 
 def _bomb(random: Random) -> bytes:
-    """Something that swells where it is read."""
-    from mjgranular.medium.file import EXAMPLE
-
+    """Write something that grows when it is read."""
     size = random.choice((100, 2000, 20_000, 99_000, 150_000, 2_000_000))
     width = random.randrange(2, 12)
     levels = min(size // (5 * width), 60)

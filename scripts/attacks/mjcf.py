@@ -1,15 +1,22 @@
-"""Models with configurations of our plugins as strangers might write them."""
+"""Load models whose plugins are configured as strangers might do it."""
 
 from __future__ import annotations
 
+import json
 import math
-import os
 import re
+from argparse import Namespace
 from pathlib import Path
 from random import Random
-from typing import Any
 
-from attacks.trial import CANARY, try_all
+import mujoco
+import numpy as np
+from attacks import untrusted
+from attacks.untrusted import CANARY
+from attacks.worker import Case, Note, Result
+
+from mjgranular.cli import main
+from mjgranular.medium.file import EXAMPLE
 
 NUMBERS = (
     "nan", "inf", "-inf", "1e400", "-1e400", "1e308", "1e-320", "-0.0", "0", "-1", "1e20",
@@ -56,24 +63,16 @@ SOUND_SENSOR = {"measure": "force", "sand": "sand"}
 UNKNOWN = ("median", "Medium", "law ", "__class__", "", "x" * 300, "é", "plugin", "draws", "state")
 
 
-def run(seed: int, count: int) -> list[str]:
-    """Tries mutated models.
-
-    Args:
-        seed: of the mutations.
-        count: how many.
-
-    Returns:
-        Failures: each a sentence with the case.
-    """
-    random = Random(seed)
-    return try_all("attacks.mjcf", [make_case(random) for _ in range(count)])
+def cases(options: Namespace, numbers: range) -> list[Case]:
+    """List cases; each depends on those before it."""
+    random = Random(options.seed)
+    return [make_case(random) for _ in range(numbers.stop)][numbers.start :]
 
 
-def make_case(random: Random) -> dict[str, Any]:
-    """A random case: the model's bytes, each as a character."""
+def make_case(random: Random) -> Case:
+    """Draw a case: the bytes of a model, each as a character."""
     keys = random.sample(sorted(SOUND), random.randrange(len(SOUND) + 1))
-    case: dict[str, Any] = {
+    case: Case = {
         "sand": [(key, SOUND[key]) for key in keys],
         "name": "sand",
         "bodies": ["rod", "second rod"],
@@ -86,42 +85,34 @@ def make_case(random: Random) -> dict[str, Any]:
         random.choice(changes)(case, random)
     content = _xml(case).encode("utf-8", "surrogatepass")
     for _ in range(random.choice((*[0] * 12, 1, 3))):  # mostly within texts
-        at = random.choice(
-            [found.start() for found in re.finditer(rb'(?<=[="a-z])[a-z_]', content)]
-        )
+        letters = re.finditer(rb'(?<=[="a-z])[a-z_]', content)
+        at = random.choice([found.start() for found in letters])
         content = content[:at] + random.randbytes(1) + content[at + 1 :]
     return {"content": content.decode("latin-1")}
 
 
 def prepare() -> None:
-    """Compiles what sound cases would, and makes sure that they are taken."""
-    from mjgranular.medium.file import EXAMPLE
-
+    """Compile what sound cases need, and check that they are taken."""
     Path("stranger.yaml").write_text(EXAMPLE, encoding="utf-8")
     Path("evil.yaml").write_text(f"!!python/object/apply:os.system [touch {CANARY}]", "utf-8")
-    Path("pipe.yaml").unlink(missing_ok=True)
-    if hasattr(os, "mkfifo"):
-        os.mkfifo("pipe.yaml")
-    Path("folder.yaml").mkdir(exist_ok=True)
+    untrusted.put_special(Path("pipe.yaml"), "pipe")
+    untrusted.put_special(Path("folder.yaml"), "folder")
     sound = {
         "name": "sand", "bodies": ["rod", "second rod"], "others": [],
         "sensor": list(SOUND_SENSOR.items()), "object": "",
     }  # fmt: skip
     for sand in ({**SOUND, "draw": "forces depth"}, {}):
-        attempt({"content": _xml({**sound, "sand": list(sand.items())})})
+        read({"content": _xml({**sound, "sand": list(sand.items())})})
+    untrusted.guard()
 
 
-def attempt(case: dict[str, Any]) -> str:
-    """Loads the model and lets it run a little, and looks at it by the command line.
+def attempt(case: Case, _note: Note) -> Result:
+    """Read a case."""
+    return untrusted.read(lambda: read(case), json.dumps(case), own_words)
 
-    Raises:
-        ValueError: MuJoCo cannot load it, as we tell it.
-    """
-    import mujoco
-    import numpy as np
 
-    from mjgranular.cli import main
-
+def read(case: Case) -> str:
+    """Load the model, take some steps, and list its elements with the command."""
     path = Path("model.xml")
     path.write_bytes(case["content"].encode("latin-1"))
     try:
@@ -138,7 +129,7 @@ def attempt(case: dict[str, Any]) -> str:
 
 
 def own_words(error: Exception) -> str | None:
-    """What an error of MuJoCo's says for us, or that it has words of its own; None for a leak."""
+    """Return our sentence in an error of MuJoCo, or MuJoCo's own; None for an error that leaked."""
     if isinstance(error, UnicodeDecodeError):  # MuJoCo repeats what it was given
         return None if b"mjgranular '" in error.object else "MuJoCo: not UTF-8"
     said = str(error)
@@ -149,7 +140,7 @@ def own_words(error: Exception) -> str | None:
     return None if leak else ours[1]
 
 
-def _xml(case: dict[str, Any]) -> str:
+def _xml(case: Case) -> str:
     first, second = case["bodies"]
     sand = _configs(case["sand"])
     named = f"name={_quoted(case['name'])}" if case["name"] is not None else ""
@@ -185,13 +176,13 @@ def _configs(pairs: list[tuple[str, str]]) -> str:
 
 
 def _quoted(text: str) -> str:
-    """An attribute of XML; MuJoCo's reader takes control characters by their numbers."""
+    """Quote an attribute of XML; MuJoCo's reader takes control characters by their numbers."""
     special = {c: f"&#{ord(c)};" for c in "\"&<>'\n\r\t\x1b"}
     return '"' + "".join(special.get(c, c) for c in text) + '"'
 
 
-def _number(case: dict[str, Any], random: Random) -> None:
-    """Another number in the place of one."""
+def _number(case: Case, random: Random) -> None:
+    """Replace a number."""
     places = [
         (i, m) for i, (_, text) in enumerate(case["sand"]) for m in re.finditer(r"[\d.]+", text)
     ]
@@ -203,23 +194,23 @@ def _number(case: dict[str, Any], random: Random) -> None:
     case["sand"][at] = (key, text[: found.start()] + random.choice(NUMBERS) + text[found.end() :])
 
 
-def _text(case: dict[str, Any], random: Random) -> None:
-    """Another text for a key."""
+def _text(case: Case, random: Random) -> None:
+    """Replace the text of a key."""
     key = random.choice(sorted([*SOUND, "draw"]))
     case["sand"] = [pair for pair in case["sand"] if pair[0] != key]
     case["sand"].append((key, random.choice(TEXTS)))
 
 
-def _key(case: dict[str, Any], random: Random) -> None:
-    """A key that does not exist, or one twice."""
+def _key(case: Case, random: Random) -> None:
+    """Add a key that does not exist, or one twice."""
     if case["sand"] and random.random() < 0.5:
         case["sand"].append(random.choice(case["sand"]))
     else:
         case["sand"].append((random.choice(UNKNOWN), random.choice(TEXTS)))
 
 
-def _sensor(case: dict[str, Any], random: Random) -> None:
-    """Another sensor, which may have nothing to measure."""
+def _sensor(case: Case, random: Random) -> None:
+    """Replace the sensor; it may have nothing to measure."""
     texts = ("force", "moment", "depth", "power", "speed", "Force", "sand", *TEXTS, *NAMES)
     keys = random.choices(
         ("measure", "sand", *UNKNOWN), (30, 20, *([1] * len(UNKNOWN))), k=random.randrange(3)
@@ -237,16 +228,16 @@ def _sensor(case: dict[str, Any], random: Random) -> None:
     )  # fmt: skip
 
 
-def _name(case: dict[str, Any], random: Random) -> None:
-    """Names that are strange."""
+def _name(case: Case, random: Random) -> None:
+    """Use a strange name."""
     if random.random() < 0.5:
         case["bodies"][random.randrange(2)] = random.choice(NAMES)
     else:
         case["name"] = random.choice(NAMES)
 
 
-def _instances(case: dict[str, Any], random: Random) -> None:
-    """More instances, or none."""
+def _instances(case: Case, random: Random) -> None:
+    """Add instances, or take the name of the only one."""
     others = [
         "",
         "<instance name='second'/>",

@@ -1,6 +1,6 @@
-"""Random models, with random sand in them: all that MJCF has joints, bodies and forces for.
+"""Draw random models with random sand: all joints, bodies and forces that MJCF has.
 
-A model is drawn from a seed and a number alone, so that either can be told to somebody else.
+A model follows from a seed and a number alone.
 """
 
 from __future__ import annotations
@@ -53,18 +53,6 @@ PROGRAMS = (
 """Laws, surfaces and schemes: each of these is compiled once on a machine."""
 CELLS = (0.005, 0.01, 0.02)
 
-SMALLEST = """
-<mujoco>
-  <asset><hfield name="dunes" nrow="2" ncol="2" size="1 1 0.1 0.1"/></asset>
-  <worldbody>
-    <geom name="dunes" type="hfield" hfield="dunes"/>
-    <geom name="tray" type="box" size="1 1 0.2" pos="0 0 -0.2"/>
-    <body pos="0 0 -0.01"><freejoint/><geom name="g" type="capsule" size="0.05 0.1"/></body>
-  </worldbody>
-</mujoco>
-"""
-"""A model for any law on any surface."""
-
 
 @dataclass
 class Drawn:
@@ -82,20 +70,20 @@ class Drawn:
 
 
 def draw(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
-    """Draws a model that MuJoCo can compile, for a law, a surface and a scheme."""
+    """Draw a model that MuJoCo can compile, for a law, a surface and a scheme."""
     while True:
         draft = Draft(rng, program)
         drawn = draft.finish()
         try:
             model = mujoco.MjModel.from_xml_string(drawn.xml)
-        except ValueError:  # an inertia that is none, an equality that cannot be
+        except ValueError:  # an inertia or an equality that is not possible
             continue
         if model.nv and np.isfinite(model.body_mass).all():
             return drawn
 
 
 def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
-    """Draws free bodies that lie side by side in sand, and perhaps on a floor under it."""
+    """Draw free bodies that lie side by side in sand, and perhaps on a floor under it."""
     law, _, scheme = program
     draft = Draft(rng, program)
     timestep = rng.choice(TIMESTEPS[4:7])
@@ -138,7 +126,7 @@ def draw_twin(
             joint.stiffness[:], joint.damping[:], joint.frictionloss, joint.armature = 0, 0, 0, 0
         try:
             spec.copy().compile()
-        except ValueError:  # an inertia that is none
+        except ValueError:  # an inertia that is not possible
             continue
         chosen = f", geoms={draft.geoms}" if program[0].startswith("link") else ""
         return spec, draft.sand(place) + chosen
@@ -166,6 +154,12 @@ class Draft:
     def numbers(self, low: float, high: float, count: int) -> str:
         return " ".join(f"{x:.4g}" for x in self.rng.uniform(low, high, count))
 
+    def maybe(self, probability: float, name: str, low: float, high: float) -> str:
+        """Return an attribute with a power of ten, or nothing."""
+        if not self.chance(probability):
+            return ""
+        return f' {name}="{10 ** self.rng.uniform(low, high):.3g}"'
+
     def turn(self) -> str:
         return " ".join(f"{x:.4g}" for x in self.rng.normal(size=4))
 
@@ -175,7 +169,7 @@ class Draft:
     # The whole
 
     def finish(self) -> Drawn:
-        """Draws all parts."""
+        """Draw all parts."""
         rng, (law, surface, scheme) = self.rng, self.program
         fine = scheme == "explicit" and self.chance(0.8)
         timestep = float(rng.choice(TIMESTEPS[:3] if fine else TIMESTEPS))
@@ -199,7 +193,7 @@ class Draft:
         return Drawn(xml, sand, self.program)
 
     def sand(self, place: str) -> str:
-        """Arguments of `Sand`."""
+        """Return arguments of `Sand`."""
         law, surface, scheme = self.program
         sand = str(self.rng.choice(LAWS[law]))
         if "memory" in surface:
@@ -254,7 +248,7 @@ class Draft:
         return f"<asset>{rows}</asset>"
 
     def place(self, surface: str) -> tuple[str, str]:
-        """The surface as it would be written, and the geom that it is made of."""
+        """Return the surface as it would be written, and the geom that it is made of."""
         tilt = f"1 {self.rng.normal(scale=0.08):.3g} {self.rng.normal(scale=0.08):.3g} 0"
         if surface.startswith("bed"):
             return "Bed('tray')", (
@@ -324,7 +318,7 @@ class Draft:
         return self.joint()
 
     def inertial(self) -> str:
-        """Of its own, off the origin and turned; or none, for that of the geoms."""
+        """Return an inertia off the origin and turned, or nothing, for that of the geoms."""
         if not self.chance(0.35):
             return ""
         rng = self.rng
@@ -387,15 +381,9 @@ class Draft:
             words.append(f'limited="true" range="{reach}" margin="{rng.choice([0, 0.01])}"')
         else:
             words.append('limited="false"')
-        if self.chance(0.25):
-            words.append(f'stiffness="{10 ** rng.uniform(-1, 3):.3g}"')
-        if self.chance(0.35):
-            words.append(f'damping="{10 ** rng.uniform(-3, 1):.3g}"')
-        if self.chance(0.2):
-            words.append(f'frictionloss="{10 ** rng.uniform(-3, 0.5):.3g}"')
-        if self.chance(0.3):
-            words.append(f'armature="{10 ** rng.uniform(-4, 0):.3g}"')
-        return f"<joint {' '.join(words)}/>"
+        more = self.maybe(0.25, "stiffness", -1, 3) + self.maybe(0.35, "damping", -3, 1)
+        more += self.maybe(0.2, "frictionloss", -3, 0.5) + self.maybe(0.3, "armature", -4, 0)
+        return f"<joint {' '.join(words)}{more}/>"
 
     # What ties bodies together, and what drives them
 
@@ -420,13 +408,8 @@ class Draft:
     def tendons(self) -> str:
         rows, rng = "", self.rng
         scalars = [name for name, kind in self.joints if kind != "ball"]
-        more = ""
-        if self.chance(0.5):
-            more += f' stiffness="{10 ** rng.uniform(-1, 2):.3g}"'
-        if self.chance(0.5):
-            more += f' damping="{10 ** rng.uniform(-3, 0.5):.3g}"'
-        if self.chance(0.3):
-            more += f' frictionloss="{10 ** rng.uniform(-3, 0):.3g}"'
+        more = self.maybe(0.5, "stiffness", -1, 2) + self.maybe(0.5, "damping", -3, 0.5)
+        more += self.maybe(0.3, "frictionloss", -3, 0)
         if self.chance(0.3):
             more += ' limited="true" range="0 0.3"'
         if self.chance(0.2):

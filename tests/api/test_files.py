@@ -20,13 +20,14 @@ from mjgranular.pool import UNFINISHED
 from mjgranular.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
 from mjgranular.signals import Stopped, stopped_by_signals
 
-ATTACKS = Path(__file__).resolve().parents[2] / "scripts" / "attacks"
+ATTACK = Path(__file__).resolve().parents[2] / "scripts" / "attack.py"
 QUICK = ["--timestep", "1e-4", "--duration", "0.05", "--json"]
 
 
-def attack(name: str, *options: str, seconds: float) -> None:
-    """Runs one of the attacks in a process of its own; fails with what it found."""
-    command = [sys.executable, str(ATTACKS / f"{name}.py"), *options]
+def attack(folder: Path, name: str, *options: str, seconds: float) -> None:
+    """Run one of the attacks in a process of its own; fail with what it found."""
+    command = [sys.executable, str(ATTACK), "--only", name, *options]
+    command += ["--jobs", "1", "--out", str(folder / "attack.jsonl")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -438,15 +439,16 @@ def test_fields_have_known_names_and_types(content):
 
 
 @pytest.mark.slow
-def test_files_of_strangers_are_read_as_data_or_refused():
-    attack("files", "--count", "100", "--seed", "1", seconds=200)
+def test_files_of_strangers_are_read_as_data_or_refused(tmp_path):
+    attack(tmp_path, "files", "--count", "100", "--seed", "1", seconds=200)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 @pytest.mark.parametrize("kind", ["impact", "sweep", "train", "compare"])
-def test_killed_commands_lose_nothing(kind):
-    attack("kills", "--count", "4", "--kinds", kind, seconds=300)
+def test_killed_commands_lose_nothing(kind, tmp_path):
+    rounds = {"impact": "1", "train": "3"}.get(kind, "2")  # some four kills
+    attack(tmp_path, "kills", "--count", rounds, "--commands", kind, seconds=300)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signal")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import os
 import sys
@@ -37,13 +38,12 @@ def attacks(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.slow
-def test_mutated_media_are_refused_in_one_sentence(attacks: Any) -> None:
-    assert attacks("media").run(seed=1, count=80) == []
-
-
-@pytest.mark.slow
-def test_mutated_models_are_refused_in_one_sentence(attacks: Any) -> None:
-    assert attacks("mjcf").run(seed=1, count=120) == []
+@pytest.mark.parametrize(("name", "count"), [("media", 80), ("mjcf", 120)])
+def test_mutated_texts_are_refused_in_one_sentence(attacks: Any, name: str, count: int) -> None:
+    cases = attacks(name).cases(argparse.Namespace(seed=1), range(count))
+    results = [result for _, result in attacks("worker").run(f"attacks.{name}", cases)]
+    assert len(results) == count
+    assert [found for result in results for found in result.findings] == []
 
 
 @pytest.mark.parametrize(
@@ -58,9 +58,9 @@ def test_mutated_models_are_refused_in_one_sentence(attacks: Any) -> None:
     ],
 )
 def test_the_attack_sees_what_is_wrong(attacks: Any, answer: dict[str, Any], wrong: str) -> None:
-    trial = attacks("trial")
-    assert trial.judge({}, trial.Answer(kind="taken", said="x")) is None
-    assert wrong in trial.judge({}, trial.Answer(**answer))
+    untrusted = attacks("untrusted")
+    assert not untrusted.judge(untrusted.Answer(kind="taken", said="x"))
+    assert wrong in untrusted.judge(untrusted.Answer(**answer))
 
 
 # Media

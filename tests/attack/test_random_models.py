@@ -1,6 +1,7 @@
 """The short form of `scripts/attack.py`: random models through both doors."""
 
 import importlib
+import signal
 from collections import Counter
 
 import mujoco
@@ -21,28 +22,52 @@ PROGRAMS = (
 )
 
 
-@pytest.fixture(scope="module")
-def at_work():
-    """Children that walk models, with all their programs compiled."""
-    with importlib.import_module("attacks.crew").Crew(jobs=2) as crew:
-        for _ in crew.warm(PROGRAMS):
-            pass
-        yield crew
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "options", "hostile", "rest"])
-def test_random_models(kind, at_work):
-    tally = importlib.import_module("attacks.report").Tally()
-    for row in at_work.walk(0, range(MODELS // 4), STEPS, PROGRAMS, kind):
-        tally.add(row)
-    assert tally.models == MODELS // 4
-    assert tally.counts["steps"] > 0.4 * MODELS // 4 * STEPS
-    failures = [
-        f"seed 0, {f['number']}, step {f['step']}, {f['door']}: {f['kind']}: {f['text']}"
-        for f in tally.failures
-    ]
+def test_random_models(kind):
+    common = {"seed": 0, "steps": STEPS, "programs": PROGRAMS, "kind": kind, "bare": False}
+    cases = [{**common, "number": number} for number in range(MODELS // 4)]
+    failures, steps = [], 0
+    for number, result in importlib.import_module("attacks.worker").run("attacks.walk", cases, 2):
+        steps += result.counts.get("steps", 0)
+        failures += [f"seed 0, {number}: {found}" for found in result.findings if found.failed]
+    assert steps > 0.4 * MODELS // 4 * STEPS
     assert not failures, "\n".join(failures)
+
+
+DEATHS = """
+import ctypes, os, signal, time
+from attacks.worker import Result
+PATIENCE = 3.0
+
+def attempt(case, note):
+    note(f"at {case['how']}")
+    exec(case["how"])
+    return Result(counts={"fine": 1})
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal")
+def test_a_worker_that_dies_or_hangs_is_a_finding_and_the_rest_goes_on(tmp_path, monkeypatch):
+    (tmp_path / "deaths.py").write_text(DEATHS)
+    monkeypatch.syspath_prepend(tmp_path)
+    deaths = {
+        "os.kill(os.getpid(), signal.SIGKILL)": "SIGKILL",
+        "ctypes.string_at(0)": "SIGSEGV",
+        "os._exit(3)": "exit code 3",
+        "time.sleep(60)": "hangs",
+        "raise KeyError": "the attack itself",
+    }
+    lines = ["pass", *(line for death in deaths for line in (death, "pass"))]
+    run = importlib.import_module("attacks.worker").run
+    found = {}
+    for index, result in run("deaths", [{"how": line} for line in lines], 2):
+        assert result.counts == ({"fine": 1} if lines[index] == "pass" else {})
+        for finding in result.findings:
+            assert finding.failed
+            assert finding.where in ("", f"at {lines[index]}")
+            found[lines[index]] = finding.kind
+    assert found == deaths
 
 
 def test_every_event_can_happen():

@@ -1,7 +1,4 @@
-"""The engine Ray: one cluster of two nodes for all, since its start takes seconds.
-
-Twenty workers ended, and a thousand drops, are in `scripts/attacks/workers.py`.
-"""
+"""The engine Ray: one cluster of two nodes for all, since its start takes seconds."""
 
 import operator
 import os
