@@ -19,7 +19,6 @@ from mjgranular.cli.console import (
     show_error,
     show_warp_compilation,
 )
-from mjgranular.cli.tuning import SearchOptions, is_search, search_anew, search_on
 from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
@@ -35,7 +34,7 @@ _FIGURE = "curve.png"
 
 
 @dataclass(frozen=True)
-class TrainCommand(SearchOptions):
+class TrainCommand:
     """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3, or on Ray with PPO of RLlib.
 
     ENV is an id of Gymnasium's: `mjgranular envs` lists ours; any other goes too, `my_module:My-v0`
@@ -101,8 +100,6 @@ class TrainCommand(SearchOptions):
     def run(self) -> int:
         """Runs the command."""
         _ = self.on  # which checks itself
-        if is_search(self, self.resume):
-            return self._search()
         run = self._begun() if self.resume is None else self._resumed(self.resume)
         with run.locked():
             if self.resume is not None:
@@ -118,41 +115,6 @@ class TrainCommand(SearchOptions):
             if training.progress.curve:
                 _draw(run, training)
         return self._tell(run, training)
-
-    def _search(self) -> int:
-        if self.env_runners is not None:
-            raise InputError(
-                "--env-runners shares the environments of one training, and a trial of --search "
-                "has a core to itself: give --workers, trials at once"
-            )
-        if self.engine == "warp":
-            raise InputError("trials of --search are trained with --engine local or ray")
-        on = Workers(self.engine, self.workers, None, self.address)
-        if self.resume is not None:
-            self._leave_away(
-                self.resume,
-                {
-                    "--search": self.search,
-                    "--trials": self.trials,
-                    "--scheduler": None if self.scheduler == "none" else self.scheduler,
-                    "--total-steps": self.total_steps,
-                },
-            )
-            return search_on(self.resume, on, trust=self.trust, as_json=self.json)
-        environment, settings, seed = self._asked()
-        path = (
-            self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-search-{seed}"
-        )
-        return search_anew(
-            self,
-            environment,
-            settings,
-            seed=seed,
-            path=path,
-            changed=self._changes,
-            on=on,
-            as_json=self.json,
-        )
 
     def _asked(self) -> tuple[str, Settings, int]:
         """Environment, settings and seed, as far as they are right."""
@@ -200,7 +162,7 @@ class TrainCommand(SearchOptions):
         return find_settings(environment, algorithm=algorithm, file=self.settings)
 
     def _resumed(self, path: Path) -> Run:
-        self._leave_away(path, {}, " (--total-steps may be given)")
+        self._check_nothing_repeated(path)
         run = open_run(path, trust=self.trust)
         run.check_environment()
         return run
@@ -209,8 +171,8 @@ class TrainCommand(SearchOptions):
     def _changes(self) -> tuple[str, ...]:
         return self.set if self.num_envs is None else (*self.set, f"num_envs={self.num_envs}")
 
-    def _leave_away(self, path: Path, further: dict[str, object], may: str = "") -> None:
-        """Refuses options that say again what is gone on with."""
+    def _check_nothing_repeated(self, path: Path) -> None:
+        """Raise if an option repeats a setting of the resumed run."""
         given = {
             "ENV": self.environment,
             "--algorithm": self.algorithm,
@@ -220,12 +182,12 @@ class TrainCommand(SearchOptions):
             "--processes": self.processes or None,
             "--seed": self.seed,
             "--out": self.out,
-            **further,
         }
         extra = [name for name, value in given.items() if value is not None]
         if extra:
             raise InputError(
-                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away{may}"
+                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away "
+                "(--total-steps may be given)"
             )
 
     def _train(self, run: Run) -> Training:

@@ -278,22 +278,6 @@ def algorithm_class(name: str) -> Any:
     return getattr(module, name.upper())
 
 
-def setting_names(algorithm: str) -> list[str]:
-    """Names of what `change` changes, but for those of tables: fields, arguments of a class."""
-    own = [entry.name for entry in fields(Settings) if entry.name not in _TABLES]
-    signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
-    return [*own, *(name for name in signature if name not in _GIVEN_BY_US)]
-
-
-def takes_whole_numbers(algorithm: str, name: str) -> bool:
-    """Whether the numbers that a setting takes are whole ones."""
-    if name in ("total_steps", "num_envs", "checkpoint_every"):
-        return True
-    signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
-    kinds = _members(signature[name].annotation) if name in signature else ()
-    return int in kinds and float not in kinds
-
-
 def linear_start(value: object) -> float | None:
     """First value of one that falls to zero: 3e-4 of "linear_3e-4"; None for other values."""
     if isinstance(value, str) and value.startswith(_LINEAR):

@@ -28,10 +28,6 @@ HOPPER = "mjgranular/Hopper-v0"
             [HOPPER, "--engine", "warp", "--set", "environment.memory='cell=0.01 extent=0.1'"],
             "too small for surroundings",
         ),
-        (
-            [HOPPER, "--engine", "warp", "--search", "gamma=0.9,0.99"],
-            "trained with --engine local or ray",
-        ),
     ],
 )
 def test_what_cannot_be_is_told_and_leaves_nothing(arguments, words, tmp_path, monkeypatch, capfd):
