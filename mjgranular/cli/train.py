@@ -22,12 +22,10 @@ from mjgranular.cli.console import (
 from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
-from mjgranular.learn.on_ray import check_training
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.sands import sands_of
 from mjgranular.learn.settings import Settings, change, find_settings
 from mjgranular.learn.train import Training, train
-from mjgranular.pool import Workers
 
 _REFRESH = 0.2  # [s]
 _FIGURE = "curve.png"
@@ -35,7 +33,7 @@ _FIGURE = "curve.png"
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3, or on Ray with PPO of RLlib.
+    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3.
 
     ENV is an id of Gymnasium's: `mjgranular envs` lists ours; any other goes too, `my_module:My-v0`
     for your own. Each has its settings in a file; --set changes them one by one. Ctrl-C or SIGTERM
@@ -59,17 +57,13 @@ class TrainCommand:
     """Settings to read in place of the environment's own."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
-    engine: Literal["local", "ray", "warp"] = "local"
-    """Step environments here, by RLlib's env runners (on this machine, or with --address on a
-    cluster), or all at once in MuJoCo Warp. A run may change with every --resume."""
+    engine: Literal["local", "warp"] = "local"
+    """Step environments on the cores of this machine, or all at once in MuJoCo Warp. A run may
+    change with every --resume."""
     device: Annotated[str | None, tyro.conf.arg(metavar="cuda:0|cpu")] = None
     """With --engine warp: where. Default: a GPU where there is one."""
     num_envs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Environments that are stepped at once, as --set num_envs=N."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
-    """Head of a Ray cluster; auto for the one that this machine belongs to."""
-    env_runners: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """With --engine ray: processes that share num_envs evenly. Default: at most one a core."""
     processes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Step each environment in a process of its own: for your own, which are no batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -80,26 +74,13 @@ class TrainCommand:
     """Print one JSON object at the end."""
 
     @property
-    def on(self) -> Workers:
-        """Where environments are stepped."""
-        if self.env_runners is not None and self.engine != "ray":
-            raise InputError("--env-runners is for --engine ray")
-        if self.device is not None and self.engine != "warp":
-            raise InputError("--device is for --engine warp")
-        return Workers(self._pool, self.env_runners, None, self.address)
-
-    @property
-    def _pool(self) -> Literal["local", "ray"]:
-        """What shares work among processes: MuJoCo Warp does not."""
-        return "ray" if self.engine == "ray" else "local"
-
-    @property
     def _warp(self) -> str | None:
         return (self.device or "auto") if self.engine == "warp" else None
 
     def run(self) -> int:
         """Runs the command."""
-        _ = self.on  # which checks itself
+        if self.device is not None and self.engine != "warp":
+            raise InputError("--device is for --engine warp")
         run = self._begun() if self.resume is None else self._resumed(self.resume)
         with run.locked():
             if self.resume is not None:
@@ -154,8 +135,7 @@ class TrainCommand:
     def _begun(self) -> Run:
         environment, settings, seed = self._asked()
         path = self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-{seed}"
-        check_training(settings, self.on)
-        return begin_run(path, environment, settings, seed=seed, engine=self._pool)
+        return begin_run(path, environment, settings, seed=seed)
 
     def _settings(self, environment: str) -> Settings:
         algorithm = None if self.algorithm is None else self.algorithm.lower()
@@ -204,7 +184,7 @@ class TrainCommand:
                     reached = "" if newest is None else f", return {newest:.4g}"
                     show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
 
-            return train(run, report=report, on=self.on, warp=self._warp)
+            return train(run, report=report, warp=self._warp)
 
     def _tell(self, run: Run, training: Training) -> int:
         progress = training.progress

@@ -192,9 +192,7 @@ class Run:
         )
 
 
-def begin_run(
-    path: Path | str, environment: str, settings: Settings, *, seed: int, engine: str = "local"
-) -> Run:
+def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: int) -> Run:
     """Makes the folder of a new run. Of two processes that try at once one is refused.
 
     The environment is made once, for its sand to be noted.
@@ -204,7 +202,6 @@ def begin_run(
         environment: Gymnasium's id.
         settings: resolved.
         seed: all random numbers follow from it.
-        engine: that it is trained with, whose version is noted too.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written to.
@@ -215,15 +212,13 @@ def begin_run(
         raise InputError(f"a seed is a whole number from 0 to {2**31 - 1}, not {seed}")
     if not is_text(environment):
         raise InputError(f"an environment has a name that can be printed, not {environment!r}")
-    packages = ("ray",) if engine == "ray" else ()
     started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
     if path.exists() and not path.is_dir():
         raise OutputError(f"cannot write to {path}: it is not a folder")
     if (path / CONFIG).exists():  # a run at work is locked, and told of as a run all the same
         raise _held(path)
     sand = sands_made(environment, settings.environment)
-    made_with = current_versions(*packages)
-    run = Run(path, environment, settings, seed, made_with, sand, trusted=True)
+    run = Run(path, environment, settings, seed, current_versions(), sand, trusted=True)
     with files.locked(path):
         files.remove_leftovers(path, (CONFIG,))
         if any(file.name != files.LOCK for file in path.iterdir()):
@@ -240,9 +235,9 @@ def _held(path: Path) -> OutputError:
     )
 
 
-def current_versions(*further: str) -> dict[str, Any]:
-    """Versions of the packages that a training depends on, and of `further`."""
-    return versions(*_PACKAGES, *further)
+def current_versions() -> dict[str, Any]:
+    """Return the versions of the packages that a training depends on."""
+    return versions(*_PACKAGES)
 
 
 def open_run(path: Path, *, trust: bool = False) -> Run:

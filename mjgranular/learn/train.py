@@ -25,7 +25,6 @@ from mjgranular.learn.checkpoint import (
 )
 from mjgranular.learn.keeping import Keeping, refuse_not_finite
 from mjgranular.learn.normalizer import FILE as NORMALIZER
-from mjgranular.learn.on_ray import check_training, here, learn
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
@@ -37,7 +36,6 @@ from mjgranular.learn.run import (
 from mjgranular.learn.sands import arguments_for, as_variant, sands_made
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
 from mjgranular.learn.weights import policy_arguments
-from mjgranular.pool import Workers
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,6 @@ def train(
     run: Run,
     *,
     report: Report | None = None,
-    on: Workers | None = None,
     threads: int | None = None,
     warp: str | None = None,
 ) -> Training:
@@ -81,13 +78,10 @@ def train(
 
     Args:
         run: what to train.
-        report: called at every step of the environments; on Ray after each rollout.
-        on: where environments are stepped: None for this process, which also learns; on Ray as many
-            env runners as its count says, to which a run may change with any checkpoint. There
-            results depend on their number, and on what comes first.
+        report: called at every step of the environments.
         threads: of a batch of environments; None for one a core. Results are the same.
         warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
-            here. A run may change that with any checkpoint, as it may change to Ray.
+            here. A run may change that with any checkpoint.
 
     Raises:
         InputError: the environment, the algorithm or its arguments do not go together.
@@ -102,30 +96,23 @@ def train(
     torch.set_num_threads(1)
     run.check_environment()
     run = _on_its_sand(run)
-    there = run  # as this process has it
-    check_training(run.settings, on)
-    if on is not None and on.engine == "ray":
-        there = here(run)
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = environments_of(there, threads=threads, warp=warp)
+    env = environments_of(run, threads=threads, warp=warp)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
-            model, progress = new_model(there, env), Progress(0, 0.0, [])
+            model, progress = new_model(run, env), Progress(0, 0.0, [])
         else:
             _warn_of_versions(run)
-            model, progress = load_checkpoint(newest, run, env, lambda: new_model(there, env))
+            model, progress = load_checkpoint(newest, run, env, lambda: new_model(run, env))
             if progress.steps >= run.settings.total_steps:
                 if not has_policy(run, newest):  # the process was killed before that
                     write_policy(run, newest)
                 return Training(progress, None, progress.steps)
         with collected_signals() as received:
-            if on is None or there is run:
-                saved = _learn(run, model, progress, report, received)
-            else:
-                saved = learn(run, model, progress, on=on, report=report, received=received)
+            saved = _learn(run, model, progress, report, received)
         # Of a signal after the last step nothing is left to be stopped.
         finished = saved.steps >= run.settings.total_steps
         stopped_by = received[0] if received and not finished else None
@@ -152,11 +139,11 @@ def begin_episodes(model: Any, seed: int) -> None:
 
 def _warn_of_versions(run: Run) -> None:
     """Says so where a run goes on with other packages than it was begun with."""
-    now = current_versions("ray")
+    now = current_versions()
     changed = [
-        f"{name} {then} (now {now.get(name)})"
+        f"{name} {then} (now {now[name]})"
         for name, then in run.versions.items()
-        if name != "platform" and now.get(name) != then
+        if name in now and name != "platform" and now[name] != then
     ]
     if changed:
         warn_user(

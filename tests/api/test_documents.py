@@ -88,6 +88,15 @@ def test_the_tuning_script_without_optuna_gives_the_install_line(tmp_path, monke
     assert "pip install 'mjgranular[tune]'" in done.stderr
 
 
+@pytest.mark.slow
+def test_the_rllib_script(tmp_path):
+    pytest.importorskip("ray.rllib", reason="the extra ray is not installed")
+    script = ROOT / "scripts" / "train_rllib.py"
+    printed = run(script, "mjgranular/ChainCrawl-v0", "2", "policy", cwd=tmp_path).splitlines()
+    assert re.fullmatch(r"2: 8192 steps, mean return \S+", printed[1])
+    assert (tmp_path / "policy" / "rllib_checkpoint.json").exists()
+
+
 @pytest.mark.parametrize(
     "page",
     [
