@@ -47,8 +47,8 @@ class TrainCommand:
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Go on with the run in this folder, up to its --total-steps or to a new number of them."""
     trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """With --resume: import the module of an environment that only the run's file names, and read a
-    pickled replay buffer, as version 0.1 wrote them: both execute code."""
+    """With --resume: import the module of an environment that only the run's file names: this
+    executes it."""
     algorithm: Annotated[str | None, tyro.conf.arg(metavar="ppo|sac|td3")] = None
     """Default: the one that the settings name."""
     total_steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None

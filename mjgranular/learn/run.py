@@ -24,9 +24,9 @@ from mjgranular.errors import (
     warn_user,
 )
 from mjgranular.experiment.folder import CONFIG, TRAINING
-from mjgranular.learn.normalizer import FILE as NORMALIZER
-from mjgranular.learn.sands import Sands, changes, read_sands, sands_made, told
+from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
 from mjgranular.learn.settings import Settings
+from mjgranular.learn.weights import NORMALIZER
 from mjgranular.pool.versions import versions
 from mjgranular.saved import is_text, number, read_json, read_text
 
@@ -52,8 +52,8 @@ class Run:
         settings: resolved.
         seed: all random numbers follow from it.
         versions: of the packages that it was begun with.
-        sand: of its environment when it was begun; None where that is not known, for one of a
-            version that did not note it.
+        sand: of its environment when the run began; None if unknown, as for environments
+            without a model of MuJoCo.
         trusted: whether the user vouches for it, so that what it names may be executed.
         restored: arguments that give the environment the sand that it had when the run was begun.
     """
@@ -148,28 +148,20 @@ class Run:
         return 0 if folder is None else read_state(folder)[0]
 
     def other_sand(self, now: Sands | None, settled: Iterable[str] = ()) -> str | None:
-        """Says how sand differs from what the run was begun on, or that this is not known.
+        """Describe how sand differs from that which the run was begun on.
 
         Args:
-            now: the sand of an environment; None where it is not known.
-            settled: names of arguments that the user has changed himself.
+            now: the sand of an environment; None if unknown.
+            settled: names of arguments that the user has changed.
 
         Returns:
-            The end of a sentence that begins with the run; None where nothing differs, or where
-            nobody can know it.
+            The end of a sentence that begins with the run; None where nothing differs or where the
+            sand is unknown.
         """
-        if now is None:
+        if now is None or self.sand is None:
             return None
-        if self.sand is not None:
-            found = changes(self.sand, now, settled)
-            return f"was begun on other sand: {', '.join(found)}" if found else None
-        chosen = {"law", *settled} if "law" in self.settings.environment else {*settled}
-        if not now or "law" in chosen or "medium" in chosen:
-            return None
-        return (
-            f"does not say what sand it was begun on: here that is {told(now)}, and before version "
-            "0.2 no law was for fast motion"
-        )
+        found = changes(self.sand, now, settled)
+        return f"was begun on other sand: {', '.join(found)}" if found else None
 
     def check_environment(self) -> None:
         """Makes sure that nothing is imported only because a stranger's file names it.

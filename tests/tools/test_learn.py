@@ -30,13 +30,6 @@ from mjgranular.learn.agents import Random, Zero, make_gait
 from mjgranular.learn.blocks import Evaluation, Job
 from mjgranular.learn.episodes import run_episodes
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
-from mjgranular.learn.normalizer import (
-    Normalizer,
-    normalizer_state,
-    read_normalizer,
-    read_state,
-    restore_normalizer,
-)
 from mjgranular.learn.policies import POLICY_FILES, load_policy
 from mjgranular.learn.run import Run, begin_run, open_run, read_curve
 from mjgranular.learn.search import grid, search_gaits
@@ -49,6 +42,13 @@ from mjgranular.learn.settings import (
     settings_file,
 )
 from mjgranular.learn.train import train
+from mjgranular.learn.weights import (
+    Normalizer,
+    read_normalizer,
+    read_statistics,
+    restore_statistics,
+    statistics_of,
+)
 
 ID = "Pendulum-v1"
 QUICK = {
@@ -320,14 +320,14 @@ def test_observations_are_normalised_as_in_training(tmp_path):
     env.reset()
     for _ in range(50):
         env.step(np.zeros((3, 1), np.float32))
-    (tmp_path / "normalizer.json").write_text(json.dumps(normalizer_state(env)))
+    (tmp_path / "normalizer.json").write_text(json.dumps(statistics_of(env)))
     like = {"normalized": True, "shape": (3,)}
     normalizer = read_normalizer(tmp_path / "normalizer.json", **like)
     assert isinstance(normalizer, Normalizer)
     seen = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32) * 30
     np.testing.assert_array_equal(normalizer(seen), env.normalize_obs(seen))
     other = environments()
-    restore_normalizer(other, read_state(tmp_path / "normalizer.json", **like))
+    restore_statistics(other, read_statistics(tmp_path / "normalizer.json", **like))
     np.testing.assert_array_equal(other.obs_rms.var, env.obs_rms.var)
     assert other.ret_rms.count == env.ret_rms.count
 
