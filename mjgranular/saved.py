@@ -132,7 +132,7 @@ def number(content: Mapping[str, Any], name: str, where: object) -> float | None
         OutputError: it is missing, or something else.
     """
     value = content.get(name, "")
-    if value is not None and not _fits(value, float):
+    if value is not None and not fits(value, float):
         raise OutputError(f"{where} is damaged: {name} must be a number, not {_kind(value)}")
     return None if value is None else float(value)
 
@@ -154,9 +154,40 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
     for name, value in content.items():
         if name not in hints:
             raise OutputError(f"{where} is damaged: there is no {name[:50]!r}")
-        if not _fits(value, hints[name]):
+        if not fits(value, hints[name]):
             raise OutputError(f"{where} is damaged: {name} cannot be {_kind(value)}")
     return content
+
+
+def fits(value: object, kind: Any) -> bool:
+    """Return whether a value read from a file is of a type.
+
+    Args:
+        value: of JSON or TOML; numbers must be finite, strings printable.
+        kind: a plain type, None, or a union, tuple or literal of such; of others there are none.
+    """
+    origin = typing.get_origin(kind)
+    if origin in (Union, types.UnionType):
+        return any(fits(value, member) for member in typing.get_args(kind))
+    if origin is Literal:
+        return isinstance(value, str) and value in typing.get_args(kind)
+    if origin is tuple:
+        if not isinstance(value, (list, tuple)):
+            return False
+        kinds = typing.get_args(kind)
+        kinds = kinds[:1] * len(value) if kinds[-1] is Ellipsis else kinds
+        return len(kinds) == len(value) and all(map(fits, value, kinds))
+    if kind is None or kind is type(None):
+        return value is None
+    if isinstance(value, bool):
+        return kind is bool
+    if kind is float:
+        return isinstance(value, (int, float)) and abs(value) < 1e300 and not math.isnan(value)
+    if kind is int:
+        return isinstance(value, int) and abs(value) < 2**53
+    if kind in (str, Path):
+        return is_text(value)
+    return False
 
 
 def is_plain_name(name: object) -> bool:
@@ -173,28 +204,6 @@ def is_plain_name(name: object) -> bool:
 def is_text(value: object) -> bool:
     """Tells whether a text can be shown: of sensible length, without control codes."""
     return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable()
-
-
-def _fits(value: object, kind: Any) -> bool:
-    origin = typing.get_origin(kind)
-    if origin in (Union, types.UnionType):
-        return any(_fits(value, member) for member in typing.get_args(kind))
-    if origin is Literal:
-        return isinstance(value, str) and value in typing.get_args(kind)
-    if origin is tuple:
-        of = typing.get_args(kind)[0]
-        return isinstance(value, (list, tuple)) and all(_fits(item, of) for item in value)
-    if kind is None or kind is type(None):
-        return value is None
-    if isinstance(value, bool):
-        return kind is bool
-    if kind is float:
-        return isinstance(value, (int, float)) and abs(value) < 1e300 and not math.isnan(value)
-    if kind is int:
-        return isinstance(value, int) and abs(value) < 2**53
-    if kind in (str, Path):
-        return is_text(value)
-    return False
 
 
 def _kind(value: object) -> str:

@@ -4,10 +4,6 @@
 
 Of `policy.zip` it leaves out what only a training needs, the optimiser's moments, two thirds of the
 file, and what machine it was. A copy acts as the original does, to the last bit, or is not kept.
-
-    python scripts/ship_policies.py --note-sand
-
-notes the sand of today in those that lie there and do not say what theirs is.
 """
 
 from __future__ import annotations
@@ -18,7 +14,6 @@ import json
 import shutil
 import sys
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +22,6 @@ import torch
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.policies import POLICY_FILES, SHIPPED, load_policy
 from mjgranular.learn.run import POLICY, open_run
-from mjgranular.learn.sands import sands_made
 
 _OPTIMISER = "policy.optimizer.pth"
 _MACHINE = "system_info.txt"
@@ -82,31 +76,12 @@ def ship(folder: Path, to: Path) -> Path:
     return there
 
 
-def note_sand(folder: Path) -> bool:
-    """Notes the sand that the environment of a run has now, unless it says what it had; tells so.
-
-    For runs that were trained when the sand was as it is now, by a version that did not note it.
-    """
-    run = open_run(folder)
-    if run.sand is not None:
-        return False
-    run = replace(run, sand=sands_made(run.environment, run.arguments))
-    file = folder / CONFIG
-    content = json.loads(file.read_text(encoding="utf-8"))
-    file.write_text(json.dumps({**run.config(), **content}, indent=2) + "\n", encoding="utf-8")
-    return True
-
-
 def main() -> int:
     """Copies the runs that are named."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("runs", nargs="*", type=Path)
     parser.add_argument("--to", type=Path, default=SHIPPED)
-    parser.add_argument("--note-sand", action="store_true")
     options = parser.parse_args()
-    if options.note_sand:
-        for file in sorted(options.to.rglob(CONFIG)):
-            print(f"{file.parent}: {'noted' if note_sand(file.parent) else 'has it already'}")
     for folder in options.runs:
         there = ship(folder, options.to)
         size = sum(file.stat().st_size for file in there.iterdir())

@@ -73,14 +73,12 @@ def doubt_of(actor: Actor, variant: str, now: Sands | None) -> str | None:
         now: the sand of the environment, with the variant; None where it is not known.
     """
     run = actor.who.run if isinstance(actor.who, Policy) else None
-    if run is None or actor.environment != run.environment:
+    if run is None or run.sand is None or actor.environment != run.environment:
         return None
     changes = parse_variant(variant)
     other = run.other_sand(now, changes)
     if other is None:
         return None
-    if run.sand is None:
-        return f"{actor.name} {other}; --on law=NAME is for another"
     restored = arguments_for(run.sand, run.environment, {**actor.arguments, **changes})
     if restored is None:
         return f"{actor.name} {other}; its environment cannot be given that any more"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -35,39 +35,6 @@ class EngineOptions:
     def where(self) -> Workers:
         """Where the runs are done."""
         return Workers(self.engine, self.workers, self.chunk, self.address)
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlaceOptions:
-    """The same for runs that by themselves use all cores of this machine."""
-
-    engine: Literal["local", "ray"] = "local"
-    """Processes of this machine, or Ray: on this machine, or with --address on a cluster."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
-    """Head of a Ray cluster; auto for the one that this machine belongs to."""
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Number of processes. Default: this one on all cores; on Ray one a core."""
-
-    @property
-    def where(self) -> Workers:
-        """Where the runs are done."""
-        count = 1 if self.engine == "local" and self.workers is None else self.workers
-        return Workers(self.engine, count, None, self.address)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BlockEngineOptions(PlaceOptions):
-    """The same for runs in blocks, which go on."""
-
-    chunk: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Blocks that a process is given at a time. Default: about a second's worth."""
-    resume: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Go on with what the folder of --out holds, and refuse to begin anew."""
-
-    @property
-    def where(self) -> Workers:
-        """Where the runs are done."""
-        return replace(super().where, chunk=self.chunk)
 
 
 def check_resumed(journal: Journal, folder: object) -> None:

@@ -14,21 +14,21 @@ from rich.text import Text
 
 from mjgranular.cli.agents import doubt_of, find_actor
 from mjgranular.cli.console import out, print_json, progress_bar
-from mjgranular.cli.engines import BlockEngineOptions, kept, tell_interrupted
+from mjgranular.cli.engines import EngineOptions, kept, tell_interrupted
 from mjgranular.errors import InputError, warn_user
 from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.learn import environments
 from mjgranular.learn.blocks import Evaluation, Job, run_evaluation
 from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, parse_variant
 from mjgranular.learn.sands import sands_of
-from mjgranular.pool import Journal, Mapped
+from mjgranular.pool import Journal, Mapped, Workers
 
 _SPEED = "x_velocity"
 _VALID = "sand/valid"
 
 
 @dataclass(frozen=True)
-class EvaluateCommand(BlockEngineOptions):
+class EvaluateCommand(EngineOptions):
     """Mean return over seeds with its 95 % confidence interval, for policies and baselines.
 
     Each POLICY is the folder of a run, the name of a policy that comes with the package
@@ -42,7 +42,7 @@ class EvaluateCommand(BlockEngineOptions):
     agent: Annotated[str, tyro.conf.arg(metavar="policy|zero|random|gait")] = "policy"
     """Who acts."""
     gait: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
-    """Parameters for --agent gait; `mjgranular gait ENV` finds the best."""
+    """Parameters for --agent gait."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ENV")] = None
     """Another environment than the one trained in; must observe and move the same."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE,... ...")] = ()
@@ -59,6 +59,12 @@ class EvaluateCommand(BlockEngineOptions):
     """Replace a result that the folder holds already."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print a JSON list instead of a table."""
+
+    @property
+    def where(self) -> Workers:
+        """Where episodes are run: by default in this process, where a batch uses all cores."""
+        count = 1 if self.engine == "local" and self.workers is None else self.workers
+        return Workers(self.engine, count, self.chunk, self.address)
 
     def run(self) -> int:
         """Runs the command."""

@@ -13,14 +13,12 @@ from typing import Annotated, Any, Union
 import tyro
 
 from mjgranular._version import __version__
-from mjgranular.cli.compare import CompareCommand
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
 from mjgranular.cli.envs import EnvsCommand
 from mjgranular.cli.evaluate import EvaluateCommand
 from mjgranular.cli.fit import FitCommand
-from mjgranular.cli.gait import GaitCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
@@ -50,8 +48,6 @@ COMMANDS: dict[str, Any] = {
     "elements": ElementsCommand,
     "train": TrainCommand,
     "evaluate": EvaluateCommand,
-    "gait": GaitCommand,
-    "compare": CompareCommand,
     "render": RenderCommand,
     "warm": WarmCommand,
     "studio": StudioCommand,

@@ -19,24 +19,21 @@ from mjgranular.cli.console import (
     show_error,
     show_warp_compilation,
 )
-from mjgranular.cli.tuning import SearchOptions, is_search, search_anew, search_on
 from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
-from mjgranular.learn.on_ray import check_training
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.sands import sands_of
 from mjgranular.learn.settings import Settings, change, find_settings
 from mjgranular.learn.train import Training, train
-from mjgranular.pool import Workers
 
 _REFRESH = 0.2  # [s]
 _FIGURE = "curve.png"
 
 
 @dataclass(frozen=True)
-class TrainCommand(SearchOptions):
-    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3, or on Ray with PPO of RLlib.
+class TrainCommand:
+    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3.
 
     ENV is an id of Gymnasium's: `mjgranular envs` lists ours; any other goes too, `my_module:My-v0`
     for your own. Each has its settings in a file; --set changes them one by one. Ctrl-C or SIGTERM
@@ -50,8 +47,8 @@ class TrainCommand(SearchOptions):
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Go on with the run in this folder, up to its --total-steps or to a new number of them."""
     trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """With --resume: import the module of an environment that only the run's file names, and read a
-    pickled replay buffer, as version 0.1 wrote them: both execute code."""
+    """With --resume: import the module of an environment that only the run's file names: this
+    executes it."""
     algorithm: Annotated[str | None, tyro.conf.arg(metavar="ppo|sac|td3")] = None
     """Default: the one that the settings name."""
     total_steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -60,17 +57,13 @@ class TrainCommand(SearchOptions):
     """Settings to read in place of the environment's own."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
-    engine: Literal["local", "ray", "warp"] = "local"
-    """Step environments here, by RLlib's env runners (on this machine, or with --address on a
-    cluster), or all at once in MuJoCo Warp. A run may change with every --resume."""
+    engine: Literal["local", "warp"] = "local"
+    """Step environments on the cores of this machine, or all at once in MuJoCo Warp. A run may
+    change with every --resume."""
     device: Annotated[str | None, tyro.conf.arg(metavar="cuda:0|cpu")] = None
     """With --engine warp: where. Default: a GPU where there is one."""
     num_envs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Environments that are stepped at once, as --set num_envs=N."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
-    """Head of a Ray cluster; auto for the one that this machine belongs to."""
-    env_runners: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """With --engine ray: processes that share num_envs evenly. Default: at most one a core."""
     processes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Step each environment in a process of its own: for your own, which are no batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -81,28 +74,13 @@ class TrainCommand(SearchOptions):
     """Print one JSON object at the end."""
 
     @property
-    def on(self) -> Workers:
-        """Where environments are stepped."""
-        if self.env_runners is not None and self.engine != "ray":
-            raise InputError("--env-runners is for --engine ray")
-        if self.device is not None and self.engine != "warp":
-            raise InputError("--device is for --engine warp")
-        return Workers(self._pool, self.env_runners, None, self.address)
-
-    @property
-    def _pool(self) -> Literal["local", "ray"]:
-        """What shares work among processes: MuJoCo Warp does not."""
-        return "ray" if self.engine == "ray" else "local"
-
-    @property
     def _warp(self) -> str | None:
         return (self.device or "auto") if self.engine == "warp" else None
 
     def run(self) -> int:
         """Runs the command."""
-        _ = self.on  # which checks itself
-        if is_search(self, self.resume):
-            return self._search()
+        if self.device is not None and self.engine != "warp":
+            raise InputError("--device is for --engine warp")
         run = self._begun() if self.resume is None else self._resumed(self.resume)
         with run.locked():
             if self.resume is not None:
@@ -118,41 +96,6 @@ class TrainCommand(SearchOptions):
             if training.progress.curve:
                 _draw(run, training)
         return self._tell(run, training)
-
-    def _search(self) -> int:
-        if self.env_runners is not None:
-            raise InputError(
-                "--env-runners shares the environments of one training, and a trial of --search "
-                "has a core to itself: give --workers, trials at once"
-            )
-        if self.engine == "warp":
-            raise InputError("trials of --search are trained with --engine local or ray")
-        on = Workers(self.engine, self.workers, None, self.address)
-        if self.resume is not None:
-            self._leave_away(
-                self.resume,
-                {
-                    "--search": self.search,
-                    "--trials": self.trials,
-                    "--scheduler": None if self.scheduler == "none" else self.scheduler,
-                    "--total-steps": self.total_steps,
-                },
-            )
-            return search_on(self.resume, on, trust=self.trust, as_json=self.json)
-        environment, settings, seed = self._asked()
-        path = (
-            self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-search-{seed}"
-        )
-        return search_anew(
-            self,
-            environment,
-            settings,
-            seed=seed,
-            path=path,
-            changed=self._changes,
-            on=on,
-            as_json=self.json,
-        )
 
     def _asked(self) -> tuple[str, Settings, int]:
         """Environment, settings and seed, as far as they are right."""
@@ -192,15 +135,14 @@ class TrainCommand(SearchOptions):
     def _begun(self) -> Run:
         environment, settings, seed = self._asked()
         path = self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-{seed}"
-        check_training(settings, self.on)
-        return begin_run(path, environment, settings, seed=seed, engine=self._pool)
+        return begin_run(path, environment, settings, seed=seed)
 
     def _settings(self, environment: str) -> Settings:
         algorithm = None if self.algorithm is None else self.algorithm.lower()
         return find_settings(environment, algorithm=algorithm, file=self.settings)
 
     def _resumed(self, path: Path) -> Run:
-        self._leave_away(path, {}, " (--total-steps may be given)")
+        self._check_nothing_repeated(path)
         run = open_run(path, trust=self.trust)
         run.check_environment()
         return run
@@ -209,8 +151,8 @@ class TrainCommand(SearchOptions):
     def _changes(self) -> tuple[str, ...]:
         return self.set if self.num_envs is None else (*self.set, f"num_envs={self.num_envs}")
 
-    def _leave_away(self, path: Path, further: dict[str, object], may: str = "") -> None:
-        """Refuses options that say again what is gone on with."""
+    def _check_nothing_repeated(self, path: Path) -> None:
+        """Raise if an option repeats a setting of the resumed run."""
         given = {
             "ENV": self.environment,
             "--algorithm": self.algorithm,
@@ -220,12 +162,12 @@ class TrainCommand(SearchOptions):
             "--processes": self.processes or None,
             "--seed": self.seed,
             "--out": self.out,
-            **further,
         }
         extra = [name for name, value in given.items() if value is not None]
         if extra:
             raise InputError(
-                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away{may}"
+                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away "
+                "(--total-steps may be given)"
             )
 
     def _train(self, run: Run) -> Training:
@@ -242,7 +184,7 @@ class TrainCommand(SearchOptions):
                     reached = "" if newest is None else f", return {newest:.4g}"
                     show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
 
-            return train(run, report=report, on=self.on, warp=self._warp)
+            return train(run, report=report, warp=self._warp)
 
     def _tell(self, run: Run, training: Training) -> int:
         progress = training.progress

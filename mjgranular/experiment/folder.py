@@ -33,8 +33,6 @@ CONFIG = "config.json"
 SUMMARY = "summary.json"
 TRAINING = "train"
 """Command that `config.json` of a training run names."""
-SEARCH = "train --search"
-"""The same of a search over settings, a folder of training runs."""
 _CSV = "trajectory.csv"
 _NPZ = "trajectory.npz"
 
@@ -99,7 +97,7 @@ class ResultFolder:
                 f"{self.path} holds a result already ({', '.join(present)}): choose another "
                 "folder, or say --overwrite"
             )
-        if CONFIG in present and self._command() in (TRAINING, SEARCH):
+        if CONFIG in present and self._command() == TRAINING:
             raise OutputError(
                 f"{self.path} holds a training run, which --overwrite does not replace: choose "
                 "another folder"

@@ -123,24 +123,12 @@ def make_gait(
         InputError: the environment has no gait, or that has no such parameter; lists those there
             are.
     """
-    task = task_of(env_id, env)
-    single = isinstance(parameters, Mapping)
-    several = [parameters] if single else list(parameters)
-    gait = importlib.import_module("mjgranular.envs.gaits").gait
-    return Gaits(tuple(gait(task, **given) for given in several), task.dt)
-
-
-def task_of(env_id: str, env: Any) -> Any:
-    """The task of an environment of ours that has a scripted gait.
-
-    Raises:
-        InputError: it has none; lists those that have.
-    """
-    gaits = importlib.import_module("mjgranular.envs.gaits").gaits
+    gaits = importlib.import_module("mjgranular.envs.gaits")
     task = getattr(env.unwrapped, "task", None)
-    if type(task).__name__ not in gaits:
+    if type(task).__name__ not in gaits.gaits:
         raise InputError(
             f"there is no scripted gait for {env_id}; there are some for "
-            f"{', '.join(f'mjgranular/{name}-v0' for name in gaits)}"
+            f"{', '.join(f'mjgranular/{name}-v0' for name in gaits.gaits)}"
         )
-    return task
+    several = [parameters] if isinstance(parameters, Mapping) else list(parameters)
+    return Gaits(tuple(gaits.gait(task, **given) for given in several), task.dt)

@@ -13,9 +13,6 @@ import numpy as np
 from mjgranular import files
 from mjgranular.errors import OutputError
 from mjgranular.experiment.folder import CONFIG
-from mjgranular.learn.normalizer import FILE as NORMALIZER
-from mjgranular.learn.normalizer import normalizer_state, restore_normalizer
-from mjgranular.learn.normalizer import read_state as read_normalizer_state
 from mjgranular.learn.run import (
     CURVE,
     POLICY,
@@ -27,10 +24,19 @@ from mjgranular.learn.run import (
     read_curve,
     read_state,
 )
-from mjgranular.learn.weights import Weights, add_spaces, brief, check_size, read_weights
+from mjgranular.learn.weights import (
+    NORMALIZER,
+    Weights,
+    add_spaces,
+    brief,
+    check_size,
+    read_statistics,
+    read_weights,
+    restore_statistics,
+    statistics_of,
+)
 from mjgranular.saved import read_arrays
 
-_PICKLED_REPLAY = "replay.pkl"  # of version 0.1
 _OF_THE_END = (POLICY, NORMALIZER, CURVE)  # what a finished run has in its folder itself
 
 # Of the episodes under way, which a checkpoint does not keep: see `train.begin_episodes`.
@@ -77,7 +83,7 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
         _write_json(folder / CONFIG, run.config())
         model.save(folder / POLICY, exclude=_OF_EPISODES)
         add_spaces(folder / POLICY, model.observation_space, model.action_space)
-        _write_json(folder / NORMALIZER, normalizer_state(model.get_vec_normalize_env()))
+        _write_json(folder / NORMALIZER, statistics_of(model.get_vec_normalize_env()))
         (folder / CURVE).write_text(curve_text(progress.curve), encoding="utf-8")
         if hasattr(model, "replay_buffer"):
             write_replay(folder / REPLAY, model.replay_buffer)
@@ -94,7 +100,7 @@ def load_checkpoint(
 ) -> tuple[Any, Progress]:
     """The model and progress of a checkpoint.
 
-    Nothing in it is executed, but for the replay buffer of version 0.1 if the run is trusted.
+    Nothing in it is executed.
 
     Args:
         folder: of the checkpoint, without a fault.
@@ -107,7 +113,7 @@ def load_checkpoint(
             which versions wrote it.
     """
     check_belongs(folder, run)
-    state = read_normalizer_state(
+    state = read_statistics(
         folder / NORMALIZER,
         normalized=run.settings.normalize_observations,
         shape=env.observation_space.shape,
@@ -129,12 +135,12 @@ def load_checkpoint(
     for name, value in weights.counters.items():
         setattr(model, name, value)
     if hasattr(model, "replay_buffer"):
-        _load_replay(folder, run, model)
+        read_replay(folder / REPLAY, model.replay_buffer)
     steps, seconds = read_state(folder)
     if steps != model.num_timesteps:
         raise OutputError(f"{folder} is damaged: {STATE} and {POLICY} differ in the steps")
     # Into the environment last: it is as it was if anything was wrong.
-    restore_normalizer(env, state)
+    restore_statistics(env, state)
     return model, Progress(steps, seconds, read_curve(folder / CURVE))
 
 
@@ -164,15 +170,6 @@ def write_policy(run: Run, checkpoint: Path) -> None:
     with files.published(run.path) as waiting:
         for name in _OF_THE_END:
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
-
-
-def has_policy(run: Run, checkpoint: Path) -> bool:
-    """Tells whether `write_policy` was called with that checkpoint, and came to its end."""
-    return all(
-        (run.path / name).is_file()
-        and (run.path / name).read_bytes() == (checkpoint / name).read_bytes()
-        for name in _OF_THE_END
-    )
 
 
 def write_replay(file: Path, buffer: Any) -> None:
@@ -208,22 +205,6 @@ def read_replay(file: Path, buffer: Any) -> None:
 def _arrays_of(buffer: Any) -> list[str]:
     names = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
     return [name for name in names if hasattr(buffer, name)]
-
-
-def _load_replay(folder: Path, run: Run, model: Any) -> None:
-    pickled = folder / _PICKLED_REPLAY
-    if (folder / REPLAY).exists() or not pickled.exists():
-        read_replay(folder / REPLAY, model.replay_buffer)
-        return
-    if not run.trusted:
-        raise OutputError(
-            f"{pickled} was written by version 0.1 and can execute code when it is read: if you "
-            "know where the run comes from, say --trust"
-        )
-    try:
-        model.load_replay_buffer(pickled)
-    except Exception as error:  # unpickling what other versions wrote fails in many ways
-        raise OutputError(f"{pickled} cannot be read: {brief(error)}") from None
 
 
 def _versions(run: Run) -> str:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from mjgranular.errors import GranularError, GranularWarning, InputError, RenderError
 from mjgranular.extras import need
-from mjgranular.learn import refine
+from mjgranular.given import check_count
 
 T = TypeVar("T")
 _PURPOSE = "Training and evaluating policies"
@@ -184,19 +184,26 @@ def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
-    """Calls `make`; turns an environment's own complaints into one sentence."""
+    """Calls `make`; turns an environment's own complaints into one sentence.
+
+    The argument `refine` makes the substeps of an environment of MuJoCo's so many times shorter,
+    with so many more of them between two actions: a policy that does otherwise then has learned the
+    time step and not the robot.
+    """
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
-    given, times = refine.split(_resolved(arguments))
+    given = _resolved(arguments)
+    times = given.pop("refine", 1)
+    check_count("refine", times)
     try:
         if times == 1:
             return make(given)
         coarse = gym.make(env_id, **given)
         try:
-            given["frame_skip"] = times * refine.frame_skip_of(coarse)
+            given["frame_skip"] = times * _frame_skip_of(coarse)
         finally:
             coarse.close()
         env = make(given)
-        refine.refine(env, times)
+        _shorten_steps(env, times)
         return env
     except GranularError:
         raise
@@ -208,3 +215,30 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
         raise InputError(
             f"{env_id} cannot be made: {type(error).__name__}: {' '.join(str(error).split())}"
         ) from error
+
+
+def _frame_skip_of(env: Any) -> int:
+    """Return the number of substeps between two actions.
+
+    Raises:
+        InputError: not an environment of MuJoCo's.
+    """
+    inner = getattr(env.unwrapped, "task", env.unwrapped)
+    if not hasattr(inner, "frame_skip") or not hasattr(inner, "model"):
+        raise InputError(f"refine is for environments of MuJoCo's; {env.unwrapped} is none")
+    return int(inner.frame_skip)
+
+
+def _shorten_steps(env: Any, times: int) -> None:
+    """Shorten the substeps of one environment, or of several: a batch, or a vector environment."""
+    inside = getattr(env, "batch", None)
+    if hasattr(inside, "task"):  # `SandVecEnv` around `SandVectorEnv`
+        env = inside
+    for one in getattr(env, "envs", None) or [env]:
+        inner = getattr(one.unwrapped, "task", one.unwrapped)
+        inner.model.opt.timestep /= times
+        # A task notes its duration of a step the first time that it is asked.
+        inner.__dict__.pop("dt", None)
+        batch = getattr(one, "batch", None)
+        if batch is not None:  # which has copied the model
+            batch.expand("opt.timestep")[:] = inner.model.opt.timestep

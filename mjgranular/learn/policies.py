@@ -14,10 +14,14 @@ from mjgranular import files
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.checkpoint import check_belongs
-from mjgranular.learn.normalizer import FILE as NORMALIZER
-from mjgranular.learn.normalizer import Normalizer, read_normalizer
 from mjgranular.learn.run import CHECKPOINTS, CURVE, POLICY, Run, open_run, read_curve
-from mjgranular.learn.weights import build_policy, read_weights
+from mjgranular.learn.weights import (
+    NORMALIZER,
+    Normalizer,
+    build_policy,
+    read_normalizer,
+    read_weights,
+)
 
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
 """Folder of the policies that come with the package, each with the files of `POLICY_FILES`."""

@@ -24,9 +24,9 @@ from mjgranular.errors import (
     warn_user,
 )
 from mjgranular.experiment.folder import CONFIG, TRAINING
-from mjgranular.learn.normalizer import FILE as NORMALIZER
-from mjgranular.learn.sands import Sands, changes, read_sands, sands_made, told
+from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
 from mjgranular.learn.settings import Settings
+from mjgranular.learn.weights import NORMALIZER
 from mjgranular.pool.versions import versions
 from mjgranular.saved import is_text, number, read_json, read_text
 
@@ -52,8 +52,8 @@ class Run:
         settings: resolved.
         seed: all random numbers follow from it.
         versions: of the packages that it was begun with.
-        sand: of its environment when it was begun; None where that is not known, for one of a
-            version that did not note it.
+        sand: of its environment when the run began; None if unknown, as for environments
+            without a model of MuJoCo.
         trusted: whether the user vouches for it, so that what it names may be executed.
         restored: arguments that give the environment the sand that it had when the run was begun.
     """
@@ -148,28 +148,20 @@ class Run:
         return 0 if folder is None else read_state(folder)[0]
 
     def other_sand(self, now: Sands | None, settled: Iterable[str] = ()) -> str | None:
-        """Says how sand differs from what the run was begun on, or that this is not known.
+        """Describe how sand differs from that which the run was begun on.
 
         Args:
-            now: the sand of an environment; None where it is not known.
-            settled: names of arguments that the user has changed himself.
+            now: the sand of an environment; None if unknown.
+            settled: names of arguments that the user has changed.
 
         Returns:
-            The end of a sentence that begins with the run; None where nothing differs, or where
-            nobody can know it.
+            The end of a sentence that begins with the run; None where nothing differs or where the
+            sand is unknown.
         """
-        if now is None:
+        if now is None or self.sand is None:
             return None
-        if self.sand is not None:
-            found = changes(self.sand, now, settled)
-            return f"was begun on other sand: {', '.join(found)}" if found else None
-        chosen = {"law", *settled} if "law" in self.settings.environment else {*settled}
-        if not now or "law" in chosen or "medium" in chosen:
-            return None
-        return (
-            f"does not say what sand it was begun on: here that is {told(now)}, and before version "
-            "0.2 no law was for fast motion"
-        )
+        found = changes(self.sand, now, settled)
+        return f"was begun on other sand: {', '.join(found)}" if found else None
 
     def check_environment(self) -> None:
         """Makes sure that nothing is imported only because a stranger's file names it.
@@ -192,9 +184,7 @@ class Run:
         )
 
 
-def begin_run(
-    path: Path | str, environment: str, settings: Settings, *, seed: int, engine: str = "local"
-) -> Run:
+def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: int) -> Run:
     """Makes the folder of a new run. Of two processes that try at once one is refused.
 
     The environment is made once, for its sand to be noted.
@@ -204,7 +194,6 @@ def begin_run(
         environment: Gymnasium's id.
         settings: resolved.
         seed: all random numbers follow from it.
-        engine: that it is trained with, whose version is noted too.
 
     Raises:
         OutputError: the folder has something in it, or cannot be written to.
@@ -215,15 +204,13 @@ def begin_run(
         raise InputError(f"a seed is a whole number from 0 to {2**31 - 1}, not {seed}")
     if not is_text(environment):
         raise InputError(f"an environment has a name that can be printed, not {environment!r}")
-    packages = ("ray",) if engine == "ray" else ()
     started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
     if path.exists() and not path.is_dir():
         raise OutputError(f"cannot write to {path}: it is not a folder")
     if (path / CONFIG).exists():  # a run at work is locked, and told of as a run all the same
         raise _held(path)
     sand = sands_made(environment, settings.environment)
-    made_with = current_versions(*packages)
-    run = Run(path, environment, settings, seed, made_with, sand, trusted=True)
+    run = Run(path, environment, settings, seed, current_versions(), sand, trusted=True)
     with files.locked(path):
         files.remove_leftovers(path, (CONFIG,))
         if any(file.name != files.LOCK for file in path.iterdir()):
@@ -240,9 +227,9 @@ def _held(path: Path) -> OutputError:
     )
 
 
-def current_versions(*further: str) -> dict[str, Any]:
-    """Versions of the packages that a training depends on, and of `further`."""
-    return versions(*_PACKAGES, *further)
+def current_versions() -> dict[str, Any]:
+    """Return the versions of the packages that a training depends on."""
+    return versions(*_PACKAGES)
 
 
 def open_run(path: Path, *, trust: bool = False) -> Run:

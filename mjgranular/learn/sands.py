@@ -1,8 +1,7 @@
-"""What the sand of an environment is: noted where a training begins, compared wherever it is used.
+"""The sand of an environment: noted when a training begins, compared wherever the run is used.
 
-What an environment leaves to defaults may be another with the next version, a file of the user's
-own with the next day. A policy would then act on other sand than it was trained on, and nothing
-would say so.
+What an environment leaves to defaults may change with the next version, a file of the user with the
+next day. Without a note a policy would act on other sand than it was trained on, unnoticed.
 """
 
 from __future__ import annotations
@@ -30,13 +29,13 @@ from mjgranular.saved import is_text
 from mjgranular.surface import Surface
 
 Sands = list[dict[str, Any]]
-"""One for each sand: names of `medium` and `law`, the law's `constants` by name, `surface` and
-`memory` in words; None for sand without memory."""
+"""A table for each sand: names of `medium` and `law`, the law's `constants` by name, `surface` and
+`memory` as in MJCF; `memory` is None for sand without memory."""
 
 _SAME = 1e-6  # relative; chosen: far more than rounding, far less than a change
-_SHOWN = 3  # constants in a sentence
+_SHOWN = 4  # changes in a sentence; chosen
+# What a user who gives an argument has decided.
 _MATERIAL = ("medium", "law", "constants")
-# What a user has settled himself who names an argument.
 _SETTLED = {
     "medium": _MATERIAL,
     "law": _MATERIAL,
@@ -47,14 +46,14 @@ _SETTLED = {
 
 
 def sands_of(env: Any) -> Sands | None:
-    """The sands of an environment: those in its model, and each `Sand` that is its attribute.
+    """Return the sands in the model of an environment, and of each `Sand` that is its attribute.
 
     Args:
         env: a `gymnasium.Env`.
 
     Returns:
-        Plain values, empty where there is no sand; None where the environment has no attribute
-        `model` of MuJoCo's, by which that could be known.
+        Plain values, empty where there is no sand; None if unknown, where the environment has no
+        attribute `model` of MuJoCo's.
     """
     inner = env.unwrapped
     model = getattr(inner, "model", None)
@@ -68,7 +67,7 @@ def sands_of(env: Any) -> Sands | None:
 
 
 def sands_made(env_id: str, arguments: Mapping[str, Any]) -> Sands | None:
-    """The sands that an environment has when it is made; see `sands_of`.
+    """Make an environment and return its sands, as `sands_of` does.
 
     Raises:
         GranularError: it cannot be made.
@@ -81,9 +80,9 @@ def sands_made(env_id: str, arguments: Mapping[str, Any]) -> Sands | None:
 
 
 def read_sands(content: Any, where: object) -> Sands | None:
-    """Return sands from a file; None if it has none noted.
+    """Check sands from a file; None if it has none.
 
-    A constant that a law did not have when they were noted is 0: it had no effect.
+    A constant that a law did not have when they were written is 0: it had no effect.
 
     Raises:
         OutputError: they are not as `Sands` says.
@@ -103,57 +102,50 @@ def _with_new_constants(sand: dict[str, Any]) -> dict[str, Any]:
     return {**sand, "constants": {**new, **sand["constants"]}}
 
 
-def told(sands: Sands) -> str:
-    """Sands in words, by medium and law."""
-    named = [f"{sand['medium']} under the law {sand['law']}" for sand in sands]
-    return " and ".join(dict.fromkeys(named)) or "no sand"
-
-
 def changes(before: Sands, now: Sands, settled: Iterable[str] = ()) -> list[str]:
-    """What differs between sands, in words: "law rft3d (now rft3d_dynamic)".
+    """Return what differs between sands: "law rft3d (now rft3d_dynamic)".
 
     Args:
-        before: the one.
-        now: the other.
-        settled: names of arguments that the user has given himself, and what follows from them.
+        before: sands of a run.
+        now: sands of an environment.
+        settled: names of arguments that the user has given; what follows from them is no change.
     """
     known = {name for argument in settled for name in _SETTLED.get(argument, ())}
     if len(before) != len(now):
-        return [] if known else [f"{told(before)} (now {told(now)})"]
-    found = []
+        return [] if known else [f"{_names(before)} (now {_names(now)})"]
+    found: dict[str, None] = {}
     for was, here in zip(before, now, strict=True):
-        differing = [
-            name
-            for name in ("medium", "law", "surface", "memory")
-            if was[name] != here[name] and name not in known
-        ]
-        found += [
-            f"{name} {was[name] or 'none'} (now {here[name] or 'none'})" for name in differing
-        ]
-        if "constants" not in known and all(was[name] == here[name] for name in ("medium", "law")):
-            found += _other_constants(was, here)
-    return list(dict.fromkeys(found))
+        one, other = (dict(sand) for sand in (was, here))
+        constants = one.pop("constants"), other.pop("constants")
+        if (was["medium"], was["law"]) == (
+            here["medium"],
+            here["law"],
+        ) and "constants" not in known:
+            one, other = one | constants[0], other | constants[1]
+        for name in one | other:
+            values = one.get(name), other.get(name)
+            if name not in known and not _is_same(*values):
+                found[f"{name} {_word(values[0], 'g')} (now {_word(values[1], 'g')})"] = None
+    more = [f"{len(found) - _SHOWN} more"] if len(found) > _SHOWN else []
+    return [*list(found)[:_SHOWN], *more]
 
 
 def arguments_for(sands: Sands, env_id: str, arguments: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Further arguments with which an environment has such sands; None where none are found.
+    """Return further arguments with which an environment has such sands; None if none do.
 
     Args:
-        sands: what it is to have.
-        env_id: the environment.
-        arguments: of it, with which it has others.
+        sands: that the environment is to have.
+        env_id: Gymnasium id.
+        arguments: of the environment, with which it has other sands.
     """
     if len(sands) != 1 or sands[0]["medium"] not in media or sands[0]["law"] not in laws:
         return None
     (sand,) = sands
+    law, medium = {"law": sand["law"]}, {"medium": sand["medium"]}
+    ground = {"surface": sand["surface"], "memory": sand["memory"] or False}
     constants = " ".join(f"{name}={_word(value)}" for name, value in sand["constants"].items())
-    memory = {"memory": sand["memory"] or False}
-    for given in (
-        {"law": sand["law"]},
-        {"medium": sand["medium"], "law": sand["law"]},
-        {"medium": sand["medium"], "law": sand["law"], "surface": sand["surface"], **memory},
-        {"law": f"{sand['law']} {constants}"},
-    ):
+    in_full = {"law": f"{sand['law']} {constants}"}
+    for given in (law, medium | law, medium | law | ground, in_full):
         try:
             now = sands_made(env_id, {**arguments, **given})
         except GranularError:  # it takes no such argument
@@ -164,76 +156,52 @@ def arguments_for(sands: Sands, env_id: str, arguments: Mapping[str, Any]) -> di
 
 
 def as_variant(arguments: Mapping[str, Any]) -> str:
-    """Arguments as `--on` takes them, in a shell."""
-    words = ",".join(
-        f"{name}={_word(value) if isinstance(value, bool) else value}"
-        for name, value in arguments.items()
-    )
-    return shlex.quote(words)
+    """Return arguments as `--on` takes them, quoted for a shell."""
+    return shlex.quote(",".join(f"{name}={_word(value)}" for name, value in arguments.items()))
 
 
 def _plain(medium: Medium, law: Law, surface: Surface, memory: Memory | None) -> dict[str, Any]:
-    names = [field.name for field in fields(law)]  # pyright: ignore[reportArgumentType]
+    every: Any = fields(law)  # pyright: ignore[reportArgumentType]
     return {
         "medium": medium.name,
         "law": law.name,
-        "constants": {name: getattr(law, name) for name in names},
-        "surface": _in_words("surface", surface),
-        "memory": None if memory is None else _in_words("memory", memory),
+        "constants": {field.name: getattr(law, field.name) for field in every},
+        "surface": _in_mjcf("surface", surface),
+        "memory": None if memory is None else _in_mjcf("memory", memory),
     }
 
 
-def _in_words(name: str, part: Any) -> str:
-    """A surface or a memory as MJCF has it; one of somebody's own by the name of its class."""
+def _in_mjcf(name: str, part: Any) -> str:
+    """Return a surface or a memory as MJCF has it, a custom one by the name of its class."""
     try:
         return write_config(SandSpec(**{name: part}))[name]
     except InputError:
         return type(part).__name__
 
 
-def _other_constants(was: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    one, other = was["constants"], here["constants"]
-    found = [
-        f"{name} {_shown(one.get(name))} (now {_shown(other.get(name))})"
-        for name in {**one, **other}
-        if not _same(one.get(name), other.get(name))
-    ]
-    more = [f"{len(found) - _SHOWN} more constants"] if len(found) > _SHOWN else []
-    return [*found[:_SHOWN], *more]
+def _names(sands: Sands) -> str:
+    named = [f"{sand['medium']} under the law {sand['law']}" for sand in sands]
+    return " and ".join(dict.fromkeys(named)) or "no sand"
 
 
-def _same(one: Any, other: Any) -> bool:
-    if _is_number(one) and _is_number(other):
+def _is_same(one: Any, other: Any) -> bool:
+    if isinstance(one, (int, float)) and isinstance(other, (int, float)):
         return math.isclose(one, other, rel_tol=_SAME)
     return one == other
 
 
-def _shown(value: Any) -> str:
-    return "none" if value is None else f"{value:g}" if _is_number(value) else _word(value)
-
-
-def _word(value: Any) -> str:
-    return ("true" if value else "false") if isinstance(value, bool) else str(value)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+def _word(value: Any, form: str = "") -> str:
+    if value is None or isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:{form}}" if isinstance(value, float) else str(value)
 
 
 def _is_sand(content: Any) -> bool:
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or not isinstance(content.get("constants"), dict):
         return False
-    constants, memory = content.get("constants"), content.get("memory")
-    return (
-        all(is_text(content.get(name)) for name in ("medium", "law", "surface"))
-        and (memory is None or is_text(memory))
-        and isinstance(constants, dict)
-        and all(
-            is_text(name) and (isinstance(value, bool) or is_text(value) or _is_finite(value))
-            for name, value in constants.items()
-        )
+    texts = [content.get(name) for name in ("medium", "law", "surface")]
+    texts += [*content["constants"], content.get("memory") or "none"]
+    return all(map(is_text, texts)) and all(
+        is_text(value) or (isinstance(value, (int, float)) and abs(value) < 1e300)
+        for value in content["constants"].values()
     )
-
-
-def _is_finite(value: Any) -> bool:
-    return _is_number(value) and abs(value) < 1e300

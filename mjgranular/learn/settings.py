@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import inspect
-import math
 import tomllib
-import types
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Union
+from typing import Any
 
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.extras import need
 from mjgranular.reading import place, read_file
+from mjgranular.saved import fits
 
 ALGORITHMS = ("ppo", "sac", "td3")
 ACTIVATIONS = ("tanh", "relu", "elu")
@@ -131,13 +130,12 @@ class Settings:
         Raises:
             InputError: it made no such thing; says what is wrong.
         """
-        known = {entry.name: entry for entry in fields(cls)}
         if not isinstance(content, Mapping):
             raise InputError("settings must be an object")
-        unknown = [name for name in content if name not in known]
+        _check_keys("settings", content, [entry.name for entry in fields(cls)])
         missing = [name for name in ("algorithm", "total_steps", "num_envs") if name not in content]
-        if unknown or missing:
-            raise InputError(f"settings have no {str((unknown + missing)[0])[:50]!r}")
+        if missing:
+            raise InputError(f"{' and '.join(missing)} must be given")
         net = content.get("net", [64, 64])
         return cls(**{**content, "net": tuple(net) if isinstance(net, list) else net})
 
@@ -195,20 +193,9 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
         raise InputError(f"{where}: {name} must be a table, [{name}]")
     known = {entry.name for entry in fields(Settings)} - {"algorithm", "environment"}
     _check_keys(f"{where}, [{name}]", table, sorted(known))
-    missing = [key for key in ("total_steps", "num_envs") if key not in table]
-    if missing:
-        raise InputError(f"{where}, [{name}]: {' and '.join(missing)} must be given")
-    net = table.get("net", [64, 64])
-    if not isinstance(net, list):
-        raise InputError(
-            f"{where}, [{name}]: net must be widths such as [64, 64], not {shown(net)}"
-        )
+    environment = content.get("environment", {})
     try:
-        return Settings(
-            algorithm=name,
-            environment=content.get("environment", {}),
-            **{**table, "net": tuple(net)},
-        )
+        return Settings.from_json({**table, "algorithm": name, "environment": environment})
     except UnknownNameError:
         raise
     except InputError as error:
@@ -278,22 +265,6 @@ def algorithm_class(name: str) -> Any:
     return getattr(module, name.upper())
 
 
-def setting_names(algorithm: str) -> list[str]:
-    """Names of what `change` changes, but for those of tables: fields, arguments of a class."""
-    own = [entry.name for entry in fields(Settings) if entry.name not in _TABLES]
-    signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
-    return [*own, *(name for name in signature if name not in _GIVEN_BY_US)]
-
-
-def takes_whole_numbers(algorithm: str, name: str) -> bool:
-    """Whether the numbers that a setting takes are whole ones."""
-    if name in ("total_steps", "num_envs", "checkpoint_every"):
-        return True
-    signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
-    kinds = _members(signature[name].annotation) if name in signature else ()
-    return int in kinds and float not in kinds
-
-
 def linear_start(value: object) -> float | None:
     """First value of one that falls to zero: 3e-4 of "linear_3e-4"; None for other values."""
     if isinstance(value, str) and value.startswith(_LINEAR):
@@ -322,33 +293,15 @@ def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:
         wanted = float if name == "action_noise" else signature[name].annotation
         if name in _SCHEDULES and linear_start(value) is not None:
             continue
-        if not _fits(value, wanted):
+        if not fits(value, wanted):
             raise InputError(f"{algorithm}: {name} must be {_words(wanted)}, not {shown(value)}")
-
-
-def _members(kind: Any) -> tuple[Any, ...]:
-    """Of a union its members, of anything else itself."""
-    if typing.get_origin(kind) in (Union, types.UnionType):
-        return typing.get_args(kind)
-    return (kind,)
-
-
-def _fits(value: object, kind: Any) -> bool:
-    if isinstance(value, int) and value.bit_length() > 63:  # TOML has no limit
-        return False
-    for member in _members(kind):
-        if member in (int, bool, str) and type(value) is member:
-            return True
-        if member is float and isinstance(value, (int, float)) and not isinstance(value, bool):
-            return math.isfinite(value)
-        if typing.get_origin(member) is tuple and isinstance(value, (list, tuple)):
-            return True
-    return False
 
 
 def _words(kind: Any) -> str:
     names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
-    return " or ".join(names[member] for member in _members(kind) if member in names)
+    return " or ".join(
+        names[member] for member in typing.get_args(kind) or (kind,) if member in names
+    )
 
 
 def _nearest_divisor(steps: int, batch: int) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -13,19 +14,11 @@ from typing import Any
 import numpy as np
 
 from mjgranular import files
-from mjgranular.errors import InputError, OutputError, warn_user
+from mjgranular.errors import InputError, OutputError, UnstableError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.extras import need
 from mjgranular.learn import environments
-from mjgranular.learn.checkpoint import (
-    Progress,
-    has_policy,
-    load_checkpoint,
-    write_policy,
-)
-from mjgranular.learn.keeping import Keeping, refuse_not_finite
-from mjgranular.learn.normalizer import FILE as NORMALIZER
-from mjgranular.learn.on_ray import check_training, here, learn
+from mjgranular.learn.checkpoint import Progress, load_checkpoint, save_checkpoint, write_policy
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
@@ -33,11 +26,14 @@ from mjgranular.learn.run import (
     TENSORBOARD,
     Run,
     current_versions,
+    curve_text,
 )
 from mjgranular.learn.sands import arguments_for, as_variant, sands_made
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
-from mjgranular.learn.weights import policy_arguments
-from mjgranular.pool import Workers
+from mjgranular.learn.weights import NORMALIZER, policy_arguments
+
+_ROWS_PER_CHECKPOINT = 5  # of the learning curve
+_NEWEST = 20  # episodes in the mean return that is reported; chosen, not measured
 
 
 @dataclass(frozen=True)
@@ -63,7 +59,6 @@ def train(
     run: Run,
     *,
     report: Report | None = None,
-    on: Workers | None = None,
     threads: int | None = None,
     warp: str | None = None,
 ) -> Training:
@@ -81,13 +76,10 @@ def train(
 
     Args:
         run: what to train.
-        report: called at every step of the environments; on Ray after each rollout.
-        on: where environments are stepped: None for this process, which also learns; on Ray as many
-            env runners as its count says, to which a run may change with any checkpoint. There
-            results depend on their number, and on what comes first.
+        report: called at every step of the environments.
         threads: of a batch of environments; None for one a core. Results are the same.
         warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
-            here. A run may change that with any checkpoint, as it may change to Ray.
+            here. A run may change that with any checkpoint.
 
     Raises:
         InputError: the environment, the algorithm or its arguments do not go together.
@@ -102,30 +94,22 @@ def train(
     torch.set_num_threads(1)
     run.check_environment()
     run = _on_its_sand(run)
-    there = run  # as this process has it
-    check_training(run.settings, on)
-    if on is not None and on.engine == "ray":
-        there = here(run)
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = environments_of(there, threads=threads, warp=warp)
+    env = environments_of(run, threads=threads, warp=warp)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
-            model, progress = new_model(there, env), Progress(0, 0.0, [])
+            model, progress = new_model(run, env), Progress(0, 0.0, [])
         else:
             _warn_of_versions(run)
-            model, progress = load_checkpoint(newest, run, env, lambda: new_model(there, env))
+            model, progress = load_checkpoint(newest, run, env, lambda: new_model(run, env))
             if progress.steps >= run.settings.total_steps:
-                if not has_policy(run, newest):  # the process was killed before that
-                    write_policy(run, newest)
+                write_policy(run, newest)  # the process may have been killed before that
                 return Training(progress, None, progress.steps)
         with collected_signals() as received:
-            if on is None or there is run:
-                saved = _learn(run, model, progress, report, received)
-            else:
-                saved = learn(run, model, progress, on=on, report=report, received=received)
+            saved = _learn(run, model, progress, report, received)
         # Of a signal after the last step nothing is left to be stopped.
         finished = saved.steps >= run.settings.total_steps
         stopped_by = received[0] if received and not finished else None
@@ -152,11 +136,11 @@ def begin_episodes(model: Any, seed: int) -> None:
 
 def _warn_of_versions(run: Run) -> None:
     """Says so where a run goes on with other packages than it was begun with."""
-    now = current_versions("ray")
+    now = current_versions()
     changed = [
-        f"{name} {then} (now {now.get(name)})"
+        f"{name} {then} (now {now[name]})"
         for name, then in run.versions.items()
-        if name != "platform" and now.get(name) != then
+        if name in now and name != "platform" and now[name] != then
     ]
     if changed:
         warn_user(
@@ -172,11 +156,7 @@ def _on_its_sand(run: Run) -> Run:
     """
     now = sands_made(run.environment, run.arguments)
     other = run.other_sand(now)
-    if other is None or now is None:
-        return run
-    if run.sand is None:
-        if run.checkpoints():
-            warn_user(f"{run.path} {other}; it goes on upon that")
+    if other is None or run.sand is None:
         return run
     restored = arguments_for(run.sand, run.environment, run.arguments)
     if restored is None:
@@ -277,7 +257,7 @@ def _learn(
     except _StoppedError:
         model.num_timesteps = keeper.rollout_start
     except ValueError:
-        refuse_not_finite(model, run)  # that is how the algorithm notices it
+        _check_finite(model, run)  # that is how the algorithm notices it
         raise
     saved = keeper.save()
     model.logger.close()
@@ -285,7 +265,7 @@ def _learn(
 
 
 def _keeper(run: Run, progress: Progress, report: Report | None, received: Sequence[int]) -> Any:
-    """The callback that keeps the curve and the checkpoints."""
+    """The callback that writes the curve and the checkpoints, each when it is due."""
     # Its base class comes with an optional package: hence a class within a function.
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -293,12 +273,22 @@ def _keeper(run: Run, progress: Progress, report: Report | None, received: Seque
         def __init__(self) -> None:
             super().__init__()
             self.rollout_start = progress.steps
-            self.kept = Keeping(run, progress)
+            self.curve = list(progress.curve)
+            self.began = time.monotonic()
+            self.ended: list[tuple[float, int]] = []  # return and length, since the last row
+            self.newest: float | None = None
+            self.plan(progress.steps)
+            # Rows after the checkpoint that is resumed belong to what was lost.
+            files.write_text(run.path / CURVE, curve_text(self.curve))
 
         def _on_rollout_start(self) -> None:
-            self.rollout_start = self.num_timesteps
+            steps = self.rollout_start = self.num_timesteps
             self._stop_if_asked()
-            if self.kept.is_due(self.num_timesteps):
+            checkpoint = steps >= self.next_checkpoint
+            if steps >= self.next_row:
+                self.add_row()
+            self.plan(steps)
+            if checkpoint:
                 self.save()
                 begin_episodes(self.model, run.seed)
                 policy: Any = self.model.policy
@@ -308,9 +298,10 @@ def _keeper(run: Run, progress: Progress, report: Report | None, received: Seque
         def _on_step(self) -> bool:
             for info in self.locals["infos"]:
                 if "episode" in info:
-                    self.kept.end_episode(info["episode"]["r"], info["episode"]["l"])
+                    self.ended.append((float(info["episode"]["r"]), int(info["episode"]["l"])))
+                    self.newest = float(np.mean([one for one, _ in self.ended[-_NEWEST:]]))
             if report is not None:
-                report(self.num_timesteps, self.kept.newest)
+                report(self.num_timesteps, self.newest)
             self._stop_if_asked()
             return True
 
@@ -318,11 +309,47 @@ def _keeper(run: Run, progress: Progress, report: Report | None, received: Seque
             if received:
                 raise _StoppedError
 
+        def plan(self, steps: int) -> None:
+            """Find the steps after which the next row and the next checkpoint are due."""
+            every = run.settings.checkpoint_every
+            row_every = max(1, every // _ROWS_PER_CHECKPOINT)
+            self.next_checkpoint = (steps // every + 1) * every
+            self.next_row = (steps // row_every + 1) * row_every
+
+        def seconds(self) -> float:
+            """Time spent in training, in all processes [s]."""
+            return progress.seconds + time.monotonic() - self.began
+
+        def add_row(self) -> None:
+            """Add the episodes since the last row to the curve."""
+            if not self.ended:
+                return
+            returns, lengths = np.array(self.ended).T
+            steps, seconds = self.model.num_timesteps, round(self.seconds(), 3)
+            row = (steps, seconds, len(returns), float(returns.mean()), float(lengths.mean()))
+            self.curve.append(row)
+            self.ended = []
+            files.write_text(run.path / CURVE, curve_text(self.curve))
+
         def save(self) -> Progress:
-            """Writes a checkpoint."""
-            return self.kept.save(self.model)
+            """Write a checkpoint."""
+            _check_finite(self.model, run)
+            self.add_row()
+            reached = Progress(self.model.num_timesteps, self.seconds(), tuple(self.curve))
+            save_checkpoint(run, self.model, reached)
+            return reached
 
     return Keeper()
+
+
+def _check_finite(model: Any, run: Run) -> None:
+    """Raise `UnstableError` if a number of the policy is not finite."""
+    torch = need("torch", extra="train", purpose="Training a policy")
+    if not all(bool(torch.isfinite(p).all()) for p in model.policy.parameters()):
+        raise UnstableError(
+            f"{run.name}: the policy's numbers are not finite after {model.num_timesteps} steps; "
+            "the checkpoints before are whole: begin a new run with a smaller learning_rate"
+        )
 
 
 @contextmanager

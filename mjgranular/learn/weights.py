@@ -1,9 +1,8 @@
-"""Files of Stable-Baselines3 read as data: weights and plain values, nothing unpickled.
+"""Files of a policy, read as data: weights and statistics of observations, nothing unpickled.
 
-Such a file is a zip with tensors, which PyTorch can read without executing anything, and an entry
-`data`, half of which are pickles. What is in these follows from the settings of the run, so they
-are left alone. Only the spaces do not: we add them to the file as JSON; of files without it, those
-of version 0.1, shape and bounds are taken from the texts that stand beside the pickles.
+A file of Stable-Baselines3 is a zip with tensors, which PyTorch can read without executing
+anything, and an entry `data`, half of which are pickles. What is in these follows from the settings
+of the run, except the spaces, which we add to the file as JSON.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import itertools
 import json
 import math
 import pickle
-import re
 import warnings
 import zipfile
 from collections.abc import Mapping
@@ -26,9 +24,10 @@ import numpy as np
 from mjgranular.errors import OutputError
 from mjgranular.extras import need
 from mjgranular.learn.settings import Settings
-from mjgranular.saved import parse_json
+from mjgranular.saved import number, parse_json, read_json
 
 SPACES = "spaces.json"
+NORMALIZER = "normalizer.json"
 _DATA = "data"
 _TENSORS = ".pth"
 _VARIABLES = "pytorch_variables"
@@ -36,20 +35,20 @@ _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 _PURPOSE = "Reading a policy"
 _SMALL = 64 * 2**20  # bytes; an entry may unpack to this much, or to
 _RATIO = 8  # as many times its size in the file; both chosen
+_BOUNDS = ("low", "high")
 _TYPES = ("float32", "float64", "float16", "int8", "int16", "int32", "int64", "uint8", "uint16")
-_NUMBER = re.compile(r"[-+]?(?:inf|\d+\.?\d*(?:e[-+]?\d+)?|\.\d+)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Weights:
-    """Content of a file of Stable-Baselines3, as data.
+    """Content of a file of Stable-Baselines3.
 
     Attributes:
         observation_space: of Gymnasium.
-        action_space: the same.
-        parameters: state by the name of what it is of: "policy", "policy.optimizer", ...
+        action_space: of Gymnasium.
+        parameters: state dictionaries: "policy", "policy.optimizer", ...
         variables: further tensors, by name.
-        counters: whole numbers of the algorithm, by name.
+        counters: integers of the algorithm, by name.
     """
 
     observation_space: Any
@@ -60,7 +59,7 @@ class Weights:
 
 
 def read_weights(file: Path) -> Weights:
-    """Reads a file that `Algorithm.save` of Stable-Baselines3 wrote; executes nothing in it.
+    """Read a file that `Algorithm.save` and `add_spaces` wrote; execute nothing in it.
 
     Raises:
         OutputError: it cannot be read, or is no such file; says what is wrong.
@@ -69,22 +68,21 @@ def read_weights(file: Path) -> Weights:
         raise OutputError(f"{file} cannot be read: there is no such file")
     try:
         with zipfile.ZipFile(file) as archive:
-            names = archive.namelist()
-            data = parse_json(_entry(archive, _DATA, file).decode(), f"{_DATA} in {file}")
+            data, described = (
+                parse_json(_entry(archive, name, file).decode(), f"{name} in {file}")
+                for name in (_DATA, SPACES)
+            )
             tensors = {
                 name.removesuffix(_TENSORS): _tensors(_entry(archive, name, file))
-                for name in names
+                for name in archive.namelist()
                 if name.endswith(_TENSORS)
             }
-            told: dict[str, Any] = {}
-            if SPACES in names:
-                told = parse_json(_entry(archive, SPACES, file).decode(), f"{SPACES} in {file}")
     except OutputError:
         raise
     except Exception as error:  # zip, zlib and torch fail in many ways
         raise OutputError(f"{file} is damaged: {brief(error)}") from None
     variables = tensors.pop(_VARIABLES, None)
-    counters = {name: data.get(name) for name in _COUNTERS if name in data}
+    counters = {name: data[name] for name in _COUNTERS if name in data}
     for name, value in counters.items():
         if not isinstance(value, int) or not 0 <= value < 2**53:
             raise OutputError(f"{file} is damaged: {name} must be a whole number")
@@ -92,60 +90,48 @@ def read_weights(file: Path) -> Weights:
     spaces = {}
     for name in ("observation_space", "action_space"):
         try:
-            spaces[name] = _space(told.get(name) or _of_text(data[name]), most)
+            spaces[name] = _space(described[name], most)
         except Exception as error:  # whatever there is in place of a space
             raise OutputError(f"{file} is damaged: {name}: {brief(error)}") from None
-    return Weights(
-        spaces["observation_space"],
-        spaces["action_space"],
-        tensors,
-        variables if isinstance(variables, dict) else {},
-        counters,  # pyright: ignore[reportArgumentType]
-    )
+    variables = variables if isinstance(variables, dict) else {}
+    return Weights(**spaces, parameters=tensors, variables=variables, counters=counters)
 
 
 def add_spaces(file: Path, observation_space: Any, action_space: Any) -> None:
-    """Adds the spaces to a file of Stable-Baselines3, which does not mind, as plain numbers."""
-    told = {
-        "observation_space": _as_json(observation_space),
-        "action_space": _as_json(action_space),
-    }
+    """Add the spaces to a file of Stable-Baselines3, which ignores them, as plain numbers."""
+    spaces = {"observation_space": observation_space, "action_space": action_space}
     with zipfile.ZipFile(file, "a") as archive:
-        archive.writestr(SPACES, json.dumps(told))
+        described = {name: _as_json(space) for name, space in spaces.items()}
+        archive.writestr(SPACES, json.dumps(described))
 
 
 def policy_arguments(settings: Settings) -> dict[str, Any]:
-    """Arguments of a policy's class in Stable-Baselines3."""
+    """Return the arguments of a policy's class in Stable-Baselines3."""
     nn = need("torch", extra="train", purpose="Training a policy").nn
     activation = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}[settings.activation]
     return {"net_arch": list(settings.net), "activation_fn": activation, **settings.policy}
 
 
-def new_policy(settings: Settings, observation_space: Any, action_space: Any) -> Any:
-    """A fresh policy of Stable-Baselines3 as the settings describe it, a `BasePolicy`."""
-    sb3 = need("stable_baselines3", extra="train", purpose=_PURPOSE)
-    arguments = policy_arguments(settings)
-    if settings.algorithm != "td3":
-        arguments["use_sde"] = bool(settings.arguments.get("use_sde", False))
-    return getattr(sb3, settings.algorithm).MlpPolicy(
-        observation_space, action_space, lambda _: 0.0, **arguments
-    )
-
-
 def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
-    """The policy that the settings describe, with these weights: a `BasePolicy`.
+    """Build the policy that the settings describe, with these weights: a `BasePolicy`.
 
     Args:
         settings: of the run.
         weights: read from a file.
-        file: the file, for the message.
+        file: named in the message.
 
     Raises:
         OutputError: weights and settings do not go together.
     """
     check_size(settings, weights, file)
+    sb3 = need("stable_baselines3", extra="train", purpose=_PURPOSE)
     try:
-        policy = new_policy(settings, weights.observation_space, weights.action_space)
+        arguments = policy_arguments(settings)
+        if settings.algorithm != "td3":
+            arguments["use_sde"] = bool(settings.arguments.get("use_sde", False))
+        policy = getattr(sb3, settings.algorithm).MlpPolicy(
+            weights.observation_space, weights.action_space, lambda _: 0.0, **arguments
+        )
         policy.load_state_dict(weights.parameters["policy"])
     except Exception as error:  # settings may be anything
         raise OutputError(
@@ -222,68 +208,43 @@ def _lists(value: object) -> list[list[int]]:
 
 
 def _as_json(space: Any) -> dict[str, Any]:
-    kind = type(space).__name__
-    told: dict[str, Any] = {"type": kind}
-    if kind == "Box":
-        told |= {"shape": list(space.shape), "dtype": str(space.dtype)}
-        # As texts: JSON has no infinity.
-        told |= {name: [repr(float(v)) for v in getattr(space, name).flat] for name in _BOUNDS}
-    elif kind == "Discrete":
-        told |= {"n": int(space.n), "start": int(space.start)}
-    elif kind == "MultiDiscrete":
-        told |= {"shape": list(space.shape), "nvec": [int(n) for n in space.nvec.flat]}
-    elif kind == "MultiBinary":
-        told |= {"shape": list(space.shape)}
-    return told
+    described: dict[str, Any] = {"type": type(space).__name__}
+    if described["type"] == "Discrete":
+        return described | {"n": int(space.n), "start": int(space.start)}
+    described["shape"] = list(space.shape)
+    if described["type"] == "Box":
+        described["dtype"] = str(space.dtype)
+        for name in _BOUNDS:  # as strings: JSON has no infinity
+            described[name] = [repr(float(value)) for value in getattr(space, name).flat]
+    elif described["type"] == "MultiDiscrete":
+        described["nvec"] = [int(n) for n in space.nvec.flat]
+    return described
 
 
-_BOUNDS = ("low", "high")
-
-
-def _of_text(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """The same from what version 0.1 wrote: numbers as NumPy prints them."""
-    kind = str(entry[":type:"]).rpartition(".")[2].removesuffix("'>")
-    told: dict[str, Any] = {"type": kind}
-    if kind == "Discrete":
-        return told | {"n": int(entry["n"]), "start": int(entry["start"])}
-    told["shape"] = entry["_shape"]
-    if kind == "Box":
-        told |= {"dtype": entry["dtype"], **{name: _numbers(entry[name]) for name in _BOUNDS}}
-    elif kind == "MultiDiscrete":
-        told["nvec"] = [int(number) for number in _numbers(entry["nvec"])]
-    return told
-
-
-def _numbers(text: str) -> list[str]:
-    if "..." in text:
-        raise ValueError("its bounds are cut off in the file; train it anew")
-    return _NUMBER.findall(text)
-
-
-def _space(told: Mapping[str, Any], most: int) -> Any:
-    """A space of Gymnasium; `most` is more than the numbers that it can have."""
+def _space(described: Mapping[str, Any], most: int) -> Any:
+    """Return a space of Gymnasium; one of more than `most` numbers is not that of a policy."""
     spaces = need("gymnasium.spaces", extra="train", purpose=_PURPOSE)
-    kind = told["type"]
+    kind = described["type"]
     if kind == "Discrete":
-        n, start = int(told["n"]), int(told["start"])
+        n, start = int(described["n"]), int(described["start"])
         if not 0 < n <= most or abs(start) > 2**31:
             raise ValueError(f"{n} actions")
         return spaces.Discrete(n, start=start)
-    shape = tuple(int(length) for length in told["shape"])
+    shape = tuple(int(length) for length in described["shape"])
     if any(length < 0 for length in shape) or not 0 < math.prod(shape) <= most:
         raise ValueError(f"a shape of {shape[:8]}")
     if kind == "Box":
-        if told["dtype"] not in _TYPES:
+        if described["dtype"] not in _TYPES:
             raise ValueError("its numbers are of no known type")
         low, high = (
-            np.array([float(v) for v in told[name]]).reshape(shape).astype(told["dtype"])
+            np.array([float(v) for v in described[name]]).reshape(shape).astype(described["dtype"])
             for name in _BOUNDS
         )
         if not (low <= high).all():
             raise ValueError("its bounds are the wrong way round")
-        return spaces.Box(low, high, shape, np.dtype(told["dtype"]).type)
+        return spaces.Box(low, high, shape, np.dtype(described["dtype"]).type)
     if kind == "MultiDiscrete":
-        nvec = np.array([int(n) for n in told["nvec"]]).reshape(shape)
+        nvec = np.array([int(n) for n in described["nvec"]]).reshape(shape)
         if not (nvec > 0).all() or nvec.sum() > most:
             raise ValueError(f"{nvec.sum()} actions")
         return spaces.MultiDiscrete(nvec)
@@ -293,9 +254,112 @@ def _space(told: Mapping[str, Any], most: int) -> Any:
 
 
 def brief(error: Exception) -> str:
-    """An error of a library in a few words."""
+    """Return an error of a library in a few words."""
     if isinstance(error, pickle.UnpicklingError):
         return "it holds more than numbers, or what is none"
     text = "".join(c if c.isprintable() else " " for c in str(error))
     text = " ".join(text.split())[:200]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+@dataclass(frozen=True)
+class Normalizer:
+    """Scales observations as `VecNormalize` of Stable-Baselines3 does.
+
+    Attributes:
+        mean: shape of one observation.
+        variance: shape of one observation.
+        clip: greatest size of a scaled number.
+        epsilon: added to the variance.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    clip: float
+    epsilon: float
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        scaled = (observations - self.mean) / np.sqrt(self.variance + self.epsilon)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+
+def read_normalizer(file: Path, *, normalized: bool, shape: tuple[int, ...]) -> Normalizer | None:
+    """Read the normalizer of a policy; None if its observations are not normalized.
+
+    The arguments and errors are those of `read_statistics`.
+    """
+    state = read_statistics(file, normalized=normalized, shape=shape)
+    if not normalized:
+        return None
+    return Normalizer(*(state[name] for name in ("mean", "variance", "clip", "epsilon")))
+
+
+def read_statistics(file: Path, *, normalized: bool, shape: tuple[int, ...]) -> dict[str, Any]:
+    """Read and check what `statistics_of` returned.
+
+    Args:
+        file: to read.
+        normalized: whether the policy was trained on normalized observations.
+        shape: of one observation.
+
+    Raises:
+        OutputError: it is missing, damaged, or that of another policy.
+    """
+    content = read_json(file)
+    if content.get("observations") is not normalized:
+        raise OutputError(
+            f"{file} is not of this policy: its observations are "
+            f"{'' if normalized else 'not '}normalised"
+        )
+    state: dict[str, Any] = {}
+    for name in ("clip", "epsilon", "count", "return_mean", "return_variance", "return_count"):
+        state[name] = number(content, name, file)
+        if state[name] is None or (name != "return_mean" and state[name] < 0):
+            raise OutputError(f"{file} is damaged: {name} must be a number of at least 0")
+    if normalized:
+        for name in ("mean", "variance"):
+            state[name] = _vector(content.get(name), name, file, shape)
+        if (state["variance"] + state["epsilon"] <= 0).any():
+            raise OutputError(f"{file} is damaged: a variance must be positive")
+    return state
+
+
+def _vector(content: object, name: str, file: Path, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        vector = np.array(content, dtype=float)
+    except (ValueError, TypeError, OverflowError):
+        raise OutputError(f"{file} is damaged: {name} must be numbers") from None
+    if vector.shape != shape:
+        raise OutputError(
+            f"{file} is not of this policy: its {name} has shape {vector.shape}, an observation "
+            f"{shape}"
+        )
+    if not np.isfinite(vector).all():
+        raise OutputError(f"{file} is damaged: {name} must be finite numbers")
+    return vector
+
+
+def statistics_of(env: Any) -> dict[str, Any]:
+    """Return the statistics of a `VecNormalize`; floats in JSON read back the same."""
+    observations, returns = env.obs_rms if env.norm_obs else None, env.ret_rms
+    return {
+        "observations": env.norm_obs,
+        "mean": observations.mean.tolist() if observations else [],
+        "variance": observations.var.tolist() if observations else [],
+        "count": float(observations.count) if observations else 0.0,
+        "clip": float(env.clip_obs),
+        "epsilon": float(env.epsilon),
+        "return_mean": float(returns.mean),
+        "return_variance": float(returns.var),
+        "return_count": float(returns.count),
+    }
+
+
+def restore_statistics(env: Any, state: Mapping[str, Any]) -> None:
+    """Put what `read_statistics` returned into a `VecNormalize`."""
+    if env.norm_obs:
+        env.obs_rms.mean, env.obs_rms.var = state["mean"], state["variance"]
+        env.obs_rms.count = state["count"]
+    env.ret_rms.mean = np.float64(state["return_mean"])
+    env.ret_rms.var = np.float64(state["return_variance"])
+    env.ret_rms.count = state["return_count"]

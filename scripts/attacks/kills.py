@@ -1,6 +1,6 @@
 """Kill commands at random moments, and start them again: nothing may be lost, nothing mixed.
 
-Each of `impact`, `sweep`, `train` and `compare` is started in a folder, killed up to four times and
+Each of `impact`, `sweep` and `train` is started in a folder, killed up to four times and
 started again each time, then left to end. Half of the kills come after a random time, half at a
 random one of its operations on files, where a crash hurts most; one in four is a SIGTERM. After
 each kill the folder must hold the old result or the new one, and every row and checkpoint that was
@@ -183,24 +183,6 @@ def train(algorithm: str) -> Command:
     return Command(command, _steps, result, same=False)
 
 
-def compare() -> Command:
-    """Return three trainings on different grounds, and their evaluation."""
-    small = ["num_envs=2", "n_steps=16", "batch_size=32", "n_epochs=1", "checkpoint_every=32"]
-    few = ["--policies", "1", "--seeds", "2", "--total-steps", "64", "--json"]
-
-    def command(folder: Path) -> list[str]:
-        return ["compare", "Hopper", *few, "--out", str(folder), "--set", *small, "net=[8,8]"]
-
-    def look(folder: Path) -> float:
-        return sum(_steps(run) for run in folder.glob("*-0"))
-
-    def result(folder: Path) -> str:
-        assert (folder / "compare.png").stat().st_size > 1000
-        return (folder / "summary.json").read_text()
-
-    return Command(command, look, result, same=False)
-
-
 def _steps(folder: Path) -> float:
     """Return the steps of the newest checkpoint of a run, 0 without a run."""
     if not (folder / CONFIG).exists():
@@ -217,7 +199,6 @@ COMMANDS: dict[str, list[Callable[[], Command]]] = {
     "impact": [impact],
     "sweep": [lambda: sweep(1), lambda: sweep(2)],
     "train": [functools.partial(train, name) for name in _TRAIN],
-    "compare": [compare],
 }
 
 

@@ -63,6 +63,40 @@ def test_the_video_script(tmp_path):
     assert (tmp_path / "film.mp4").stat().st_size > 1000
 
 
+TUNE = ("Pendulum-v1", "--total-steps", "64", "--trials", "2")
+TUNE += ("--set", "num_envs=1", "n_steps=64", "batch_size=64", "environment.max_episode_steps=20")
+
+
+@pytest.mark.slow
+def test_the_tuning_script(tmp_path):
+    pytest.importorskip("optuna", reason="the extra tune is not installed")
+    script = ROOT / "scripts" / "tune.py"
+    assert len(script.read_text().splitlines()) <= 80
+    printed = run(script, *TUNE, "--out", "tuned", cwd=tmp_path)
+    assert printed.startswith("best of 2: trial-")
+    assert "--set learning_rate=linear_" in printed
+    assert (tmp_path / "tuned" / "trial-1" / "policy.zip").exists()
+
+
+def test_the_tuning_script_without_optuna_gives_the_install_line(tmp_path, monkeypatch):
+    (tmp_path / "optuna.py").write_text("raise ModuleNotFoundError(name='optuna')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
+    command = [sys.executable, ROOT / "scripts" / "tune.py", *TUNE]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'mjgranular[tune]'" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_rllib_script(tmp_path):
+    pytest.importorskip("ray.rllib", reason="the extra ray is not installed")
+    script = ROOT / "scripts" / "train_rllib.py"
+    printed = run(script, "mjgranular/ChainCrawl-v0", "2", "policy", cwd=tmp_path).splitlines()
+    assert re.fullmatch(r"2: 8192 steps, mean return \S+", printed[1])
+    assert (tmp_path / "policy" / "rllib_checkpoint.json").exists()
+
+
 @pytest.mark.parametrize(
     "page",
     [

@@ -445,7 +445,7 @@ def test_files_of_strangers_are_read_as_data_or_refused(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
-@pytest.mark.parametrize("kind", ["impact", "sweep", "train", "compare"])
+@pytest.mark.parametrize("kind", ["impact", "sweep", "train"])
 def test_killed_commands_lose_nothing(kind, tmp_path):
     rounds = {"impact": "1", "train": "3"}.get(kind, "2")  # some four kills
     attack(tmp_path, "kills", "--count", rounds, "--commands", kind, seconds=300)

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.filterwarnings(
 SHIPPED = shipped_policies()
 STEPS = 100  # of 500: four seconds
 
-# The best of `mjgranular gait ... --search 200 --by x_velocity` (docs/training.md).
+# The best of `search_gaits(..., count=200, by="x_velocity")` (docs/training.md).
 BEST_GAITS = {
     "ChainSwim": {"amplitude": 1.0, "frequency": 1.6, "waves": 0.5},
     "ChainCrawl": {"amplitude": 0.733, "frequency": 0.5, "waves": 0.667, "offset": 0.133},

@@ -32,10 +32,7 @@ RFT3D = """
 """
 # What makes a command short, in place of what the page has for these options.
 SHORT = {
-    "compare": "--total-steps 64 --policies 1 --seeds 2 --set n_steps=32 num_envs=2 batch_size=64 "
-    "environment.max_episode_steps=50",
     "evaluate": "--seeds 2",
-    "gait": "--search 2 --on max_episode_steps=50",
     "render": "--seconds 0.2 --width 160 --height 120 --fps 5",
     "reproduce": "--timestep 2e-5",
     "sweep": "--points 2 --workers 1",

@@ -26,20 +26,13 @@ from mjgranular.errors import (
     UnknownNameError,
 )
 from mjgranular.learn import environments
-from mjgranular.learn.agents import Random, Zero
+from mjgranular.learn.agents import Random, Zero, make_gait
 from mjgranular.learn.blocks import Evaluation, Job
 from mjgranular.learn.episodes import run_episodes
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
-from mjgranular.learn.normalizer import (
-    Normalizer,
-    normalizer_state,
-    read_normalizer,
-    read_state,
-    restore_normalizer,
-)
 from mjgranular.learn.policies import POLICY_FILES, load_policy
 from mjgranular.learn.run import Run, begin_run, open_run, read_curve
-from mjgranular.learn.search import grid
+from mjgranular.learn.search import grid, search_gaits
 from mjgranular.learn.settings import (
     FOLDER,
     Settings,
@@ -49,6 +42,13 @@ from mjgranular.learn.settings import (
     settings_file,
 )
 from mjgranular.learn.train import train
+from mjgranular.learn.weights import (
+    Normalizer,
+    read_normalizer,
+    read_statistics,
+    restore_statistics,
+    statistics_of,
+)
 
 ID = "Pendulum-v1"
 QUICK = {
@@ -320,14 +320,14 @@ def test_observations_are_normalised_as_in_training(tmp_path):
     env.reset()
     for _ in range(50):
         env.step(np.zeros((3, 1), np.float32))
-    (tmp_path / "normalizer.json").write_text(json.dumps(normalizer_state(env)))
+    (tmp_path / "normalizer.json").write_text(json.dumps(statistics_of(env)))
     like = {"normalized": True, "shape": (3,)}
     normalizer = read_normalizer(tmp_path / "normalizer.json", **like)
     assert isinstance(normalizer, Normalizer)
     seen = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32) * 30
     np.testing.assert_array_equal(normalizer(seen), env.normalize_obs(seen))
     other = environments()
-    restore_normalizer(other, read_state(tmp_path / "normalizer.json", **like))
+    restore_statistics(other, read_statistics(tmp_path / "normalizer.json", **like))
     np.testing.assert_array_equal(other.obs_rms.var, env.obs_rms.var)
     assert other.ret_rms.count == env.ret_rms.count
 
@@ -605,7 +605,7 @@ def test_variants_are_read_as_toml():
     }
 
 
-# Gaits and grounds
+# Gaits
 
 
 def test_a_grid_has_the_ends_of_its_ranges_and_as_many_points_as_were_asked_for():
@@ -615,51 +615,34 @@ def test_a_grid_has_the_ends_of_its_ranges_and_as_many_points_as_were_asked_for(
     assert len(grid({"a": (0.0, 1.0)}, 7)) == 7
 
 
-def test_the_search_finds_the_gait_that_goes_farthest(capfd):
-    wide = ["--range", "amplitude=0.2:1.0", "frequency=0.5:2", "waves=-1:1"]
-    command = ["gait", "mjgranular/ChainCrawl-v0", "--search", "8", "--json", *wide]
-    quickly = ["--on", "frame_skip=2"]
-    assert main([*command, "--by", "x_velocity", *quickly]) == 0
-    captured = capfd.readouterr()
-    found = json.loads(captured.out)
-    values = [row["value"] for row in found["tried"]]
+def test_the_search_finds_the_gait_that_goes_farthest():
+    name, quickly = "mjgranular/ChainCrawl-v0", {"frame_skip": 2}
+    wide = {"amplitude": (0.2, 1.0), "frequency": (0.5, 2.0), "waves": (-1.0, 1.0)}
+    search = search_gaits(name, quickly, count=8, ranges=wide, by="x_velocity")
+    values = [value for _, value in search.gaits]
     assert len(values) == 16  # two of each of four parameters
     assert values == sorted(values, reverse=True)
-    best = found["best"]
-    assert best["gait"] == found["tried"][0]["gait"]
-    assert len(best["seeds"]) == 10
+    best = search.gaits[0][0]
+    assert set(search.edges) == set(best)  # of two values each is an end
+    score = evaluate("gait", lambda env: make_gait(name, env, best), name, quickly)
     # The start is drawn anew for each seed, and matters little to a gait.
-    assert best["figures"]["x_velocity"]["mean"] == pytest.approx(values[0], rel=0.2)
-    assert "at the end of the range of" in " ".join(captured.err.split())
-    assert main(["gait", "mjgranular/ChainCrawl-v0", "--range", "hop=1:2"]) == 2
-    assert "has no 'hop'; it has: amplitude" in capfd.readouterr().err
-    assert main(["gait", "mjgranular/ChainCrawl-v0", "--range", "hop"]) == 2
-    assert "NAME=LOW:HIGH" in capfd.readouterr().err
+    assert score.figure("x_velocity").mean == pytest.approx(values[0], rel=0.2)
 
 
-@pytest.mark.slow
-def test_grounds_are_compared_and_what_is_trained_is_kept(tmp_path, capfd):
-    small = ["num_envs=2", "n_steps=32", "batch_size=64", "n_epochs=1", "checkpoint_every=1000"]
-    command = ["compare", "Hopper", "--policies", "1", "--seeds", "2", "--total-steps", "64"]
-    command += ["--json", "--out", str(tmp_path), "--set", *small]
-    assert main([*command, "--workers", "2"]) == 0
-    cells = json.loads(capfd.readouterr().out)
-    grounds = ["rigid", "sand", "randomised sand"]
-    assert [(cell["trained_on"], cell["on"]) for cell in cells] == [
-        (a, b) for a in grounds for b in grounds
-    ]
-    assert (tmp_path / "compare.png").stat().st_size > 1000
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("policy.zip")}
-    assert main(command) == 0
-    assert json.loads(capfd.readouterr().out) == cells
-    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("policy.zip")}
-    shutil.rmtree(tmp_path / "rigid-0")  # what a worker has trained this process trains alike
-    assert main(command) == 0
-    assert json.loads(capfd.readouterr().out) == cells
-    assert main([*command, "gamma=0.5"]) == 2
-    assert "other settings" in capfd.readouterr().err
-    assert main(["compare", "Snake"]) == 2
-    assert "there are: Hopper, Hexapod" in capfd.readouterr().err
+@pytest.mark.parametrize(
+    ("env_id", "more", "message"),
+    [
+        ("Ant-v5", {}, "there is no scripted gait for Ant-v5"),
+        ("mjgranular/ChainSwim-v0", {"count": 0}, "at least 2 gaits, not 0"),
+        ("mjgranular/ChainSwim-v0", {"ranges": {"hop": (0, 1)}}, "'hop'; it has: amplitude"),
+        ("mjgranular/ChainSwim-v0", {"ranges": {"waves": (1, 0)}}, "range of waves .* 1:0"),
+        ("mjgranular/ChainSwim-v0", {"count": 2, "by": "joy"}, "no 'joy' in its info; it has: "),
+    ],
+)
+def test_gaits_that_cannot_be_searched_are_told(env_id, more, message):
+    short = {"max_episode_steps": 2} if "by" in more else {}
+    with pytest.raises(InputError, match=message):
+        search_gaits(env_id, short, **more)
 
 
 def test_a_batch_trains_as_its_copy_does(tmp_path):
@@ -720,5 +703,5 @@ def test_a_refined_batch_is_the_refined_environment():
 def test_what_cannot_be_refined_says_so():
     with pytest.raises(InputError, match="refine is for environments of MuJoCo's"):
         environments.one("CartPole-v1", {"refine": 2})
-    with pytest.raises(InputError, match="refine must be a whole number of at least 1"):
+    with pytest.raises(InputError, match="refine must be a whole number"):
         environments.one("Swimmer-v5", {"refine": 0.5})

@@ -226,13 +226,6 @@ evaluate CartPole-v1 --agent zero --on medium | a variant of an environment is N
 evaluate CartPole-v1 --agent zero --gait waves=1 | --gait is for --agent
 evaluate Hexapod-v0/ppo-0 --env CartPole-v1 | is for mjgranular/Hexapod-v0: its observations are
 evaluate Hexapod-v0/ppo-0 --on medium=moon | no medium 'moon'; there are: glass_beads, glass
-gait Ant-v5 | there is no scripted gait for Ant-v5
-gait mjgranular/ChainSwim-v0 --search 0 | a search tries at least 2 gaits
-gait mjgranular/ChainSwim-v0 --range waves | a range is NAME=LOW:HIGH, not
-gait mjgranular/ChainSwim-v0 --range wave=0:1 | the gait of mjgranular/ChainSwim-v0 has no 'wave'
-gait mjgranular/ChainSwim-v0 --range waves=1:0 | the range of waves must be from low to high
-compare Robot | no robot to compare grounds with 'Robot'
-compare Hopper --policies 0 | a comparison needs at least 1 policy
 warm blok.xml | MuJoCo cannot load blok.xml
 warm block.xml --env Ant-v5 | name a MODEL.xml or --env ID
 warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: ... mjgranular/Ant-v0,
@@ -261,8 +254,6 @@ impact --memory 1cm | memory, the side of a cell, must be a number, not '1cm'
 drop block.xml --memory "cell=0.01 bulking=20" | must be from 0.5 to 2, not 20: a fifth more is 1.2
 drop block.xml --geoms block --bodies blck | no body of the model 'blck' ... did you mean block?
 train CartPole-v1 --set environment.render_mode=human | nothing is drawn while a policy is trained
-compare Hopper --seeds 0 | seeds must be at least 1, not 0
-compare Hopper --seeds 1 | an evaluation needs at least 2 seeds, not 1
 evaluate Hexapod-v0/ppo-0 --seeds 0 | seeds must be at least 1, not 0
 """
 _FRAME = str.maketrans("╭╮╰╯│─", " " * 6)  # around the parser's own messages

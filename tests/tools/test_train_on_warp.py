@@ -18,7 +18,6 @@ HOPPER = "mjgranular/Hopper-v0"
     [
         ([HOPPER, "--device", "cpu"], "--device is for --engine warp"),
         ([HOPPER, "--engine", "warp", "--device", "gpu9"], "no device 'gpu9' .* there is: cpu"),
-        ([HOPPER, "--engine", "warp", "--env-runners", "2"], "--env-runners is for --engine ray"),
         ([HOPPER, "--engine", "warp", "--num-envs", "0"], "num_envs"),
         (
             ["Pendulum-v1", "--engine", "warp"],
@@ -27,10 +26,6 @@ HOPPER = "mjgranular/Hopper-v0"
         (
             [HOPPER, "--engine", "warp", "--set", "environment.memory='cell=0.01 extent=0.1'"],
             "too small for surroundings",
-        ),
-        (
-            [HOPPER, "--engine", "warp", "--search", "gamma=0.9,0.99"],
-            "trained with --engine local or ray",
         ),
     ],
 )

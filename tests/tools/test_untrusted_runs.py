@@ -13,13 +13,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.buffers import ReplayBuffer
 
 from mjgranular import files
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
 from mjgranular.learn import change, find_settings, weights
-from mjgranular.learn.checkpoint import read_replay
 from mjgranular.learn.policies import POLICY_FILES, load_policy, shipped_policies
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.train import train
@@ -103,30 +101,6 @@ def test_weights_that_hold_a_pickle_are_refused(tmp_path):
     assert not marker.exists()
 
 
-@pytest.mark.slow
-def test_a_pickled_replay_buffer_is_read_only_if_that_is_asked_for(tmp_path, capfd):
-    run = trained(tmp_path / "run", "sac")
-    newest = run.newest_checkpoint()
-    env = gym.make(ID)
-    buffer = ReplayBuffer(2000, env.observation_space, env.action_space, "cpu", n_envs=2)
-    read_replay(newest / "replay.npz", buffer)
-    assert buffer.pos == 256
-
-    def as_before(to: Path) -> None:  # as version 0.1 wrote it
-        copy(old, to)
-        (to / "replay.npz").unlink()
-        (to / "replay.pkl").write_bytes(pickle.dumps(buffer))
-
-    old = tmp_path / "old"
-    newest.rename(old)
-    files.write_folder(newest, as_before)
-    resume = ["train", "--resume", str(run.path), "--total-steps", "576"]
-    assert main(resume) == 2
-    assert "can execute code when it is read" in " ".join(capfd.readouterr().err.split())
-    assert main([*resume, "--trust"]) == 0
-    assert open_run(run.path).steps() == 576
-
-
 def test_a_module_that_only_a_file_names_is_not_imported(tmp_path, monkeypatch, capfd):
     code = "import gymnasium\n"
     code += "gymnasium.register('Strange-v0', 'gymnasium.envs.classic_control:PendulumEnv', "
@@ -168,7 +142,6 @@ def test_a_module_that_only_a_file_names_is_not_imported(tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize("name", ["mine", *shipped_policies()])
 def test_policies_act_as_stable_baselines_has_them(name, tmp_path):
-    """Ours, and those of version 0.1, whose spaces are texts."""
     policy = load_policy(trained(tmp_path / "run", "ppo").path if name == "mine" else name)
     whole = PPO.load(policy.folder / "policy.zip", device="cpu")
     for what in ("observation_space", "action_space"):

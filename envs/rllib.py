@@ -1,0 +1,48 @@
+"""Environments for RLlib."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+
+from mjgranular.envs.known import find_spec
+from mjgranular.extras import need
+
+
+def register_env(env_id: str) -> str:
+    """Register an environment with RLlib under its Gymnasium id.
+
+    RLlib needs it where it makes environments itself: its workers do not know the ids that this
+    package registers. Use `env_runners(gym_env_vectorize_mode="vector_entry_point")` to step the
+    `num_envs_per_env_runner` environments of a worker as one batch. `env_config` has the arguments
+    of the environment.
+
+    Args:
+        env_id: such as `mjgranular/ChainSwim-v0`, or `my_module:My-v0`.
+
+    Returns:
+        The id, for `config.environment`.
+
+    Raises:
+        UnknownNameError: no such environment.
+        MissingExtraError: Ray is not installed.
+    """
+    find_spec(env_id)
+    tune = need("ray.tune.registry", extra="ray", purpose="Training with RLlib")
+    tune.register_env(env_id, partial(_make, env_id))
+    return env_id
+
+
+def _make(env_id: str, context: Mapping[str, Any]) -> Any:
+    """Return one environment, or with `num_envs` in the context several as a vector environment."""
+    importlib.import_module("mjgranular.envs")  # registers the ids in this worker
+    arguments = dict(context)
+    num_envs = arguments.pop("num_envs", None)
+    if num_envs is None:
+        return gym.make(env_id, **arguments)
+    mode = "sync" if find_spec(env_id).vector_entry_point is None else "vector_entry_point"
+    return gym.make_vec(env_id, num_envs=num_envs, vectorization_mode=mode, **arguments)

@@ -1,0 +1,80 @@
+"""Tunes the settings of a training with Optuna; each trial is a training run in a folder.
+
+python scripts/tune.py mjgranular/ChainCrawl-v0 --trials 16 --total-steps 100000 --out tuned
+
+The study is kept in DIR/study.db: the same command adds trials to it, and several processes may
+work on it at once. Change `suggest` for other settings and ranges.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mjgranular.errors import GranularError, UnstableError
+from mjgranular.extras import need
+from mjgranular.learn import change, find_settings
+from mjgranular.learn.evaluate import evaluate
+from mjgranular.learn.policies import load_policy
+from mjgranular.learn.run import begin_run
+from mjgranular.learn.train import train
+
+# Seeds of no training, and not those of `mjgranular evaluate`: the best is evaluated on others.
+SEEDS = 20_000
+
+
+def suggest(trial: Any) -> list[str]:
+    """Return changes of the settings for one trial. The ranges are chosen, not measured."""
+    rate = trial.suggest_float("learning_rate", 1e-4, 1e-2, log=True)
+    gamma = 1 - trial.suggest_float("1 - gamma", 5e-3, 1e-1, log=True)
+    epochs = trial.suggest_int("n_epochs", 3, 10)
+    return [f"learning_rate=linear_{rate:.4g}", f"gamma={gamma:.4g}", f"n_epochs={epochs}"]
+
+
+def run_trial(trial: Any, options: argparse.Namespace) -> float:
+    """Train and evaluate; return the mean return over ten seeds."""
+    changes = suggest(trial)
+    trial.set_user_attr("set", " ".join(changes))
+    settings = change(find_settings(options.env, algorithm="ppo"), [*options.set, *changes])
+    settings = replace(settings, total_steps=options.total_steps)
+    run = begin_run(options.out / f"trial-{trial.number}", options.env, settings, seed=options.seed)
+    with run.locked():
+        if train(run).stopped_by is not None:
+            raise KeyboardInterrupt
+    policy = load_policy(run.path)
+    score = evaluate(run.name, lambda env: policy, options.env, run.arguments, first_seed=SEEDS)
+    return score.returned.mean
+
+
+def main() -> None:
+    """Run the trials and print the best settings."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("env", help="Gymnasium id")
+    parser.add_argument("--trials", type=int, default=16)
+    parser.add_argument("--total-steps", type=int, default=100_000, help="of each trial")
+    parser.add_argument("--set", nargs="*", default=[], help="fixed settings, as for train --set")
+    parser.add_argument("--seed", type=int, default=0, help="of all trials and the sampler")
+    parser.add_argument("--out", type=Path, default=Path("tuned"))
+    options = parser.parse_args()
+    try:
+        optuna = need("optuna", extra="tune", purpose="Tuning")
+        options.out.mkdir(parents=True, exist_ok=True)
+        study = optuna.create_study(
+            storage=f"sqlite:///{options.out / 'study.db'}",
+            study_name=f"{options.env} {options.total_steps}",
+            sampler=optuna.samplers.TPESampler(seed=options.seed),
+            direction="maximize",
+            load_if_exists=True,
+        )
+        study.optimize(lambda trial: run_trial(trial, options), options.trials, catch=UnstableError)
+    except GranularError as error:
+        raise SystemExit(f"error: {error}") from None
+    best = study.best_trial
+    print(f"best of {len(study.trials)}: trial-{best.number}, mean return {best.value:.4g}")
+    print(f"--set {best.user_attrs['set']}")
+
+
+if __name__ == "__main__":
+    main()
