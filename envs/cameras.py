@@ -8,10 +8,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_count
 from mjgranular.envs.dunes import DUNES
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, RenderError, UnknownNameError
-from mjgranular.given import check_count
 
 RENDER_MODES = ["human", "rgb_array"]
 

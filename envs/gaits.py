@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mjgranular._util.checks import kind_of
 from mjgranular.envs.options import check_number
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import kind_of
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gymnasium as gym
 
+from mjgranular._util.checks import kind_of
 from mjgranular.envs.chains import ChainCrawl, ChainSwim
 from mjgranular.envs.gym_planar import HalfCheetah, Hopper, Swimmer, Walker2d
 from mjgranular.envs.gym_spatial import Ant, Humanoid
@@ -12,7 +13,6 @@ from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task
 from mjgranular.envs.tasks import tasks
 from mjgranular.errors import InputError
-from mjgranular.given import kind_of
 
 NAMESPACE = "mjgranular"
 VERSION = 0

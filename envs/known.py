@@ -9,8 +9,8 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
+from mjgranular._util.user_modules import import_own
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.own import import_own
 
 
 def find_spec(env_id: Any) -> EnvSpec:
@@ -18,7 +18,7 @@ def find_spec(env_id: Any) -> EnvSpec:
 
     Args:
         env_id: its id; `my_module:My-v0` has the module imported that registers it, also from the
-            current folder (`mjgranular.own`).
+            current folder (`mjgranular._util.user_modules`).
 
     Raises:
         UnknownNameError: there is none of that id, or no such module; lists ids of mjgranular's and

@@ -6,8 +6,8 @@ import math
 from numbers import Real
 from typing import Any
 
+from mjgranular._util.checks import check_switch
 from mjgranular.errors import InputError, shown
-from mjgranular.given import check_switch
 
 
 def check_number(name: str, value: Any) -> None:

@@ -10,9 +10,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import kind_of
 from mjgranular.engine import tune
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import kind_of
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import medium_for

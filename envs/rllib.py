@@ -9,8 +9,8 @@ from typing import Any
 
 import gymnasium as gym
 
+from mjgranular._util.extras import need
 from mjgranular.envs.known import find_spec
-from mjgranular.extras import need
 
 
 def register_env(env_id: str) -> str:

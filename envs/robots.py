@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.envs.registration import EnvSpec, load_env_creator
 
+from mjgranular._util.checks import check_count
 from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
@@ -31,7 +32,6 @@ from mjgranular.envs.ranges import (
 )
 from mjgranular.envs.single import first_of
 from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
-from mjgranular.given import check_count
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)

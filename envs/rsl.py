@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from mjgranular._util.checks import kind_of
+from mjgranular._util.extras import need
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
-from mjgranular.extras import need
-from mjgranular.given import kind_of
 
 need("rsl_rl", extra="warp", purpose="mjgranular.envs.rsl")
 

@@ -10,11 +10,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from mjgranular._util.checks import check_count, check_switch
+from mjgranular._util.extras import need
 from mjgranular.envs.known import find_spec
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
-from mjgranular.extras import need
-from mjgranular.given import check_count, check_switch
 
 need("stable_baselines3", extra="train", purpose="mjgranular.envs.sb3")
 

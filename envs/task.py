@@ -24,6 +24,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from mjgranular import HeightField, InputError, Medium, Plane, SandSpec, Surface
+from mjgranular._util.checks import check_count
 from mjgranular.envs.dunes import DUNES, Dunes, add_dunes
 from mjgranular.envs.figures import Figures
 from mjgranular.envs.ground import put_on_sand
@@ -39,7 +40,6 @@ from mjgranular.envs.ranges import (
     sands_of,
     told,
 )
-from mjgranular.given import check_count
 from mjgranular.sand.spec import SAND_FIELDS
 from mjgranular.surface.choice import surface_of
 

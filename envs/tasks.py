@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
+from mjgranular._util.registry import Registry
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError
-from mjgranular.registry import Registry
 
 tasks: Registry[type[Task]] = Registry("environment")
 """Tasks by the names in their ids: `ChainSwim` for `mjgranular/ChainSwim-v0`."""

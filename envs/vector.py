@@ -10,11 +10,11 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from mjgranular._util.checks import check_count, kind_of
 from mjgranular.envs.cameras import RENDER_MODES, Cameras
 from mjgranular.envs.task import Task, check_actions
 from mjgranular.envs.tasks import get_task
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import check_count, kind_of
 
 
 class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):

@@ -7,12 +7,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.extras import need
 from mjgranular.engine.instances import instance_of
 from mjgranular.engine.tuning import DENSITY, HEIGHT, INITIAL, STRENGTH
 from mjgranular.envs.ground import place, quiet
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError
-from mjgranular.extras import need
 
 need("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
 

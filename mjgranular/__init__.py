@@ -1,6 +1,6 @@
 """Sand for MuJoCo: published granular resistance laws acting on any MJCF body.
 
-The way of the data, and the order in which to read the package: a `Medium` says what the sand is;
+Data flow, and the order in which to read the package: a `Medium` says what the sand is;
 `shape` cuts a model's geoms into elements; `surface` gives their depth; a `law` the force on each;
 a `scheme` makes a step of it; `Sand` binds them to a model.
 
@@ -8,13 +8,13 @@ SI units, radians, world frame with z up; depth is positive below the surface; f
 body.
 """
 
-# First of all: where the package's folders are, and, because MuJoCo reads it once when it is
-# imported, how to draw.
-from mjgranular import _checkout as _checkout
-from mjgranular import headless as _headless
+# First, because MuJoCo reads it once, when it is imported: how to draw.
+from mjgranular._util import headless as _headless
 
 # isort: split
 
+from mjgranular._util.checkout import add_checkout_folders as _add_checkout_folders
+from mjgranular._util.notebook import show as show
 from mjgranular._version import __version__ as __version__
 from mjgranular.engine import add_sand as add_sand
 from mjgranular.errors import GranularError as GranularError
@@ -40,7 +40,6 @@ from mjgranular.medium import Medium as Medium
 from mjgranular.medium import Quantity as Quantity
 from mjgranular.medium import media as media
 from mjgranular.medium import register_medium as register_medium
-from mjgranular.notebook import show as show
 from mjgranular.relief import Heights as Heights
 from mjgranular.relief import Memory as Memory
 from mjgranular.sand import BodyReport as BodyReport
@@ -57,3 +56,5 @@ from mjgranular.surface import Bed as Bed
 from mjgranular.surface import HeightField as HeightField
 from mjgranular.surface import Plane as Plane
 from mjgranular.surface import Surface as Surface
+
+_add_checkout_folders(__path__)

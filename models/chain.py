@@ -10,8 +10,8 @@ from typing import Literal, get_args
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.given import is_finite
 from mjgranular.models.link import Link, model_path
 from mjgranular.sand.material import LAW_TEXT
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.given import is_finite
 from mjgranular.models.link import robot_scene
 
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.given import is_finite
 from mjgranular.models.link import robot_scene
 
 HIPS = (-0.05, 0.0, 0.05)

@@ -10,8 +10,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import is_finite
 
 _FOLDER = Path(__file__).resolve().parent
 _PAPER_LENGTH = 0.2  # of the link in link.xml [m]; scenery is scaled with the length

@@ -8,8 +8,8 @@ from typing import Literal, get_args
 
 import mujoco
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import is_finite
 from mjgranular.models.link import Link
 from mjgranular.sand.material import LAW_TEXT
 

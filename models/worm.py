@@ -9,8 +9,8 @@ from typing import Literal, get_args
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError
-from mjgranular.given import is_finite
 from mjgranular.models.chain import Chain
 
 Posture = Literal["level", "upright"]

@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from mjgranular._util.extras import need
 from mjgranular.errors import GranularError, UnstableError
-from mjgranular.extras import need
 from mjgranular.learn import change, find_settings
 from mjgranular.learn.evaluate import evaluate
 from mjgranular.learn.policies import load_policy

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from mjgranular._util.extras import need
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
-from mjgranular.extras import need
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES
 from mjgranular.learn.blocks import Actor

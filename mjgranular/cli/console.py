@@ -19,8 +19,8 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from mjgranular._util.extras import need
 from mjgranular.errors import GranularWarning, one_line
-from mjgranular.extras import need
 
 
 class _PlainConsole(Console):

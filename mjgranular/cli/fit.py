@@ -14,7 +14,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular import files
+from mjgranular._util import files
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
 from mjgranular.cli.options import law_named
 from mjgranular.errors import InputError, MissingExtraError, OutputError

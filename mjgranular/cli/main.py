@@ -12,6 +12,8 @@ from typing import Annotated, Any, Union
 
 import tyro
 
+from mjgranular._util.reading import place
+from mjgranular._util.signals import signal_of, stopped_by_signals
 from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
@@ -32,8 +34,6 @@ from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
 from mjgranular.cli.warm import WarmCommand
 from mjgranular.errors import GranularError, GranularWarning, UnknownNameError, one_line
-from mjgranular.reading import place
-from mjgranular.signals import signal_of, stopped_by_signals
 
 PIPE_CLOSED = 141  # what a shell expects when the reader went away: 128 + SIGPIPE
 

@@ -10,10 +10,10 @@ from typing import Annotated, Any, TypeVar
 
 import tyro
 
+from mjgranular._util.user_modules import import_own
 from mjgranular.errors import UnknownNameError
 from mjgranular.experiment import Impact
 from mjgranular.law import Law, laws, register_law
-from mjgranular.own import import_own
 from mjgranular.shape.rods import CHOOSE
 
 T = TypeVar("T")

@@ -12,6 +12,7 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
+from mjgranular._util.signals import Stopped
 from mjgranular.cli.console import out, print_json, progress_bar, show_error
 from mjgranular.cli.impact import release_to_stop, title
 from mjgranular.cli.options import law_named
@@ -20,7 +21,6 @@ from mjgranular.experiment import CASES, Impact, ImpactResult, Sweep, reproduce,
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.paper import PaperCase, comparison
 from mjgranular.pool import Workers
-from mjgranular.signals import Stopped
 
 _SWEEPS = {
     5: Sweep("speed", 1.0, 10.0, 19, Impact(angle=math.radians(45))),

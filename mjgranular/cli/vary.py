@@ -9,6 +9,7 @@ from typing import Annotated, Any, Union
 import numpy as np
 import tyro
 
+from mjgranular._util.parse import split_words
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
@@ -18,7 +19,6 @@ from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment import Between, Drop
 from mjgranular.experiment.chain_impact import chain_length
 from mjgranular.experiment.study import ANGLES, Experiment, Value
-from mjgranular.words import split_words
 
 _COMMANDS: dict[str, Any] = {
     "impact": ImpactCommand,

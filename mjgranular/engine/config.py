@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.parse import read_value, split_words
+from mjgranular._util.registry import Registry
 from mjgranular.errors import GranularError, InputError, UnknownNameError, shown
 from mjgranular.law import laws
 from mjgranular.medium import Medium, get_medium, media
-from mjgranular.registry import Registry
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec
 from mjgranular.scheme import get_scheme, schemes
 from mjgranular.shape.select import names_in
 from mjgranular.surface.choice import surface_from_words, surface_of, surfaces
-from mjgranular.words import read_value, split_words
 
 KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""

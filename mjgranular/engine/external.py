@@ -17,11 +17,11 @@ from typing import Any
 
 import mujoco
 
+from mjgranular._util.checks import check_data, check_model
 from mjgranular.engine.block import HEADER_DTYPE
 from mjgranular.engine.handles import block_finder
 from mjgranular.engine.instances import NAME, instance_of, sands_in
 from mjgranular.engine.layout import Layout, find_layout
-from mjgranular.given import check_data, check_model
 from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.engine import forces_on_bodies, sensors_of_acceleration
 from mjgranular.kernel.memory import (

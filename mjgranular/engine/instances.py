@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_data, check_model
 from mjgranular.engine.config import KEYS, read_config
 from mjgranular.engine.library import config_texts, instance_name, plugin_slot
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import check_data, check_model
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.heights import Heights, heights_of

@@ -19,6 +19,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.names import name_of
 from mjgranular.engine import sensor
 from mjgranular.engine.block import HEADER_DTYPE, NO_RELOCATIONS, NOT_ASKED, Image, make_image
 from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
@@ -34,10 +35,9 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.fork import LOADER
 from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE_FORCES
-from mjgranular.look import NOT_SHOWN, TILE, TILES, PlaneLook, radius_of
 from mjgranular.medium import media
-from mjgranular.names import name_of
 from mjgranular.prints.cover import SIGNATURE, make_canvas, room_of
+from mjgranular.prints.look import NOT_SHOWN, TILE, TILES, PlaneLook, radius_of
 from mjgranular.prints.shape import shape_of
 from mjgranular.prints.skin import skin_of
 from mjgranular.relief.relief import Relief

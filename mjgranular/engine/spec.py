@@ -8,13 +8,13 @@ from typing import Unpack
 
 import mujoco
 
+from mjgranular._util.checks import check_spec, check_switch, kind_of
 from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
-from mjgranular.given import check_spec, check_switch, kind_of
-from mjgranular.look import NOT_SHOWN, add_material, paint
 from mjgranular.prints import add_skin
+from mjgranular.prints.look import NOT_SHOWN, add_material, paint
 from mjgranular.relief.memory import as_memory
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.shape.select import names_in

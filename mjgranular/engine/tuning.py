@@ -13,9 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_model, kind_of
 from mjgranular.engine.instances import instance_of
 from mjgranular.errors import InputError, shown
-from mjgranular.given import check_model, kind_of
 from mjgranular.sand.prepare import PreparedSand
 
 STATE = ("active", "strength", "density", "height")

@@ -17,14 +17,14 @@ from typing import Any
 
 import mujoco
 
+from mjgranular._util.reading import read_file
+from mjgranular._util.user_modules import import_own
 from mjgranular.errors import InputError
 from mjgranular.experiment.drop import loading
 from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.study import Experiment, Study
 from mjgranular.law import Law, get_law, law_in, laws, register_law
 from mjgranular.medium import Medium, get_medium, media
-from mjgranular.own import import_own
-from mjgranular.reading import read_file
 
 _LARGEST = 256 * 2**20  # bytes of a file; chosen
 _OURS = "mjgranular"

@@ -14,6 +14,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite, kind_of
+from mjgranular._util.reading import check_regular, place
+from mjgranular._util.saved import checked_fields, is_text
 from mjgranular.engine import show_prints
 from mjgranular.errors import (
     FloorWarning,
@@ -37,16 +40,13 @@ from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.tip import TipWatch
 from mjgranular.experiment.trajectory import Recorder
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
-from mjgranular.given import is_finite, kind_of
 from mjgranular.models import Chain
 from mjgranular.prints import Prints, PrintsRecorder
-from mjgranular.reading import check_regular, place
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.sand import Sand
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
-from mjgranular.saved import checked_fields, is_text
 from mjgranular.surface import Surface
 
 LARGEST_STEP = 1e-4

@@ -9,12 +9,12 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import kind_of
 from mjgranular.errors import InputError, UnstableError, warn_user
 from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Recorder, Trajectory
 from mjgranular.experiment.watch import REST_WINDOW, STILL, RestWatch
-from mjgranular.given import kind_of
 from mjgranular.prints import PrintsRecorder
 from mjgranular.sand.report import BodyReport
 

@@ -13,14 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular import files
-from mjgranular.errors import GranularError, OutputError
-from mjgranular.experiment.drop import Drop, DropResult
-from mjgranular.experiment.impact import Impact, ImpactResult
-from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.pool.versions import versions
-from mjgranular.prints import Prints
-from mjgranular.saved import (
+from mjgranular._util import files
+from mjgranular._util.saved import (
     checked_fields,
     is_plain_name,
     is_text,
@@ -28,6 +22,12 @@ from mjgranular.saved import (
     read_arrays,
     read_json,
 )
+from mjgranular.errors import GranularError, OutputError
+from mjgranular.experiment.drop import Drop, DropResult
+from mjgranular.experiment.impact import Impact, ImpactResult
+from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.pool.versions import versions
+from mjgranular.prints import Prints
 
 CONFIG = "config.json"
 SUMMARY = "summary.json"

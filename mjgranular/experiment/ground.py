@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 
 from mjgranular.errors import FloorWarning, InputError, warn_user
-from mjgranular.look import NOT_SHOWN
+from mjgranular.prints.look import NOT_SHOWN
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all, names_in

@@ -9,9 +9,9 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite, kind_of
 from mjgranular.errors import InputError, shown
 from mjgranular.experiment.trajectory import Trajectory, degrees
-from mjgranular.given import is_finite, kind_of
 from mjgranular.law import get_law
 from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium

@@ -10,11 +10,11 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_count, check_kind, is_finite
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import loading
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import degrees
-from mjgranular.given import check_count, check_kind, is_finite
 from mjgranular.sand import Sand
 from mjgranular.scheme import Explicit
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from mjgranular._util.checks import check_kind
 from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact, ImpactResult
-from mjgranular.given import check_kind
 
 
 @dataclass(frozen=True)

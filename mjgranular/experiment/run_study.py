@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from mjgranular._util.checks import check_kind
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.baggage import Baggage, pack, unpack
 from mjgranular.experiment.drop import Drop, run_drop
@@ -16,7 +17,6 @@ from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.intrusion import run_intrusion
 from mjgranular.experiment.rows import Row, row_of
 from mjgranular.experiment.study import Experiment, Study, Value, column_of, value_in_table
-from mjgranular.given import check_kind
 from mjgranular.pool import Failure, Journal, Workers, map_tasks
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjgranular.look import add_material, paint, radius_of
 from mjgranular.prints import add_skin
+from mjgranular.prints.look import add_material, paint, radius_of
 from mjgranular.prints.skin import BLOCK, lines_of, stride_of
 from mjgranular.relief import Memory
 from mjgranular.surface import Bed, HeightField, Surface

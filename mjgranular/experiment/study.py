@@ -13,13 +13,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from mjgranular._util.checks import check_count, is_finite, kind_of
+from mjgranular._util.extras import need
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import Drop
 from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.intrusion import Intrusion
 from mjgranular.experiment.trajectory import degrees
-from mjgranular.extras import need
-from mjgranular.given import check_count, is_finite, kind_of
 from mjgranular.law import law_in
 from mjgranular.medium import get_medium
 

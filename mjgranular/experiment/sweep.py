@@ -9,15 +9,15 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from mjgranular._util.checks import check_count, check_kind, is_finite
+from mjgranular._util.saved import number
 from mjgranular.errors import InputError, OutputError, shown
 from mjgranular.experiment.baggage import Baggage, pack, unpack
 from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.study import Study
 from mjgranular.experiment.trajectory import degrees
-from mjgranular.given import check_count, check_kind, is_finite
 from mjgranular.pool import Journal, Workers, map_tasks
-from mjgranular.saved import number
 
 Over = Literal["speed", "angle"]
 

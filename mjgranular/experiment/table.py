@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjgranular.extras import need
+from mjgranular._util.extras import need
 
 Rows = Callable[[], Iterator[dict[str, Any]]]
 """Gives the rows from the first, each time that it is called."""

@@ -11,13 +11,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from mjgranular._util.files import whole
+from mjgranular._util.saved import read_arrays
 from mjgranular.errors import OutputError
-from mjgranular.files import whole
 from mjgranular.models import Link
 from mjgranular.prints import Prints
 from mjgranular.sand import Sand
 from mjgranular.sand.report import BodyReport
-from mjgranular.saved import read_arrays
 
 _KEEP = 4096  # samples kept at most of each phase; chosen, not measured
 

@@ -8,8 +8,8 @@ from typing import get_args
 
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import is_finite
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
 

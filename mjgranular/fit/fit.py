@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.checks import check_kind
+from mjgranular._util.extras import need
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
-from mjgranular.extras import need
 from mjgranular.fit.constants import STRENGTH, Material
 from mjgranular.fit.drop import DropTrial, ModelTrial
 from mjgranular.fit.intervals import spread_of
@@ -20,7 +21,6 @@ from mjgranular.fit.result import Curve, FitResult
 from mjgranular.fit.run import Run
 from mjgranular.fit.telling import TANGLED, WIDE, Information, further_tests, trades_off
 from mjgranular.fit.trial import Trial
-from mjgranular.given import check_kind
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 

@@ -8,12 +8,12 @@ from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from mjgranular._util.reading import place
 from mjgranular.errors import GranularError, InputError, shown
 from mjgranular.fit.constants import DENSITY, STRENGTH
 from mjgranular.fit.result import FitResult
 from mjgranular.law import Law, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
-from mjgranular.reading import place
 
 _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjgranular._util.reading import place
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.fit.body import Body
 from mjgranular.fit.fit import Fit
@@ -14,7 +15,6 @@ from mjgranular.fit.known import known_medium, number
 from mjgranular.fit.run import Run
 from mjgranular.law import Law
 from mjgranular.medium.outline import read_outline_file
-from mjgranular.reading import place
 
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""

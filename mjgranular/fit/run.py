@@ -10,10 +10,10 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.fit.body import Body
 from mjgranular.fit.table import read_table
-from mjgranular.given import is_finite
 
 Kind = Literal["drop", "intrude", "drag", "model"]
 

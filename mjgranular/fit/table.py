@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mjgranular._util.reading import place, read_file
 from mjgranular.errors import InputError, listed, shown
-from mjgranular.reading import place, read_file
 
 LARGEST = 50_000_000
 """Size up to which a table is read [bytes]; chosen."""

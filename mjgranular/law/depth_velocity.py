@@ -11,8 +11,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, shown
-from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import Matrix, Vector, diagonal, norm, outer, transposed
 from mjgranular.law.kernel import LawKernel

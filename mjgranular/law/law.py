@@ -11,14 +11,14 @@ from typing import Any, ClassVar, Self, TypeVar
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite, kind_of
+from mjgranular._util.parse import read_part
+from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, UnknownNameError, shown, warn_user
-from mjgranular.given import is_finite, kind_of
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
-from mjgranular.registry import Registry
 from mjgranular.surface import Surface
-from mjgranular.words import read_part
 
 laws: Registry[type[Law]] = Registry("law")
 """Classes of laws by their names."""

@@ -20,8 +20,8 @@ from typing import Any, ClassVar, Self
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, shown
-from mjgranular.given import is_finite
 from mjgranular.law.kernel import LawKernel
 from mjgranular.law.law import Law, constants_of, register_law
 from mjgranular.law.link_kernel import (

@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_switch, is_finite
 from mjgranular.errors import InputError, shown
-from mjgranular.given import check_switch, is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, shown
-from mjgranular.given import is_finite
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 from mjgranular.law.law import register_law

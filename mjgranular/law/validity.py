@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from mjgranular.found import FOUND, SOURCE
+from mjgranular.law.error_table import FOUND, SOURCE
 
 Measure = Literal["froude", "inertial_number", "depth_over_width", "slope"]
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular import files
+from mjgranular._util import files
+from mjgranular._util.saved import read_arrays
 from mjgranular.errors import OutputError
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.run import (
@@ -35,7 +36,6 @@ from mjgranular.learn.weights import (
     restore_statistics,
     statistics_of,
 )
-from mjgranular.saved import read_arrays
 
 _OF_THE_END = (POLICY, NORMALIZER, CURVE)  # what a finished run has in its folder itself
 

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
+from mjgranular._util.checks import check_count
+from mjgranular._util.extras import need
 from mjgranular.errors import GranularError, GranularWarning, InputError, RenderError
-from mjgranular.extras import need
-from mjgranular.given import check_count
 
 T = TypeVar("T")
 _PURPOSE = "Training and evaluating policies"

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.checks import check_count, kind_of
+from mjgranular._util.extras import need
 from mjgranular.errors import InputError
-from mjgranular.extras import need
-from mjgranular.given import check_count, kind_of
 from mjgranular.learn.agents import Agent
 from mjgranular.learn.episodes import Episodes, run_episodes
 from mjgranular.learn.settings import toml_value

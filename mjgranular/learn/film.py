@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.extras import need
+from mjgranular._util.files import whole
 from mjgranular.errors import GranularError, InputError, RenderError
-from mjgranular.extras import need
-from mjgranular.files import whole
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 from mjgranular.picture.video import Film

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 import mjgranular.models
-from mjgranular import files
+from mjgranular._util import files
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.checkpoint import check_belongs

@@ -15,7 +15,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mjgranular import files
+from mjgranular._util import files
+from mjgranular._util.saved import is_text, number, read_json, read_text
 from mjgranular.errors import (
     GranularError,
     InputError,
@@ -28,7 +29,6 @@ from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import NORMALIZER
 from mjgranular.pool.versions import versions
-from mjgranular.saved import is_text, number, read_json, read_text
 
 CHECKPOINTS = "checkpoints"
 TENSORBOARD = "tensorboard"

@@ -16,6 +16,7 @@ from typing import Any
 
 import mujoco
 
+from mjgranular._util.saved import is_text
 from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import material_in, sands_in
 from mjgranular.errors import GranularError, GranularWarning, InputError, OutputError
@@ -25,7 +26,6 @@ from mjgranular.medium import Medium, media
 from mjgranular.relief import Memory
 from mjgranular.sand import Sand
 from mjgranular.sand.spec import SandSpec
-from mjgranular.saved import is_text
 from mjgranular.surface import Surface
 
 Sands = list[dict[str, Any]]

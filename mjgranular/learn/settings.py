@@ -10,10 +10,10 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from mjgranular._util.extras import need
+from mjgranular._util.reading import place, read_file
+from mjgranular._util.saved import fits
 from mjgranular.errors import InputError, UnknownNameError, shown
-from mjgranular.extras import need
-from mjgranular.reading import place, read_file
-from mjgranular.saved import fits
 
 ALGORITHMS = ("ppo", "sac", "td3")
 ACTIVATIONS = ("tanh", "relu", "elu")

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular import files
+from mjgranular._util import files
+from mjgranular._util.extras import need
 from mjgranular.errors import InputError, OutputError, UnstableError, warn_user
 from mjgranular.experiment.folder import CONFIG
-from mjgranular.extras import need
 from mjgranular.learn import environments
 from mjgranular.learn.checkpoint import Progress, load_checkpoint, save_checkpoint, write_policy
 from mjgranular.learn.run import (

@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.extras import need
+from mjgranular._util.saved import number, parse_json, read_json
 from mjgranular.errors import OutputError
-from mjgranular.extras import need
 from mjgranular.learn.settings import Settings
-from mjgranular.saved import number, parse_json, read_json
 
 SPACES = "spaces.json"
 NORMALIZER = "normalizer.json"

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from mjgranular._util.checks import kind_of
+from mjgranular._util.reading import place
 from mjgranular.errors import InputError, shown
-from mjgranular.given import kind_of
 from mjgranular.medium.medium import Medium, Quantity
 from mjgranular.medium.outline import read_outline_file
-from mjgranular.reading import place
 
 LARGEST = 100_000
 """Size up to which a file is read [bytes]; chosen, ten times what a medium with every law needs."""

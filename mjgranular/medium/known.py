@@ -6,11 +6,11 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+from mjgranular._util.checks import kind_of
+from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, UnknownNameError, shown
-from mjgranular.given import kind_of
 from mjgranular.medium.file import read_medium
 from mjgranular.medium.medium import Medium, Quantity
-from mjgranular.registry import Registry
 
 media: Registry[Medium] = Registry("medium")
 """Media by their names."""

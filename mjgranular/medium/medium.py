@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mjgranular._util.checks import kind_of
+from mjgranular._util.tables import html_table
 from mjgranular.errors import InputError, UnknownNameError, listed, one_line, shown
-from mjgranular.given import kind_of
-from mjgranular.tables import html_table
 
 # From snow to tungsten powder, from dust to gravel: what lies outside is a slip of units.
 _DENSITIES = (10.0, 25000.0)

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from mjgranular._util.extras import need
+from mjgranular._util.reading import place, read_file
 from mjgranular.errors import InputError, shown
-from mjgranular.extras import need
-from mjgranular.reading import place, read_file
 
 # Chosen: a medium needs a depth of 4, and its longest text is a citation.
 _DEEPEST = 8

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.extras import need
+from mjgranular._util.files import whole
 from mjgranular.errors import InputError
-from mjgranular.extras import need
-from mjgranular.files import whole
 from mjgranular.picture.outlines import AROUND, area_vectors, frames_of, padded, polygons_of
 from mjgranular.picture.plain import plain
 from mjgranular.picture.shown import DEPTHS, INK, RED, Color, Shown, kind_of, rgb, with_alpha

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.extras import need
+from mjgranular._util.files import whole
 from mjgranular.experiment.paper import CASES, PaperCase
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.extras import need
-from mjgranular.files import whole
 from mjgranular.picture.plain import plain
 
 _BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular._util.checks import kind_of
+from mjgranular._util.extras import need
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment.drop import DropResult, load, memory_of, surface_drawn
 from mjgranular.experiment.impact import ImpactResult
-from mjgranular.extras import need
-from mjgranular.given import kind_of
 from mjgranular.picture.video import Film, Motion, frames_of_model, frames_of_run
 
 _PURPOSE = "Showing a film"

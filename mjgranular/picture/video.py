@@ -11,15 +11,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.extras import need
+from mjgranular._util.files import whole
 from mjgranular.errors import InputError, RenderError, UnknownNameError
 from mjgranular.experiment.scenery import add_cut_prints
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.extras import need
-from mjgranular.files import whole
-from mjgranular.look import NOT_SHOWN, TILE, PlaneLook, boxes_of, moving_geoms
 from mjgranular.models import Link
 from mjgranular.prints import Cover, Prints, Replay
 from mjgranular.prints.cover import Region
+from mjgranular.prints.look import NOT_SHOWN, TILE, PlaneLook, boxes_of, moving_geoms
 from mjgranular.relief import Memory
 from mjgranular.relief.memory import as_memory
 from mjgranular.sand import SandSpec

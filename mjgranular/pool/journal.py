@@ -12,10 +12,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
+from mjgranular._util.reading import NotRegularError, check_regular
+from mjgranular._util.saved import parse_json
 from mjgranular.errors import OutputError
 from mjgranular.pool.versions import versions
-from mjgranular.reading import NotRegularError, check_regular
-from mjgranular.saved import parse_json
 
 UNFINISHED = "unfinished.jsonl"
 """The file: what was asked for, then a line of JSON for each result. A folder with it in it holds a

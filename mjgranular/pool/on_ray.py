@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
+from mjgranular._util.extras import need
 from mjgranular.errors import GranularError, InputError
-from mjgranular.extras import need
 from mjgranular.pool.chunk import Function, run_chunk
 from mjgranular.pool.versions import mismatch, versions
 from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Workers

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
+from mjgranular._util.signals import signal_of
 from mjgranular.pool.chunk import Function
 from mjgranular.pool.journal import Journal
 from mjgranular.pool.local import Processes, ThisProcess
 from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Pool, Workers
-from mjgranular.signals import signal_of
 
 TRIES = 3
 """Times that a chunk is begun; the last time each of its tasks by itself."""

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import entry
-from mjgranular.look import NOT_SHOWN
+from mjgranular.prints.look import NOT_SHOWN
 from mjgranular.prints.shape import BLOCK, CANVAS_DTYPE, room_for, shape_of
 from mjgranular.prints.skin import lines_of, skin_of, stride_of, vertex_count
 from mjgranular.relief.memory import Memory

@@ -37,14 +37,14 @@ from typing import Any, Literal, get_args
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import is_finite
+from mjgranular._util.extras import need
+from mjgranular._util.reading import place, read_file
 from mjgranular.errors import InputError, UnknownNameError, listed, shown
-from mjgranular.extras import need
-from mjgranular.given import is_finite
 from mjgranular.medium import Medium, Quantity, get_medium
 from mjgranular.medium.outline import OutlineError, read_outline
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
-from mjgranular.reading import place, read_file
 from mjgranular.referee.motion import Motion
 
 Kind = Literal["drop", "intrude", "drag", "turn", "roll", "sink", "walk"]

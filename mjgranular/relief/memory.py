@@ -7,9 +7,9 @@ from dataclasses import KW_ONLY, dataclass, replace
 from numbers import Real
 from typing import Any
 
+from mjgranular._util.parse import read_options, read_value, split_words
 from mjgranular.errors import InputError, shown
 from mjgranular.relief.grid import state_size
-from mjgranular.words import read_options, read_value, split_words
 
 REPOSE = math.radians(32)
 """Angle of repose of dry sand [rad]. Chosen within the published range of 29 to 35 degrees

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import mujoco
 
+from mjgranular._util.names import name_of
 from mjgranular.errors import PointsWarning, listed, warn_user
-from mjgranular.names import name_of
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import body_name, collides
 

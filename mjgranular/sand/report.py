@@ -9,12 +9,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.names import name_of
+from mjgranular._util.tables import html_table
 from mjgranular.errors import UnknownNameError
 from mjgranular.law.validity import Finding, Measure, Standing, found_at
-from mjgranular.names import name_of
 from mjgranular.sand.binding import Binding
 from mjgranular.sand.prepare import PreparedSand
-from mjgranular.tables import html_table
 
 _SHOWN = 3  # bodies in a report's `repr`
 

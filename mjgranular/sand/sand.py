@@ -12,8 +12,8 @@ from typing import Any, Unpack
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_data, check_model, check_switch
 from mjgranular.errors import InputError, UnstableError
-from mjgranular.given import check_data, check_model, check_switch
 from mjgranular.kernel.compiled import entry
 from mjgranular.kernel.memory import UPDATE
 from mjgranular.law import Law

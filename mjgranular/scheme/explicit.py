@@ -18,8 +18,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_switch
 from mjgranular.errors import InputError, shown
-from mjgranular.given import check_switch
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import rows
 from mjgranular.kernel.memory import (

@@ -35,8 +35,8 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import check_count
 from mjgranular.errors import InputError
-from mjgranular.given import check_count
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.elementary import bits_of
 from mjgranular.kernel.engine import (

@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 
+from mjgranular._util.parse import read_part
+from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError
 from mjgranular.law.kernel import LawKernel
-from mjgranular.registry import Registry
 from mjgranular.scheme.status import refusal
-from mjgranular.words import read_part
 
 schemes: Registry[type[SchemeChoice]] = Registry("scheme")
 """Classes of schemes by their names."""

@@ -9,9 +9,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.checks import kind_of
+from mjgranular._util.names import name_of
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.given import kind_of
-from mjgranular.names import name_of
 
 Choice = Sequence[str | int] | str | int | None
 """Of bodies or geoms: a name or number, or several; None for no choice."""

@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjgranular._util.names import name_of
 from mjgranular.errors import InputError
-from mjgranular.names import name_of
 
 SMALLEST, LARGEST = 1e-9, 1e9
 """Half extents of geoms [m]. Chosen: beyond anything that is in sand, or is sand, and far within

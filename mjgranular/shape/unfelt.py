@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import mujoco
 
+from mjgranular._util.names import name_of
 from mjgranular.errors import UnfeltWarning, listed, warn_user
-from mjgranular.names import name_of
 from mjgranular.shape.select import body_name, collides, mocap_above, moves
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import MISSING, fields
 from typing import Any
 
+from mjgranular._util.checks import kind_of
+from mjgranular._util.parse import read_part
+from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, shown
-from mjgranular.given import kind_of
-from mjgranular.registry import Registry
 from mjgranular.surface.bed import Bed
 from mjgranular.surface.height_field import HeightField
 from mjgranular.surface.plane import Plane
 from mjgranular.surface.surface import Surface
-from mjgranular.words import read_part
 
 surfaces: Registry[type[Surface]] = Registry("surface")
 surfaces.add("plane", Plane)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from mjgranular._util.names import name_of
 from mjgranular.errors import InputError, UnknownNameError, shown
-from mjgranular.names import name_of
 from mjgranular.shape.select import Choice, find_all
 
 

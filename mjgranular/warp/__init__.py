@@ -1,6 +1,6 @@
 """Sand in thousands of worlds at once: for MuJoCo Warp, on GPUs and on processors."""
 
-from mjgranular.extras import need
+from mjgranular._util.extras import need
 
 need("mujoco_warp", extra="warp", purpose="Sand for MuJoCo Warp")
 

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from mjgranular._util.checks import check_count, is_finite
 from mjgranular.errors import InputError, shown
-from mjgranular.given import check_count, is_finite
 from mjgranular.law import make_scene
 from mjgranular.law.law import get_law
 from mjgranular.medium import Medium, get_medium

@@ -29,7 +29,7 @@ from attacks import untrusted
 from attacks.worker import Case, Note, Result
 
 import mjgranular  # noqa: F401  before mujoco: it chooses how to draw without a screen
-from mjgranular import files
+from mjgranular._util import files
 from mjgranular.cli.agents import find_actor
 from mjgranular.cli.impact import release_to_stop
 from mjgranular.cli.main import main

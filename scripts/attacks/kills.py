@@ -30,10 +30,10 @@ import numpy as np
 from attacks.worker import Case, Finding, Note, Result
 
 import mjgranular  # noqa: F401  before mujoco: it chooses how to draw without a screen
+from mjgranular._util.extras import need
 from mjgranular.cli.main import main
 from mjgranular.errors import GranularError
 from mjgranular.experiment.folder import CONFIG, read_impact
-from mjgranular.extras import need
 from mjgranular.learn import train as _training  # noqa: F401  imported once, for all children
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import open_run

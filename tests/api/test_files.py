@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjgranular import files
+from mjgranular._util import files
+from mjgranular._util.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
+from mjgranular._util.signals import Stopped, stopped_by_signals
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
 from mjgranular.experiment import Impact, Sweep, run_sweep
 from mjgranular.experiment.folder import ResultFolder, read_impact
 from mjgranular.pool import UNFINISHED
-from mjgranular.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
-from mjgranular.signals import Stopped, stopped_by_signals
 
 ATTACK = Path(__file__).resolve().parents[2] / "scripts" / "attack.py"
 QUICK = ["--timestep", "1e-4", "--duration", "0.05", "--json"]
@@ -167,7 +167,7 @@ def test_the_old_folder_comes_back_if_the_new_one_was_not_in_its_place_yet(tmp_p
 
 HOLD = """
 import sys
-from mjgranular import files
+from mjgranular._util import files
 with files.locked(files.Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
@@ -175,7 +175,7 @@ with files.locked(files.Path(sys.argv[1])):
 CONTEND = """
 import sys, time
 from pathlib import Path
-from mjgranular import files
+from mjgranular._util import files
 from mjgranular.errors import OutputError
 folder, count = Path(sys.argv[1]), int(sys.argv[2])
 while count:

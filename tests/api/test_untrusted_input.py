@@ -16,12 +16,12 @@ import pytest
 
 import mjgranular as mg
 from mjgranular import InputError, UnknownNameError
+from mjgranular._util.reading import read_file
 from mjgranular.cli import main
 from mjgranular.engine.config import LONGEST, read_config
 from mjgranular.errors import listed, one_line, shown
 from mjgranular.medium import read_medium
 from mjgranular.medium.file import EXAMPLE, LARGEST
-from mjgranular.reading import read_file
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 STRANGE = "[/red]\x1b[31m :smile: \u202e"

@@ -10,8 +10,8 @@ import pytest
 
 from mjgranular import Bed, HeightField, Plane, Surface, add_sand
 from mjgranular.engine import tune
-from mjgranular.look import MATERIAL, PlaneLook, radius_of
 from mjgranular.models import Link
+from mjgranular.prints.look import MATERIAL, PlaneLook, radius_of
 
 SAND = {"medium": "quikrete_medium"}
 BLOCK = '<body pos="0 0 0.1"><freejoint/><geom name="g" type="box" size="0.1 0.06 0.04"/></body>'

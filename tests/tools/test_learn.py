@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from mjgranular import files
+from mjgranular._util import files
 from mjgranular.cli import main
 from mjgranular.cli.agents import find_actor
 from mjgranular.errors import (

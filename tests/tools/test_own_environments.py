@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mjgranular._util.user_modules import import_own
 from mjgranular.cli import main
 from mjgranular.envs import on_sand
 from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
@@ -19,7 +20,6 @@ from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import begin_run
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import train
-from mjgranular.own import import_own
 
 # A robot of somebody's own, beside a helper of his: two legs' worth of hopper.
 HELPER = 'NAME = "MyQuadSand-v0"\n'

@@ -10,8 +10,8 @@ import pytest
 from mjgranular import Bed, HeightField, Plane
 from mjgranular.experiment.drop import Drop, load, run_drop, surface_drawn
 from mjgranular.experiment.scenery import add_scenery
-from mjgranular.look import MATERIAL, PlaneLook, radius_of
 from mjgranular.picture.video import Film, Motion, frames_of_model
+from mjgranular.prints.look import MATERIAL, PlaneLook, radius_of
 
 BLOCK = (
     '<body pos="0 0 0.1"><freejoint/><geom name="block" type="box" size="0.1 0.06 0.04"/></body>'

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from stable_baselines3 import PPO, SAC
 
-from mjgranular import files
+from mjgranular._util import files
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
 from mjgranular.learn import change, find_settings, weights

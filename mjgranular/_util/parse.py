@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, TypeVar, get_type_hints
 
+from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, shown
-from mjgranular.registry import Registry
 
 T = TypeVar("T")
 

@@ -24,8 +24,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
+from mjgranular._util.saved import is_plain_name, read_json
 from mjgranular.errors import GranularError, OutputError, warn_user
-from mjgranular.saved import is_plain_name, read_json
 
 if os.name == "nt":
     import msvcrt

@@ -18,8 +18,8 @@ from typing import Any, Literal, Union
 
 import numpy as np
 
+from mjgranular._util.reading import NotRegularError, beginning
 from mjgranular.errors import OutputError
-from mjgranular.reading import NotRegularError, beginning
 
 # Far beyond what the package writes; chosen, not measured.
 _MOST_TEXT = 16 * 2**20  # bytes

@@ -1,0 +1,1 @@
+"""Checks, parsing, files and other things that all packages use."""

@@ -1,0 +1,19 @@
+"""The folders `models` and `envs` of a checkout, which lie beside the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def add_checkout_folders(path: list[str]) -> None:
+    """Add the root of a checkout to the path of the package, where `models` is missing from it.
+
+    `python -m` and `python -c` put the current folder first on the path. In a checkout that hides
+    the installed package behind this folder, which lacks what setup.py maps into it.
+
+    Args:
+        path: `mjgranular.__path__`.
+    """
+    package = Path(__file__).resolve().parents[1]
+    if not (package / "models").is_dir() and (package.parent / "setup.py").is_file():
+        path.append(str(package.parent))
