@@ -100,7 +100,7 @@ def test_what_is_not_solved_ends_near_what_a_longer_search_finds():
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 @pytest.mark.parametrize(("law", "most"), [("rft3d", 0.01), ("rft3d_dynamic", 0.02)])
 def test_next_to_no_step_of_what_tumbles_is_left_unfinished(law, most):
-    # 4 and 22 of some 1,350 steps. Where sand that slows down stops giving momentum back (A5) the
+    # 4 and 18 of some 1,350 steps. Where sand that slows down stops giving momentum back (A5) the
     # equation has a kink: 4 without giving back, 9 without its bound.
     model = mujoco.MjModel.from_xml_string(BOX.format(timestep=1e-2))
     sand, data = Sand(model, law=law, medium="quikrete_medium"), mujoco.MjData(model)
