@@ -26,7 +26,7 @@ def main(env_id: str, iterations: int, out: Path) -> None:
             num_envs_per_env_runner=8,
             gym_env_vectorize_mode="vector_entry_point",
             rollout_fragment_length=256,
-            env_to_module_connector=lambda env, spaces, device: MeanStdFilter(),
+            env_to_module_connector=lambda *_: MeanStdFilter(),
         )
         .training(
             train_batch_size_per_learner=4096,

@@ -184,7 +184,7 @@ def fits(value: object, kind: Any) -> bool:
     if kind is float:
         return isinstance(value, (int, float)) and abs(value) < 1e300 and not math.isnan(value)
     if kind is int:
-        return isinstance(value, int) and abs(value) < 2**53
+        return isinstance(value, int) and abs(value) < 2**63
     if kind in (str, Path):
         return is_text(value)
     return False

@@ -231,9 +231,9 @@ def _short(environment: str) -> str:
 
 def _draw(run: Run, training: Training) -> None:
     """Draws the learning curve, where matplotlib is installed: the numbers are there anyway."""
-    from mjgranular.learn.figures import draw_curves
+    from mjgranular.learn.figures import draw_curve
 
     with suppress(MissingExtraError):
         folder = ResultFolder(run.path, (_FIGURE,))
-        curves = {run.name: [training.progress.curve]}
-        folder.write(_FIGURE, lambda path: draw_curves(path, curves, title=run.name))
+        curve = training.progress.curve
+        folder.write(_FIGURE, lambda path: draw_curve(path, curve, run.name))

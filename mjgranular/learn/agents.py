@@ -124,7 +124,7 @@ def make_gait(
             are.
     """
     gaits = importlib.import_module("mjgranular.envs.gaits")
-    task = getattr(env.unwrapped, "task", None)
+    task: Any = getattr(env.unwrapped, "task", None)
     if type(task).__name__ not in gaits.gaits:
         raise InputError(
             f"there is no scripted gait for {env_id}; there are some for "
