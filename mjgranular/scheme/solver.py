@@ -140,6 +140,8 @@ def softness(w, velocity):
     """The fine softness at a velocity of the joints [m/s].
 
     With it grow the velocities of joints that cancel in that of a body: the rounding of its rest.
+    Those of slides count by a bound of their sum, sqrt(n) times their norm: the axes of the world
+    change nothing.
     """
     largest = 0.0
     last = -1
@@ -152,12 +154,16 @@ def softness(w, velocity):
         while body > 0 and w.body_dofnum[body] == 0:
             body = w.body_parentid[body]
         j = w.body_dofadr[body] + w.body_dofnum[body] - 1 if body > 0 else -1
-        total = 0.0
+        total, slides, square = 0.0, 0.0, 0.0
         while j >= 0:
             turning, moving = read_vector(w.cdof[j], 0), read_vector(w.cdof[j], 3)
-            total += abs(velocity[j]) * (arm * size(turning) + size(moving))
+            if size(turning) == 0.0:
+                slides += 1.0
+                square += (velocity[j] * size(moving)) ** 2
+            else:
+                total += abs(velocity[j]) * (arm * size(turning) + size(moving))
             j = w.dof_parentid[j]
-        largest = max(largest, total)
+        largest = max(largest, total + math.sqrt(slides * square))
     return _SOFT + _SOFT_SHARE * largest
 
 
