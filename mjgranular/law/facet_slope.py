@@ -82,12 +82,16 @@ def led_slope_kernel(slope: Any) -> Any:
         a_size, b_size = abs(a), abs(b)
         ramp = eps > 0.0 and a_size + b_size < RAMP
         first = RAMP - b_size if ramp else a_size
+        # The ramp alone has no side: what leads on it is in the middle of the facet.
+        sided = a_size / first if ramp else 1.0
         swap = first < b_size
         h, k = max(first, b_size, _FLAT), min(first, b_size)
         share, lh, lk, share_x, share_y, h_x, h_y, k_x, k_y, per_h = leading_slope(c, h, k)
         la, la_x, la_y = (lk, k_x, k_y) if swap else (lh, h_x, h_y)
         lb, lb_x, lb_y = (lh, h_x, h_y) if swap else (lk, k_x, k_y)
         rise_1, rise_2 = facet.rise_1, facet.rise_2
+        la_sided = s * la
+        la, la_x, la_y = sided * la, sided * la_x, sided * la_y
         rest_1, rest_2 = (1.0 - la) * rise_1, (1.0 - lb) * rise_2
         la, la_x, la_y = s * la, s * la_x, s * la_y
         lb, lb_x, lb_y = t * lb, t * lb_x, t * lb_y
@@ -116,11 +120,14 @@ def led_slope_kernel(slope: Any) -> Any:
         # Columns of the ratios x and y.
         frame = vector(m, u, z)
         f_x, f_y = (strength * load_x) * f, (strength * load_y) * f
+        f_sided = (strength * wet_a * la_sided) * f
         f, by_down, by_lead = gain * f, gain * by_down, gain * by_lead
         dl, dd, dn = al * la_x + bl * lb_x, ad * la_x + bd * lb_x, an * la_x + bn * lb_x
         f_x = f_x + dl * by_lead + dd * by_down - vector(f.x * dn, 0.0, 0.0)
         dl, dd, dn = al * la_y + bl * lb_y, ad * la_y + bd * lb_y, an * la_y + bn * lb_y
         f_y = f_y + dl * by_lead + dd * by_down - vector(f.x * dn, 0.0, 0.0)
+        dl, dd, dn = al * la_sided, ad * la_sided, an * la_sided
+        f_sided = f_sided + dl * by_lead + dd * by_down - vector(f.x * dn, 0.0, 0.0)
         turn = f.x * scale
         column_x = dot(f_x, frame) + (turn * la_x) * spread_1 + (turn * lb_x) * spread_2
         column_y = dot(f_y, frame) + (turn * la_y) * spread_1 + (turn * lb_y) * spread_2
@@ -138,6 +145,10 @@ def led_slope_kernel(slope: Any) -> Any:
 
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
         by_p = by_p + outer(column_x, per_h * gradient_x) + outer(column_y, per_h * gradient_y)
+        if ramp:  # `sided` changes too
+            column = dot(f_sided, frame) + (turn * la_sided) * spread_1
+            sa, sb = s / first, sided * t / first
+            by_p = by_p + outer(column, sa * spread_1 + sb * spread_2 - (sa * a + sb * b) * u)
         # Of what does not lead there need be no stress, not even a number.
         if gain <= 0.0 or lead <= edge_of(eps):
             force, by_p = vector(0.0, 0.0, 0.0), diagonal(0.0)
@@ -210,9 +221,12 @@ def led_by_differences(stress: Any) -> Any:
     @partial(compiled, inline=True)
     def led_stress(facet, law, g, u, eps):
         c, a, b = dot(u, facet.normal), dot(u, facet.spread_1), dot(u, facet.spread_2)
+        sided = 1.0
         if eps > 0.0 and abs(a) + abs(b) < RAMP:
-            a = math.copysign(RAMP - abs(b), a)
-        load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b)
+            first = RAMP - abs(b)
+            sided = abs(a) / first
+            a = math.copysign(first, a)
+        load, s, t = load_of(facet.middle, facet.rise_1, facet.rise_2, facet.mean, c, a, b, sided)
         m = facet.normal + s * facet.spread_1 + t * facet.spread_2
         m = m / norm(m)
         force = (load * facet.area) * stress(law, g, m, u, facet.up)
@@ -235,13 +249,14 @@ def led_by_differences(stress: Any) -> Any:
 
 
 @partial(compiled, inline=True)
-def load_of(depth, h1, h2, mean, c, a, b):
+def load_of(depth, h1, h2, mean, c, a, b, sided):
     """Mean depth of what leads of a facet, over the whole facet, and the centroid of that part.
 
     The part that leads is replaced by a parallelogram around its centroid, narrowed by the distance
     of that from the middle (`patch`).
     """
     share, s, t = leading_part(c, a, b)
+    s *= sided  # 1 but on the ramp
     if share == 1.0:
         return mean, 0.0, 0.0
     if share == 0.0:

@@ -57,7 +57,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.options import options_at
 from mjgranular.kernel.records import body_records, contact_records
-from mjgranular.kernel.vector import cross, read_vector, write_vector
+from mjgranular.kernel.vector import cross, norm, read_vector, write_vector
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
@@ -215,13 +215,24 @@ def mark_wet(w):
 
 @compiled
 def begin(w):
-    """Reads v and h q; v' begins with v. The momentum at hand is that of both."""
-    scale = 0.0
+    """Read v and h q; v' begins with v. The momentum at hand is that of both.
+
+    It is a sum over joints. The axes of the world change nothing: what is along the three of a free
+    joint counts by sqrt(3) times its norm.
+    """
+    scale, along, pushes, speeds = 0.0, 0.0, 0.0, 0.0
     for j in range(w.nv):
         w.start[j] = w.velocity[j] = w.qvel[j]
         w.smooth[j] = w.h * (w.qfrc_smooth[j] + w.shift[j])
         light = math.sqrt(w.weight[j])
-        scale += abs(w.smooth[j]) * light + abs(w.qvel[j]) / light
+        push, speed = abs(w.smooth[j]) * light, abs(w.qvel[j]) / light
+        if norm(read_vector(w.cdof[j], 0)) > 0.0:  # it turns
+            scale += push + speed
+            continue
+        along, pushes, speeds = along + 1.0, pushes + push * push, speeds + speed * speed
+        if along == 3.0 or j + 1 == w.nv or w.dof_jntid[j + 1] != w.dof_jntid[j]:
+            scale += math.sqrt(along * pushes) + math.sqrt(along * speeds)
+            along, pushes, speeds = 0.0, 0.0, 0.0
     w.scale = max(scale, _NOTHING)
 
 

@@ -100,18 +100,19 @@ def test_what_is_not_solved_ends_near_what_a_longer_search_finds():
 @pytest.mark.filterwarnings("ignore::mjgranular.GranularWarning")
 @pytest.mark.parametrize(("law", "most"), [("rft3d", 0.01), ("rft3d_dynamic", 0.02)])
 def test_next_to_no_step_of_what_tumbles_is_left_unfinished(law, most):
-    # 4 and 18 of some 1,350 steps. Where sand that slows down stops giving momentum back (A5) the
-    # equation has a kink: 4 without giving back, 9 without its bound.
+    # 8 and 110 of some 6,800 steps. Where sand that slows down stops giving momentum back (A5) the
+    # equation has a kink.
     model = mujoco.MjModel.from_xml_string(BOX.format(timestep=1e-2))
     sand, data = Sand(model, law=law, medium="quikrete_medium"), mujoco.MjData(model)
-    rng = np.random.default_rng(0)
-    for _ in range(40):
-        mujoco.mj_resetData(model, data)
-        mujoco.mj_integratePos(model, data.qpos, 2 * rng.normal(size=6), 1.0)
-        data.qpos[:3] = [0, 0, 0.15]
-        data.qvel[:] = rng.normal(size=6) * [2, 2, 2, 10, 10, 10]
-        for _ in range(50):
-            sand.step(data)
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        for _ in range(40):
+            mujoco.mj_resetData(model, data)
+            mujoco.mj_integratePos(model, data.qpos, 2 * rng.normal(size=6), 1.0)
+            data.qpos[:3] = [0, 0, 0.15]
+            data.qvel[:] = rng.normal(size=6) * [2, 2, 2, 10, 10, 10]
+            for _ in range(50):
+                sand.step(data)
     solver = sand.report(data).solver
-    assert solver.steps > 1000
+    assert solver.steps > 5000
     assert solver.unfinished <= most * solver.steps

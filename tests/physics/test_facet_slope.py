@@ -29,6 +29,8 @@ LAWS = {
     "rft2d": Rft2dLaw.from_medium(media["poppy_seed_loose"]),
     "rft3d": Rft3dLaw.from_medium(media["quikrete_medium"]),
     "rft3d_inertia": Rft3dLaw(1500.0, 0.6, 0.2, inertia=1.1),
+    "rft3d_lateral": Rft3dLaw(1500.0, 0.6, 0.2, lateral=1.4),
+    "rft3d_lateral_high": Rft3dLaw(1500.0, 0.6, 0.2, lateral=2.4),
 }
 # Interpolated, so without a formula in extended precision (`test_resistive_force_theory`).
 MEASURED = {"rft2d_measured": MeasuredRft2dLaw.from_medium(media["poppy_seed_loose"])}
@@ -78,7 +80,17 @@ def stress_3d(law, n, u, z):
     against = max(abs(along) * (n @ u), REAL(0))
     if share * (t @ u) > against:
         share = against / (t @ u)
-    return law["stiffness"] * G * (share * t - abs(along) * n)
+    more, less = sideways(law["lateral"], n, u, z)
+    return law["stiffness"] * G * (less * share * t - more * abs(along) * n)
+
+
+def sideways(lateral, n, u, z):
+    """G and T of (S2) and (S3)."""
+    if lateral == 0:
+        return REAL(1), REAL(1)
+    q, w = max(n @ u, REAL(0)) ** 8, (1 - (u @ z) ** 2) * (1 - (n @ z) ** 2)
+    more = 1 + (lateral * (1 + q) / 2 - 1) * w
+    return more, 1 + min(lateral / 2 - 1, REAL(0)) * (1 - q) * w
 
 
 def stress_2d(law, n, u, z):
@@ -133,14 +145,18 @@ class Facet:
         """c, a and b, on the ramp what is taken in their place."""
         c, (a, b) = self.normal.astype(REAL) @ u, self.spread.astype(REAL) @ u
         if abs(a) + abs(b) < RAMP:
-            # Without a spread the sign is that of a zero, and decides: as the kernel has it.
-            (x, y, z), (p, q, r) = u.astype(float), self.spread[0]
-            a = np.copysign(REAL(RAMP) - abs(b), x * p + y * q + z * r)
+            a = np.copysign(REAL(RAMP) - abs(b), a)
         return c, a, b
+
+    def sided(self, u):
+        """The share of a of `rates` that is not the ramp's."""
+        a, b = abs(self.spread.astype(REAL) @ u)
+        return a / (RAMP - b) if a + b < RAMP else REAL(1)
 
     def force(self, stress, law, u):
         n, z, spread = (x.astype(REAL) for x in (self.normal, self.up, self.spread))
         share, s, t, _ = positive_part(*self.rates(u))
+        s *= self.sided(u)
         (h, k), f, e = self.rises, 1 - abs(s), 1 - abs(t)
         load = share * positive_part(self.depth + s * h + t * k, f * h, e * k)[3]
         if load <= 0:

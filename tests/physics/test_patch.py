@@ -164,16 +164,16 @@ def test_depth_grows_by_what_is_wet(place, a, b):
 def test_point(d):
     assert leading_part(d, 0.0, 0.0) == (float(d > 0), 0, 0)
     assert wet_part(d, 0.0, 0.0) == (max(d, 0), 0, 0)
-    assert load_of(d, 0.0, 0.0, max(d, 0.0), 1.0, 0.0, 0.0) == (max(d, 0), 0, 0)
-    assert load_of(1.0, 0.0, 0.0, 1.0, d, 0.0, 0.0) == (float(d > 0), 0, 0)
+    assert load_of(d, 0.0, 0.0, max(d, 0.0), 1.0, 0.0, 0.0, 1.0) == (max(d, 0), 0, 0)
+    assert load_of(1.0, 0.0, 0.0, 1.0, d, 0.0, 0.0, 1.0) == (float(d > 0), 0, 0)
 
 
 @given(place=places, h1=rises, h2=rises)
 def test_leading_as_a_whole(place, h1, h2):
     d = place * reach(h1, h2)
     mean = wet_part(d, h1, h2)[0]
-    assert load_of(d, h1, h2, mean, 1.0, 0.5, -0.25) == (mean, 0, 0)
-    assert load_of(d, h1, h2, mean, -1.0, 0.5, -0.25) == (0, 0, 0)
+    assert load_of(d, h1, h2, mean, 1.0, 0.5, -0.25, 1.0) == (mean, 0, 0)
+    assert load_of(d, h1, h2, mean, -1.0, 0.5, -0.25, 1.0) == (0, 0, 0)
 
 
 @pytest.mark.parametrize("c", [-0.8, -0.3, 0.0, 0.45, 0.9])
@@ -182,7 +182,7 @@ def test_edge_of_leading_along_an_edge(c, d, h1, h2):
     # What leads is a parallelogram, from s = -c to 1.
     width, middle = (1 + c) / 2, (1 - c) / 2
     load = width * wet_part(d + middle * h1, width * h1, h2)[0]
-    found = load_of(d, h1, h2, wet_part(d, h1, h2)[0], c, 1.0, 0.0)
+    found = load_of(d, h1, h2, wet_part(d, h1, h2)[0], c, 1.0, 0.0, 1.0)
     assert found == pytest.approx((load, middle, 0), abs=1e-15)
 
 
@@ -194,13 +194,13 @@ def test_in_the_sand_as_a_whole_the_load_is_exact(a, b, c):
     def depth(s, t):
         return d + h1 * s + h2 * t
 
-    load = load_of(d, h1, h2, wet_part(d, h1, h2)[0], c, a, b)[0]
+    load = load_of(d, h1, h2, wet_part(d, h1, h2)[0], c, a, b, 1.0)[0]
     assert load == pytest.approx(quadrature(depth, c, a, b), rel=1e-12)
 
 
 @given(d=places, h1=rises, h2=rises, c=places, a=rises, b=rises)
 def test_bounds_of_what_acts(d, h1, h2, c, a, b):
     depth, speed = d * reach(h1, h2), c * reach(a, b)
-    load, ls, lt = load_of(depth, h1, h2, wet_part(depth, h1, h2)[0], speed, a, b)
+    load, ls, lt = load_of(depth, h1, h2, wet_part(depth, h1, h2)[0], speed, a, b, 1.0)
     assert 0 <= load <= max(depth + reach(h1, h2), 0) * (1 + 1e-15)
     assert max(abs(ls), abs(lt)) <= 1
