@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, ClassVar
 
 import mujoco
@@ -213,26 +213,33 @@ def mark_wet(w):
             body = w.body_parentid[body]
 
 
+@partial(compiled, inline=True)
+def turns(w, j):
+    """Return whether a degree of freedom turns."""
+    return norm(read_vector(w.cdof[j], 0)) > 0.0
+
+
 @compiled
 def begin(w):
     """Read v and h q; v' begins with v. The momentum at hand is that of both.
 
-    It is a sum over joints. The axes of the world change nothing: what is along the three of a free
-    joint counts by sqrt(3) times its norm.
+    It is a sum over joints. What is along the three axes of a free joint, which are those of the
+    world, counts by its norm.
     """
-    scale, along, pushes, speeds = 0.0, 0.0, 0.0, 0.0
+    scale, pushes, speeds = 0.0, 0.0, 0.0
     for j in range(w.nv):
         w.start[j] = w.velocity[j] = w.qvel[j]
         w.smooth[j] = w.h * (w.qfrc_smooth[j] + w.shift[j])
         light = math.sqrt(w.weight[j])
         push, speed = abs(w.smooth[j]) * light, abs(w.qvel[j]) / light
-        if norm(read_vector(w.cdof[j], 0)) > 0.0:  # it turns
+        if turns(w, j):
             scale += push + speed
             continue
-        along, pushes, speeds = along + 1.0, pushes + push * push, speeds + speed * speed
-        if along == 3.0 or j + 1 == w.nv or w.dof_jntid[j + 1] != w.dof_jntid[j]:
-            scale += math.sqrt(along * pushes) + math.sqrt(along * speeds)
-            along, pushes, speeds = 0.0, 0.0, 0.0
+        pushes, speeds = pushes + push * push, speeds + speed * speed
+        after = j + 1
+        if after == w.nv or w.dof_jntid[after] != w.dof_jntid[j] or turns(w, after):
+            scale += math.sqrt(pushes) + math.sqrt(speeds)
+            pushes, speeds = 0.0, 0.0
     w.scale = max(scale, _NOTHING)
 
 
