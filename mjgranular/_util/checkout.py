@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import MutableSequence
 from pathlib import Path
 
 
-def add_checkout_folders(path: list[str]) -> None:
+def add_checkout_folders(path: MutableSequence[str]) -> None:
     """Add the root of a checkout to the path of the package, where `models` is missing from it.
 
     `python -m` and `python -c` put the current folder first on the path. In a checkout that hides
