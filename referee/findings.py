@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from validate import Comparison
+    from comparison import Comparison
 
 BANDS = (0.4, 1.5, 2.5, 4.0, 7.0, 10.0)
 """Froude numbers that part the runs into groups; chosen, 0.4 is the limit of quasi-static RFT."""

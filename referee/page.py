@@ -14,7 +14,7 @@ from mjgranular.referee import MARKS, MeasuredRun, compare
 from mjgranular.referee.errors import gain
 
 if TYPE_CHECKING:
-    from validate import Comparison
+    from comparison import Comparison
 
     from mjgranular.referee import Errors
 

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 if TYPE_CHECKING:
-    from validate import Comparison
+    from comparison import Comparison
 
     from mjgranular.referee import Motion
 

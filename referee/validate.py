@@ -11,23 +11,26 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from comparison import Candidate, Comparison
+from findings import write_findings
+from page import write_page
+from pictures import draw
 
 from mjgranular import (
     DepthVelocityLaw,
     DistributedLinkLaw,
     DynamicRft2dLaw,
     DynamicRft3dLaw,
-    Law,
     LinkLaw,
     Rft2dLaw,
     Rft3dLaw,
 )
 from mjgranular.errors import GranularError
-from mjgranular.referee import Errors, MeasuredRun, Motion, RunSet, compare, read_runs, simulate
+from mjgranular.referee import MeasuredRun, RunSet, compare, read_runs, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "referee" / "data"
@@ -47,41 +50,6 @@ SIMULATED = ("seen", "small_bed", "wide_bed")
 
 KAPPA, ADDED_BY = 2.5, ("sphere 1 m/s", "sphere 3 m/s")
 """Of the added mass, and the runs of `seen` that it was chosen by."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A law for a set of runs.
-
-    Attributes:
-        name: on the page.
-        law: with its constants.
-        fitted_to: names of the runs that a constant was chosen by; empty for nothing fitted.
-        constants: where they are from, in a few words.
-    """
-
-    name: str
-    law: Law
-    fitted_to: tuple[str, ...]
-    constants: str
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """A run under a law; no errors where the law has no elements for the body."""
-
-    runs: RunSet
-    run: MeasuredRun
-    candidate: Candidate
-    motion: Motion | None
-    errors: Errors | None
-
-    @property
-    def mark(self) -> str:
-        """Of the run for this law: only what the law's own constants were chosen by is fitted."""
-        if self.run.name in self.candidate.fitted_to:
-            return "fitted to"
-        return "seen" if self.run.mark == "fitted to" else self.run.mark
 
 
 def candidates(runs: RunSet) -> list[Candidate]:
@@ -237,16 +205,11 @@ def main(words: list[str] | None = None) -> None:
     names = options.only or [name for name in SETS if (DATA / name).exists()]
     found = [hold(read_runs(DATA / name)) for name in names]
 
-    from page import write_page
-    from pictures import draw
-
     folder = options.report.parent / "figures"
     figures = {c[0].runs.name: draw(c, folder) for c in found}
     write_page(options.report, found, figures)
     print(f"wrote {options.report}")
     if options.only is None and options.report == ROOT / "docs" / "validity.md":
-        from findings import write_findings
-
         write_findings(ROOT / "mjgranular" / "law" / "error_table.py", found)
 
 
