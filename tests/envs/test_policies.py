@@ -29,9 +29,11 @@ BEST_GAITS = {
 }
 
 
-def way(env_id: str, agent: Agent | None, gait: dict[str, float] | None = None) -> float:
+def way(
+    env_id: str, agent: Agent | None, gait: dict[str, float] | None = None, **arguments: str
+) -> float:
     """How far an agent, or a gait, comes along x in the first steps of an episode [m]."""
-    env = environments.several(env_id, {}, num_envs=2)
+    env = environments.several(env_id, arguments, num_envs=2)
     try:
         if agent is None:
             agent = make_baseline("gait", env_id, env, gait=gait)
@@ -89,5 +91,7 @@ def test_policies_are_faster_than_the_best_of_a_search_among_gaits(robot):
 
 def test_the_hopper_hops_and_the_ant_runs():
     # In the first 0.8 s and 5 s: standing would be no way at all.
-    assert way("mjgranular/Hopper-v0", load_policy("Hopper-v0/ppo-0")) > 0.5
-    assert way("mjgranular/Ant-v0", load_policy("Ant-v0/ppo-0")) > 5.0
+    # On the sand that they were trained on: with today's strength sideways the ant falls.
+    law = "rft3d_dynamic lateral=0"
+    assert way("mjgranular/Hopper-v0", load_policy("Hopper-v0/ppo-0"), law=law) > 0.5
+    assert way("mjgranular/Ant-v0", load_policy("Ant-v0/ppo-0"), law=law) > 5.0
