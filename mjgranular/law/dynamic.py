@@ -1,8 +1,8 @@
 """Resistive force theory for feet and bodies as fast as robots move.
 
 The quasi-static laws with everything that sand in motion adds, each with its published constant:
-lambda of the inertial term, an added mass, stagnant sand under flat faces, a strength sideways of
-its own and friction that grows with the rate of shear (docs/laws/rft.md, docs/validity.md).
+lambda of the inertial term, an added mass, stagnant sand under flat faces, a lateral strength and
+friction that grows with the rate of shear (docs/laws/rft.md, docs/validity.md).
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
+from mjgranular.law.lateral import lateral_strength
 from mjgranular.law.law import constants_of, register_law
 from mjgranular.law.raised import RATE, cone_under
 from mjgranular.law.rft import RftLaw
 from mjgranular.law.rft2d import Rft2dLaw
 from mjgranular.law.rft3d import Rft3dLaw
-from mjgranular.law.sideways import lateral_strength
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.medium import Medium, get_medium
 
@@ -31,8 +31,8 @@ FRICTION = 0.6
 _CITATION = (
     "; inertial term: S. Agarwal, A. Karsai, D. I. Goldman, K. Kamrin, Sci. Adv. 7 eabe0631 "
     "(2021); added mass after J. Aguilar, D. I. Goldman, Nature Physics 12, 278 (2016); stagnant "
-    "sand: W. Kang, Y. Feng, C. Liu, R. Blumenfeld, Nature Communications 9, 1101 (2018); strength "
-    "sideways after R. Lancellotta, Geotechnique 52, 617 (2002)"
+    "sand: W. Kang, Y. Feng, C. Liu, R. Blumenfeld, Nature Communications 9, 1101 (2018); lateral "
+    "strength after R. Lancellotta, Geotechnique 52, 617 (2002)"
 )
 
 _WITHIN = 0.25  # error of trajectories up to which a law is an estimate; chosen (docs/validity.md)
@@ -82,7 +82,7 @@ class _Dynamic(RftLaw):
 
     @classmethod
     def lateral_in(cls, given: dict[str, Any]) -> float:
-        """Return L of `law.sideways`, from the law's constants."""
+        """Return L of `law.lateral`, from the law's constants."""
         return 1.0 + given["cone"]
 
 
@@ -95,6 +95,9 @@ class DynamicRft3dLaw(_Dynamic, Rft3dLaw):
     grain size is the medium's (without one there is no `rate`), and `scale` takes off what the
     cone adds to a plate that is as deep as wide, since published stiffness is force over depth
     (chosen: plates were pushed to about that). A slow push tells better: `mjgranular fit`.
+
+    Only `from_medium` derives `cone` and `lateral` from a friction. Where `internal_friction` is
+    given or changed by itself, give them too (`law.raised.cone_under`, `law.lateral`).
     """
 
     name: ClassVar[str] = "rft3d_dynamic"

@@ -120,14 +120,12 @@ def led_slope_kernel(slope: Any) -> Any:
         # Columns of the ratios x and y.
         frame = vector(m, u, z)
         f_x, f_y = (strength * load_x) * f, (strength * load_y) * f
-        f_sided = (strength * wet_a * la_sided) * f
+        f_sided = (strength * wet_a) * f
         f, by_down, by_lead = gain * f, gain * by_down, gain * by_lead
         dl, dd, dn = al * la_x + bl * lb_x, ad * la_x + bd * lb_x, an * la_x + bn * lb_x
         f_x = f_x + dl * by_lead + dd * by_down - vector(f.x * dn, 0.0, 0.0)
         dl, dd, dn = al * la_y + bl * lb_y, ad * la_y + bd * lb_y, an * la_y + bn * lb_y
         f_y = f_y + dl * by_lead + dd * by_down - vector(f.x * dn, 0.0, 0.0)
-        dl, dd, dn = al * la_sided, ad * la_sided, an * la_sided
-        f_sided = f_sided + dl * by_lead + dd * by_down - vector(f.x * dn, 0.0, 0.0)
         turn = f.x * scale
         column_x = dot(f_x, frame) + (turn * la_x) * spread_1 + (turn * lb_x) * spread_2
         column_y = dot(f_y, frame) + (turn * la_y) * spread_1 + (turn * lb_y) * spread_2
@@ -146,7 +144,8 @@ def led_slope_kernel(slope: Any) -> Any:
         force, by_p = plate_slope(f, gain * by_rise, by_lead, frame, rise, lead)
         by_p = by_p + outer(column_x, per_h * gradient_x) + outer(column_y, per_h * gradient_y)
         if ramp:  # `sided` changes too
-            column = dot(f_sided, frame) + (turn * la_sided) * spread_1
+            f_sided = f_sided + al * by_lead + ad * by_down - vector(f.x * an, 0.0, 0.0)
+            column = la_sided * (dot(f_sided, frame) + turn * spread_1)
             sa, sb = s / first, sided * t / first
             by_p = by_p + outer(column, sa * spread_1 + sb * spread_2 - (sa * a + sb * b) * u)
         # Of what does not lead there need be no stress, not even a number.

@@ -16,9 +16,9 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import dot
 from mjgranular.law.facet import facet_kernel
 from mjgranular.law.kernel import LawKernel
+from mjgranular.law.lateral import lateral_slope
 from mjgranular.law.law import Law
 from mjgranular.law.raised import not_raised, raised_kernel
-from mjgranular.law.sideways import sideways_slope
 from mjgranular.law.validity import Finding, Limit, findings_of
 from mjgranular.shape import facets_from_model
 from mjgranular.surface import Surface
@@ -53,7 +53,7 @@ class RftLaw(Law):
         cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); likewise.
         rate: rise of friction from slow flow to fast; likewise.
         grain: diameter of a grain, without which there is no such rise [m].
-        lateral: factor L on sideways strength (`law.sideways`); 0 leaves `slope` as it is.
+        lateral: factor L on lateral strength (`law.lateral`); 0 leaves `slope` as it is.
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -118,7 +118,7 @@ class RftLaw(Law):
     @property
     def _slope(self) -> Any:
         slope = type(self).slope
-        return sideways_slope(slope) if self.lateral > 0 else slope
+        return lateral_slope(slope) if self.lateral > 0 else slope
 
     def _kernel(self, surface: Surface, stress: Any, slope: Any = None) -> LawKernel:
         return facet_kernel(

@@ -23,15 +23,8 @@ RFT2D_DTYPE = np.dtype(
     [
         (name, np.float64)
         for name in (
-            *FOURIER_KEYS,
-            "side",
-            "scale",
-            "inertia",
-            "added",
-            "density",
-            "rise",
-            "cone",
-            "lateral",
+            *(*FOURIER_KEYS, "side", "scale", "inertia", "added"),
+            *("density", "rise", "cone", "lateral"),
         )
     ]
 )
@@ -202,7 +195,7 @@ class Rft2dLaw(RftLaw):
         inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
         added: kappa of the added mass, see `Rft3dLaw`; 0 leaves it out.
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
-        lateral: L, factor on sideways strength (`law.sideways`); 0 omits it.
+        lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
     Raises:

@@ -185,7 +185,7 @@ class Rft3dLaw(RftLaw):
         cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
         rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 leaves it out.
         grain: diameter of a grain [m], which `rate` needs.
-        lateral: L, factor on sideways strength (`law.sideways`); 0 omits it.
+        lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
 
     Raises:
         InputError: a value outside its range.

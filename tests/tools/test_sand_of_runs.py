@@ -227,7 +227,7 @@ def test_policies_that_come_with_the_package_act_on_the_sand_that_they_say(name)
     assert run.sand
     now = sands_made(run.environment, run.arguments)
     other = run.other_sand(now)
-    # All were trained before strength sideways, those on poppy seed before its plate was measured.
+    # All were trained before lateral strength, those on poppy seed before its plate was measured.
     assert other
     assert "lateral 0 (now 1." in other
     poppy = run.sand[0]["medium"] == "poppy_seed_loose"

@@ -1,4 +1,4 @@
-"""Static resistance to sideways motion: passive pressure in place of bearing.
+"""Lateral strength of sand: passive pressure in place of bearing.
 
 A fit of resistive force theory has one ratio of lateral to vertical strength for all sand: an
 upright plate that is drawn meets 0.219 of the stress of a level one that is pushed down. Passive
@@ -43,11 +43,11 @@ def lateral_strength(friction: float) -> float:
 
 
 @cache
-def sideways_slope(slope: Any) -> Any:
+def lateral_slope(slope: Any) -> Any:
     """Build the `slope` of a law (`RftLaw`) by (S2) and (S3), with the record's `lateral` as L."""
 
     @partial(compiled, inline=True)
-    def of_sideways(law, g, rise, down, lead):
+    def of_lateral(law, g, rise, down, lead):
         strength, f, by_rise, by_down, by_lead = slope(law, g, rise, down, lead)
         c = max(lead, 0.0)
         c_4 = (c * c) * (c * c)
@@ -73,4 +73,4 @@ def sideways_slope(slope: Any) -> Any:
         f = whole * f + vector(gain * normal, 0.0, 0.0)
         return strength, f, by_rise, by_down, by_lead
 
-    return of_sideways
+    return of_lateral
