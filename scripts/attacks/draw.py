@@ -49,5 +49,5 @@ def draw(
 
 
 def arguments(sand: str) -> dict[str, Any]:
-    """Return the arguments of `Sand` that a text writes."""
+    """Return the arguments of `Sand` in a string."""
     return eval(f"dict({sand})", vars(mjgranular).copy())

@@ -345,10 +345,6 @@ def _bomb_in_zip(rng: Random, file: Path) -> str:
     else:
         entries[name] = bomb if rng.random() < 0.5 else _saved(torch, {"weight": Bomb()})
     _write_entries(file, entries)
-    replay = file.with_name("replay.npz")
-    if replay.exists():
-        replay.unlink()
-        replay.with_suffix(".pkl").write_bytes(bomb)
     return f"a bomb in {name}"
 
 

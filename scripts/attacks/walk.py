@@ -442,7 +442,7 @@ class Walk:
     # Around the checks
 
     def counters(self) -> tuple[int, ...]:
-        """Return what the scheme counts of its own shortcomings."""
+        """Return the scheme's counts of unfinished and damped steps."""
         assert self.sand is not None
         binding = self.sand._bindings.get(self.data)
         if binding is None or binding.workspace.statistics is None:

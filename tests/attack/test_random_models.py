@@ -27,10 +27,11 @@ PROGRAMS = (
 def test_random_models(kind):
     common = {"seed": 0, "steps": STEPS, "programs": PROGRAMS, "kind": kind, "bare": False}
     cases = [{**common, "number": number} for number in range(MODELS // 4)]
-    failures, steps = [], 0
+    failures, steps, walked = [], 0, 0
     for number, result in importlib.import_module("attacks.worker").run("attacks.walk", cases, 2):
-        steps += result.counts.get("steps", 0)
+        steps, walked = steps + result.counts.get("steps", 0), walked + 1
         failures += [f"seed 0, {number}: {found}" for found in result.findings if found.failed]
+    assert walked == len(cases)
     assert steps > 0.4 * MODELS // 4 * STEPS
     assert not failures, "\n".join(failures)
 
