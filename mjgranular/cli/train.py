@@ -166,7 +166,7 @@ class TrainCommand:
         extra = [name for name, value in given.items() if value is not None]
         if extra:
             raise InputError(
-                f"--resume goes on with the settings of {path}: leave {', '.join(extra)} away "
+                f"--resume uses the settings of {path}: remove {', '.join(extra)} "
                 "(--total-steps may be given)"
             )
 

@@ -454,7 +454,7 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
         (["train", ID, "--seed", "-1"], "a seed is a whole number"),
         (["train", "CartPole-v1", "--algorithm", "sac"], "sac needs actions that are vectors"),
         (["train", "--resume", "nowhere"], "nowhere holds no training run"),
-        (["train", ID, "--resume", "x"], "leave ENV away"),
+        (["train", ID, "--resume", "x"], "remove ENV"),
         (["evaluate", "nowhere"], "no run folder or policy 'nowhere'"),
         (["evaluate", ID], "say who acts in it, with --agent zero|random|gait"),
         (["evaluate", ID, "--agent", "nobody"], "no agent 'nobody'; there are: policy, zero"),

@@ -214,7 +214,7 @@ train CartPole-v1 --out old | old holds a training run already: choose another f
 train mjgranular/ChainSwim-v0 --set environment.medium=moon | no medium 'moon'
 train --resume nowhere | nowhere holds no training run
 train --resume old | old holds no training run (config.json names no
-train CartPole-v1 --resume old | --resume goes on with the settings of old: leave ENV away
+train CartPole-v1 --resume old | --resume uses the settings of old: remove ENV
 evaluate | evaluate needs a run, a policy or, with --agent, an
 evaluate nowhere | no run folder or policy 'nowhere'
 evaluate old | old holds no training run (config.json names no
