@@ -11,12 +11,12 @@ and the stagnant cone (`law.raised`), which takes part of the strength of a vert
 sideways. So the normal part of a stress is multiplied by G, and the tangential part by T:
 
     G = 1 + (L (1 + c^8)/2 - 1) (1 - u_z^2) (1 - n_z^2),    L = (1 + cone) R/0.219,    (S2)
-    T = 1 + min(L/2 - 1, 0) (1 - c^8) (1 - u_z^2) (1 - n_z^2),                         (S3)
+    T = 1 + (min(L/2 - 1, 0) (1 - c^8) + min(L - 1, 0) c^8) (1 - u_z^2) (1 - n_z^2),   (S3)
 
-with the normal n, the direction of motion u and c = max(n.u, 0). Friction on the face does not grow
-with the normal part, and is never above its share of it where L >= 1, for then T <= G. Vertical
-motion and level faces are left alone. The brackets are chosen, by drawn bodies in simulated grains,
-legs and a robot (docs/laws/rft.md).
+with the normal n, the direction of motion u and c = max(n.u, 0). So friction on the face does not
+grow with the normal part, and T <= G for any L: what dissipated energy still does. Vertical motion
+and level faces are left alone. The brackets are chosen, by drawn bodies in simulated grains, legs
+and a robot (docs/laws/rft.md).
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def lateral_slope(slope: Any) -> Any:
         level, level_rise, level_down = across * steep, -2.0 * steep * rise, -2.0 * across * down
         # T - 1, what G is above T, and the derivatives of both by n.u.
         half = 0.5 * law.lateral
-        low = min(half - 1.0, 0.0)
-        less, less_lead = low * (1.0 - c_8), -8.0 * low * c_7
+        low, high = min(half - 1.0, 0.0), min(2.0 * half - 1.0, 0.0)
+        less, less_lead = low + (high - low) * c_8, 8.0 * (high - low) * c_7
         more, more_lead = half * (1.0 + c_8) - 1.0 - less, 8.0 * half * c_7 - less_lead
         whole, gain = 1.0 + less * level, more * level
         normal = f.x + f.y * lead + f.z * down

@@ -29,6 +29,7 @@ LAWS = {
     "rft2d": Rft2dLaw.from_medium(media["poppy_seed_loose"]),
     "rft3d": Rft3dLaw.from_medium(media["quikrete_medium"]),
     "rft3d_inertia": Rft3dLaw(1500.0, 0.6, 0.2, inertia=1.1),
+    "rft3d_lateral_low": Rft3dLaw(1500.0, 0.6, 0.2, lateral=0.8),
     "rft3d_lateral": Rft3dLaw(1500.0, 0.6, 0.2, lateral=1.4),
     "rft3d_lateral_high": Rft3dLaw(1500.0, 0.6, 0.2, lateral=2.4),
 }
@@ -90,7 +91,8 @@ def sideways(lateral, n, u, z):
         return REAL(1), REAL(1)
     q, w = max(n @ u, REAL(0)) ** 8, (1 - (u @ z) ** 2) * (1 - (n @ z) ** 2)
     more = 1 + (lateral * (1 + q) / 2 - 1) * w
-    return more, 1 + min(lateral / 2 - 1, REAL(0)) * (1 - q) * w
+    less = min(lateral / 2 - 1, REAL(0)) * (1 - q) + min(lateral - 1, REAL(0)) * q
+    return more, 1 + less * w
 
 
 def stress_2d(law, n, u, z):

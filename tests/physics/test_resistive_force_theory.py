@@ -24,6 +24,7 @@ from mjgranular import (
     media,
 )
 from mjgranular.kernel.vector import read_vector
+from mjgranular.law.lateral import lateral_slope
 from mjgranular.law.rft import stress_of
 from mjgranular.law.rft2d import planar_response
 from mjgranular.law.rft2d_measured import table_response
@@ -144,7 +145,8 @@ def record(law):
 
 def stress(law, n, v):
     """The package's, for one element."""
-    return np.array(called(stress_of(law.slope))(record(law), 9.81, n, v, UP))
+    slope = lateral_slope(law.slope) if law.lateral > 0 else law.slope
+    return np.array(called(stress_of(slope))(record(law), 9.81, n, v, UP))
 
 
 @cache
@@ -889,6 +891,12 @@ def test_power_of_the_wrench_is_that_of_the_elements(law, shape, state):
         (QUIKRETE, 0.0),
         (dataclasses.replace(QUIKRETE, surface_friction=0.0), 0.0),
         (dataclasses.replace(QUIKRETE, surface_friction=0.9), 0.0),
+        (dataclasses.replace(QUIKRETE, surface_friction=0.9, lateral=0.3), 0.0),
+        (dataclasses.replace(QUIKRETE, surface_friction=0.9, lateral=0.9), 0.0),
+        (dataclasses.replace(QUIKRETE, surface_friction=0.9, lateral=1.5), 0.0),
+        (dataclasses.replace(QUIKRETE, surface_friction=0.9, lateral=4.0), 0.0),
+        (dataclasses.replace(SETS["generic"], lateral=0.3), 0.0),
+        (dataclasses.replace(SETS["generic"], lateral=1.3), 0.0),
     ],
 )
 def test_every_element_takes_power(law, worst):
