@@ -68,9 +68,14 @@ def test_episodes_are_those_of_the_processor(warp_env):
         powers.append(one[4]["sand/power"])
     assert ends >= 24
     assert np.max(powers) <= -1e-6 * np.min(powers)  # some roundings of single precision
-    means = np.array(forces).mean(0)  # over steps
-    assert np.abs(means[1]).max() > 20
-    np.testing.assert_allclose(means[0], means[1], atol=0.02 * np.abs(means[1]).max())
+    # A foot at rest touches in some steps and not in others, and not in the same ones in single
+    # precision. So one step's force says little, and the means agree within their standard error.
+    forces = np.array(forces)
+    weight = forces[:, 1].mean(0)[:, 2]
+    differences = forces[:, 0] - forces[:, 1]
+    error = differences.std(0) / np.sqrt(len(differences))
+    assert (error < 0.015 * weight.max()).all() and weight.min() > 20
+    assert (np.abs(differences.mean(0)) < 3 * error + 1e-3).all()
 
 
 def test_a_world_that_is_lost_begins_anew_and_the_others_go_on(warp_env):
