@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol, TextIO
 
@@ -17,6 +17,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 from rich.text import Text
 
 from mjgranular._util.extras import need
@@ -50,6 +51,27 @@ def print_json(content: Any) -> None:
     """Writes one JSON value to standard output."""
     json.dump(content, sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
+
+
+def table(
+    title: str, headings: Sequence[str], rows: Iterable[Iterable[str]], *, words: int = 1
+) -> Table:
+    """Make a table for people.
+
+    Args:
+        title: stands above it.
+        headings: of the columns.
+        rows: a cell for each column.
+        words: number of columns that hold words, to the left; the others hold numbers.
+    """
+    made = Table(title=title, title_justify="left")
+    for number, heading in enumerate(headings):
+        made.add_column(
+            Text(heading), justify="left" if number < words else "right", no_wrap=number == 0
+        )
+    for row in rows:
+        made.add_row(*row)
+    return made
 
 
 def show_error(message: str) -> None:

@@ -32,8 +32,8 @@ class EvaluateCommand(EngineOptions):
     """Mean return over seeds with its 95 % confidence interval, for policies and baselines.
 
     Each POLICY is the folder of a run, the name of a policy that comes with the package
-    (`mjgranular policies`), or with --agent zero, random or gait the id of an environment. --on
-    adds other sands: every policy is run in its own environment and in each of the variants.
+    (`mjgranular list policies`), or with --agent zero, random or gait the id of an environment.
+    --on adds other sands: every policy is run in its own environment and in each of the variants.
     Workers take 64 episodes of one of these at a time; the numbers are the same to the last bit.
     """
 

@@ -37,7 +37,7 @@ class FitCommand:
     runs: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUNS.yaml")]
     """What is known of the medium, and the runs, with their CSV files (docs/calibration.md)."""
     law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
-    """The force law; `mjgranular laws` lists what there is. Default: that of the medium's base."""
+    """The force law; see `mjgranular list laws`. Default: that of the medium's base."""
     free: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Constants that are looked for: strength, a factor on static resistance, or any number that
     the law has, such as inertia."""

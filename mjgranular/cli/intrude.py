@@ -31,7 +31,7 @@ class IntrudeCommand(LawOptions):
     """
 
     medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "quikrete_medium"
-    """The sand, or a YAML file; `mjgranular media` lists what there is."""
+    """The sand, or a YAML file; see `mjgranular list media`."""
     intruder: Literal["plate", "sphere", "cylinder", "capsule", "box"] | None = None
     """Shape, if no model is given; a cylinder or capsule stands upright, a quarter as thick.
     Default: plate."""

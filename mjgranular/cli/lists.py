@@ -1,159 +1,174 @@
-"""`mjgranular media`, `mjgranular laws`, `mjgranular policies`: what there is, with sources."""
+"""`mjgranular list`: media, laws, policies and environments, with their sources."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
 from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
-from rich.table import Table
-from rich.text import Text
+from rich.markdown import Markdown
 
-from mjgranular.cli.console import out, print_json
+from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import law_named
+from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
 from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.material import has_constants
 
+Listed = tuple[Any, Callable[[], object]]
+"""A value for JSON, and a function that makes what a person reads."""
+
 
 @dataclass(frozen=True)
-class MediaCommand:
-    """The media there are; with a name, every value of that medium with its source."""
+class ListCommand:
+    """List media, laws, policies or environments; with a name, show one in full.
 
+    Of a medium every value with its source, of a law its parameters, of an environment its
+    specification.
+    """
+
+    what: Annotated[Literal["media", "laws", "policies", "envs"], tyro.conf.Positional]
+    """What to list."""
     name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = None
-    """A medium, or a YAML file of your own, whose names are checked."""
+    """One of them; or a medium's YAML file, whose names are checked, or my_laws:Mud."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print JSON instead of a table."""
 
     def run(self) -> int:
-        """Runs the command."""
-        if self.name is not None:
-            medium = get_medium(self.name)
-            check_constants(medium)
-            _show_medium(medium, as_json=self.json)
-        elif self.json:
-            print_json([asdict(medium) for medium in media.values()])
+        """Run the command."""
+        kinds = {
+            "media": (_media, _medium),
+            "laws": (_laws, _law),
+            "policies": (_policies, _policy),
+            "envs": (_environments, _environment),
+        }
+        every, one = kinds[self.what]
+        value, shown = every() if self.name is None else one(self.name)
+        if self.json:
+            print_json(value)
         else:
-            table = Table(title="Media", title_justify="left")
-            for heading in ("name", "what it is", "bulk density [kg/m^3]", "laws, its own first"):
-                table.add_column(Text(heading))
-            for medium in media.values():
-                density = f"{medium.density.value:g}"
-                table.add_row(medium.name, medium.title, density, ", ".join(medium.laws))
-            out.print(table)
+            out.print(shown())
         return 0
 
 
-def _show_medium(medium: Medium, *, as_json: bool) -> None:
-    if as_json:
-        print_json(asdict(medium))
-        return
-    table = Table(title=f"{medium.name}: {medium.title}", title_justify="left")
-    table.add_column("quantity", no_wrap=True)
-    table.add_column("value", justify="right", no_wrap=True)
-    table.add_column("source")
+def _media() -> Listed:
+    rows = [
+        (each.name, each.title, f"{each.density.value:g}", ", ".join(each.laws))
+        for each in media.values()
+    ]
+    headings = ("name", "what it is", "bulk density [kg/m^3]", "laws, its own first")
+    every = [asdict(medium) for medium in media.values()]
+    return every, lambda: table("Media", headings, rows, words=4)
+
+
+def _medium(name: str) -> Listed:
+    medium = get_medium(name)
+    check_constants(medium)
     rows = {"density": medium.density}
     if medium.grain is not None:
         rows["grain"] = medium.grain
     for law, constants in medium.constants.items():
         rows |= {f"{law}.{key}": quantity for key, quantity in constants.items()}
-    for key, quantity in rows.items():
-        table.add_row(key, f"{quantity.value:g} {quantity.unit}".strip(), quantity.source)
-    out.print(table)
+    cells = [(key, f"{one.value:g} {one.unit}".strip(), one.source) for key, one in rows.items()]
+    title = f"{medium.name}: {medium.title}"
+    return asdict(medium), lambda: table(title, ("quantity", "value", "source"), cells, words=3)
 
 
-@dataclass(frozen=True)
-class LawsCommand:
-    """The force laws there are, with their sources; with a name, the parameters of one."""
+def _laws() -> Listed:
+    rows = [_facts(law) for law in laws.values()]
+    headings = ("name", "what it is", "source")
+    return rows, lambda: table("Laws", headings, [tuple(row.values()) for row in rows], words=3)
 
-    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[LAW]")] = None
-    """A law, or my_laws:Mud for one of your own."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print JSON instead of a table."""
 
-    def run(self) -> int:
-        """Runs the command."""
-        if self.name is not None:
-            self._show(law_in(law_named(self.name) or "")[0])
-            return 0
-        rows = [_facts(law) for law in laws.values()]
-        if self.json:
-            print_json(rows)
-            return 0
-        table = Table(title="Laws", title_justify="left")
-        table.add_column("name", no_wrap=True)
-        table.add_column("what it is")
-        table.add_column("source")
-        for row in rows:
-            table.add_row(*row.values())
-        out.print(table)
-        return 0
-
-    def _show(self, law: type[Law]) -> None:
-        """Prints the parameters of a law: its fields."""
-        every: Any = fields(law)  # pyright: ignore[reportArgumentType]
-        parameters = {
-            field.name: None if field.default is MISSING else field.default for field in every
-        }
-        if self.json:
-            print_json({**_facts(law), "parameters": parameters})
-            return
-        table = Table(title=f"{law.name}: {law.title}", title_justify="left")
-        table.add_column("parameter", no_wrap=True)
-        table.add_column("default", justify="right")
-        table.add_column("media with a value")
-        of_media = {
-            medium.name: law.from_medium(medium)
-            for medium in media.values()
-            if has_constants(medium, law)
-        }
-        for name, default in parameters.items():
-            known = [
-                f"{medium} {getattr(made, name):g}"
-                for medium, made in of_media.items()
-                if getattr(made, name) != default
-            ]
-            table.add_row(name, "" if default is None else f"{default}", ", ".join(known))
-        out.print(table)
+def _law(name: str) -> Listed:
+    law = law_in(law_named(name) or "")[0]
+    every: Any = fields(law)  # pyright: ignore[reportArgumentType]
+    defaults = {f.name: None if f.default is MISSING else f.default for f in every}
+    known: list[tuple[Medium, Any]] = [
+        (medium, law.from_medium(medium)) for medium in media.values() if has_constants(medium, law)
+    ]
+    rows = []
+    for key, default in defaults.items():
+        values = [(medium.name, getattr(made, key)) for medium, made in known]
+        told = [f"{medium} {value:g}" for medium, value in values if value != default]
+        rows.append((key, "" if default is None else f"{default}", ", ".join(told)))
+    headings = ("parameter", "default", "media with a value")
+    title = f"{law.name}: {law.title}"
+    return {**_facts(law), "parameters": defaults}, lambda: table(title, headings, rows, words=3)
 
 
 def _facts(law: type[Law]) -> dict[str, str]:
     return {"name": law.name, "title": law.title, "citation": law.citation}
 
 
-@dataclass(frozen=True)
-class PoliciesCommand:
-    """The trained policies that come with the package."""
+def _policies(names: tuple[str, ...] = ()) -> Listed:
+    from mjgranular.learn.policies import last_return, shipped_policies
 
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print JSON instead of a table."""
+    rows = [
+        {
+            "name": name,
+            "environment": run.environment,
+            "algorithm": run.settings.algorithm,
+            "seed": run.seed,
+            "steps": run.settings.total_steps,
+            "mean_return": last_return(run),
+        }
+        for name, run in shipped_policies().items()
+        if not names or name in names
+    ]
+    if not rows:
+        return rows, lambda: "none yet: mjgranular train ENV makes one"
+    headings = ("name", "environment", "algorithm", "seed", "steps", "return at the end")
+    cells = [
+        ("" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values())
+        for row in rows
+    ]
+    return rows, lambda: table("Policies", headings, cells, words=6)
 
-    def run(self) -> int:
-        """Runs the command."""
-        from mjgranular.learn.policies import last_return, shipped_policies
 
-        rows = [
-            {
-                "name": name,
-                "environment": run.environment,
-                "algorithm": run.settings.algorithm,
-                "seed": run.seed,
-                "steps": run.settings.total_steps,
-                "mean_return": last_return(run),
-            }
-            for name, run in shipped_policies().items()
-        ]
-        if self.json:
-            print_json(rows)
-            return 0
-        if not rows:
-            out.print("none yet: mjgranular train ENV makes one")
-            return 0
-        table = Table(title="Policies", title_justify="left")
-        for heading in ("name", "environment", "algorithm", "seed", "steps", "return at the end"):
-            table.add_column(Text(heading), no_wrap=heading == "name")
-        for row in rows:
-            *cells, reached = row.values()
-            table.add_row(*map(str, cells), "" if reached is None else f"{reached:.4g}")
-        out.print(table)
-        return 0
+def _policy(name: str) -> Listed:
+    from mjgranular.learn.policies import shipped_policies
+
+    if name not in shipped_policies():
+        raise UnknownNameError("policy", name, shipped_policies())
+    return _policies((name,))
+
+
+def _environments() -> Listed:
+    from mjgranular.envs.ids import id_of
+    from mjgranular.envs.tasks import tasks
+
+    rows = [_row(id_of(name), task) for name, task in tasks.items()]
+    cells = [
+        (row["id"], row["title"], f"{row['medium']} {row['law']}", str(row["max_episode_steps"]))
+        for row in rows
+    ]
+    headings = ("id", "what it is", "sand and its law", "steps")
+    return rows, lambda: table("Environments", headings, cells, words=3)
+
+
+def _environment(identity: str) -> Listed:
+    from mjgranular.envs.ids import id_of, name_of
+    from mjgranular.envs.known import find_spec
+    from mjgranular.envs.tasks import tasks
+
+    name = name_of(identity.rpartition(":")[2])
+    if ":" in identity:
+        find_spec(identity)  # imports its module, which registers it
+    if name not in tasks:
+        raise UnknownNameError("environment", identity, map(id_of, tasks))
+    row = _row(id_of(name), tasks[name])
+    text = inspect.getdoc(tasks[name]) or ""
+    return row | {"specification": text}, lambda: Markdown(f"# {row['id']}\n\n{text}")
+
+
+def _row(identity: str, task: Any) -> dict[str, Any]:
+    return {
+        "id": identity,
+        "title": task.title,
+        "medium": str(task.medium),
+        "law": str(task.law or get_medium(task.medium).default_law),
+        "max_episode_steps": task.episode,
+    }

@@ -18,12 +18,11 @@ from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.elements import ElementsCommand
-from mjgranular.cli.envs import EnvsCommand
 from mjgranular.cli.evaluate import EvaluateCommand
 from mjgranular.cli.fit import FitCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
-from mjgranular.cli.lists import LawsCommand, MediaCommand, PoliciesCommand
+from mjgranular.cli.lists import ListCommand
 from mjgranular.cli.numbers import number_rules
 from mjgranular.cli.options import in_options
 from mjgranular.cli.render import RenderCommand
@@ -51,10 +50,7 @@ COMMANDS: dict[str, Any] = {
     "render": RenderCommand,
     "warm": WarmCommand,
     "studio": StudioCommand,
-    "media": MediaCommand,
-    "laws": LawsCommand,
-    "policies": PoliciesCommand,
-    "envs": EnvsCommand,
+    "list": ListCommand,
 }
 _Command: Any = Union[  # noqa: UP007 - of a list
     tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())

@@ -127,9 +127,9 @@ class LinkOptions:
     density: Annotated[float, tyro.conf.arg(metavar="KG/M^3")] = 7700.0
     """Density of the link [kg/m^3]."""
     medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "play_sand"
-    """The sand; `mjgranular media` lists what there is."""
+    """The sand; see `mjgranular list media`."""
     law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
-    """The force law; `mjgranular laws` lists what there is, "rft3d scale=1.3" has other parameters
+    """The force law; see `mjgranular list laws`, "rft3d scale=1.3" has other parameters
     than the medium, my_laws:Mud is one of your own. Default: the medium's own."""
     scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """How forces become a step. Default: explicit, or implicit where the law needs it."""
@@ -154,7 +154,7 @@ class LawOptions:
     """How sand resists, and how finely a law cuts what meets it."""
 
     law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
-    """The force law; `mjgranular laws` lists what there is, "rft3d scale=1.3" has other parameters
+    """The force law; see `mjgranular list laws`, "rft3d scale=1.3" has other parameters
     than the medium, my_laws:Mud is one of your own. Default: the medium's own."""
     resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """How finely bodies are cut into elements. Default: the law's."""
@@ -165,7 +165,7 @@ class ChoiceOptions(LawOptions):
     """The sand, and what of a model meets it."""
 
     medium: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The sand, or a YAML file; `mjgranular media` lists what there is. Default: by the law, or
+    """The sand, or a YAML file; see `mjgranular list media`. Default: by the law, or
     quikrete_medium."""
     bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Bodies that meet the sand, by name or number. Default: all that can move."""

@@ -117,7 +117,7 @@ class RenderCommand:
             if is_environment(what):
                 raise InputError(
                     f"{what} is an environment: a film is made of a run, which mjgranular train "
-                    f"{what} makes, or of a policy that `mjgranular policies` lists"
+                    f"{what} makes, or of a policy that `mjgranular list policies` lists"
                 )
             return saved_command(self.run_folder)
         if self.out is None:

@@ -35,7 +35,7 @@ _FIGURE = "curve.png"
 class TrainCommand:
     """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3.
 
-    ENV is an id of Gymnasium's: `mjgranular envs` lists ours; any other goes too, `my_module:My-v0`
+    ENV is an id of Gymnasium's: one of `mjgranular list envs` or any other, `my_module:My-v0`
     for your own. Each has its settings in a file; --set changes them one by one. Ctrl-C or SIGTERM
     ends the training with a checkpoint; --resume DIR goes on, also after a crash.
     """
@@ -129,7 +129,7 @@ class TrainCommand:
         if sands == []:
             name = _short(str(self.environment)).rpartition("-v")[0]
             there = importlib.import_module("mjgranular.envs.tasks").tasks
-            ours = f"mjgranular/{name}-v0" if name in there else "what `mjgranular envs` lists"
+            ours = f"mjgranular/{name}-v0" if name in there else "what `mjgranular list envs` lists"
             warn_user(f"{self.environment} has no sand in its model: {ours} has")
 
     def _begun(self) -> Run:

@@ -114,7 +114,7 @@ class Medium:
             )
 
     def __repr__(self) -> str:
-        """Short; `_repr_html_` and `mjgranular media NAME` have numbers and sources."""
+        """Short; `_repr_html_` and `mjgranular list media NAME` have numbers and sources."""
         return (
             f"Medium({shown(self.name)}: {one_line(self.title)}, {self.density.value:g} kg/m^3, "
             f"laws {listed(self.laws)})"

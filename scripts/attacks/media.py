@@ -67,10 +67,10 @@ def read(case: Case) -> str:
     try:
         medium = get_medium(path)
     except Exception:
-        assert main(["media", path]) == 2
+        assert main(["list", "media", path]) == 2
         raise
     # Each law checks its own constants: names and values may still be wrong.
-    shown = {main(["media", path, *form]) for form in ([], ["--json"])}
+    shown = {main(["list", "media", path, *form]) for form in ([], ["--json"])}
     assert shown in ({0}, {2})
     return f"{medium.name} {get_law(None, medium)}"[:500]
 

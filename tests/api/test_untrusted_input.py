@@ -271,7 +271,7 @@ def test_names_are_printed_as_they_are(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_medium_is_printed_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "sand.yaml"
     path.write_text(EXAMPLE.replace("weighed", "'[/red] :smile:'"), encoding="utf-8")
-    assert main(["media", str(path)]) == 0
+    assert main(["list", "media", str(path)]) == 0
     assert "[/red] :smile:" in capsys.readouterr().out
 
 
@@ -286,7 +286,7 @@ def test_names_in_figures_are_no_formulas(tmp_path: Path, title: str) -> None:
     assert path.exists()
 
 
-@pytest.mark.parametrize("arguments", [["media", "\udcff"], ["drop", "\udcff.xml"]])
+@pytest.mark.parametrize("arguments", [["list", "media", "\udcff"], ["drop", "\udcff.xml"]])
 def test_an_argument_that_is_not_utf8(
     capsys: pytest.CaptureFixture[str], arguments: list[str]
 ) -> None:

@@ -158,7 +158,7 @@ def test_a_law_of_ones_own_on_the_command_line(
     given = ["--law", law, "--medium", "glass_beads", "--json"]
     assert main(["elements", "block.xml", *given]) == 0
     assert json.loads(capsys.readouterr().out)["law"] == "mud_of_a_test stiffness=1000"
-    assert main(["laws", "mud_of_a_test:Mud", "--json"]) == 0
+    assert main(["list", "laws", "mud_of_a_test:Mud", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["parameters"]["linear"] == 5.0
     for wrong, said in (
         ("mud_of_a_test:Mudd", "did you mean Mud?"),
@@ -179,12 +179,12 @@ def test_no_file_has_a_law_of_somebodys_imported(beside: Path) -> None:
 
 
 def test_the_parameters_of_a_law_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["laws", "rft3d"]) == 0
+    assert main(["list", "laws", "rft3d"]) == 0
     said = capsys.readouterr().out
     assert "scale" in said
     density = mg.media["quikrete_medium"].constants["rft3d"]["density"].value
     assert f"quikrete_medium {density:g}" in said
-    assert main(["laws", "rft3d", "--json"]) == 0
+    assert main(["list", "laws", "rft3d", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["parameters"]["scale"] == 1.0
 
 
@@ -207,7 +207,7 @@ def test_names_in_a_file_of_a_medium_are_checked(
 ) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(MEDIUM.replace(wrong, right), encoding="utf-8")
-    assert main(["media", str(path)]) == 2
+    assert main(["list", "media", str(path)]) == 2
     assert said in capsys.readouterr().err
 
 

@@ -191,7 +191,7 @@ def test_unknown_options_and_commands_exit_with_2():
 def test_help_of_every_command():
     done = run("--help")
     assert done.returncode == 0
-    for command in ("impact", "sweep", "reproduce", "render", "media", "laws", "envs"):
+    for command in ("impact", "sweep", "reproduce", "render", "list"):
         assert command in done.stdout
         with pytest.raises(SystemExit) as stopped:
             main([command, "--help"])
@@ -199,16 +199,16 @@ def test_help_of_every_command():
 
 
 def test_lists_name_their_sources(capfd):
-    assert main(["media", "play_sand"]) == 0
+    assert main(["list", "media", "play_sand"]) == 0
     assert "Lee and Marghitu" in capfd.readouterr().out
-    assert main(["media", "--json"]) == 0
+    assert main(["list", "media", "--json"]) == 0
     media = json.loads(capfd.readouterr().out)
     assert media[0]["density"]["unit"] == "kg/m^3"
-    assert main(["laws"]) == 0
+    assert main(["list", "laws"]) == 0
     assert "link_distributed" in capfd.readouterr().out
-    assert main(["laws", "--json"]) == 0
+    assert main(["list", "laws", "--json"]) == 0
     assert all(law["citation"] for law in json.loads(capfd.readouterr().out))
-    assert main(["media", "moon_dust"]) == 2
+    assert main(["list", "media", "moon_dust"]) == 2
     assert "play_sand" in capfd.readouterr().err
 
 
@@ -286,17 +286,17 @@ def test_an_interrupted_sweep_keeps_what_is_finished(tmp_path):
 
 
 def test_environments_are_listed_with_their_specifications(capfd):
-    assert main(["envs", "--json"]) == 0
+    assert main(["list", "envs", "--json"]) == 0
     rows = json.loads(capfd.readouterr().out)
     assert {"mjgranular/ChainSwim-v0", "mjgranular/Ant-v0"} <= {row["id"] for row in rows}
-    assert main(["envs", "mjgranular/Hexapod-v0"]) == 0
+    assert main(["list", "envs", "mjgranular/Hexapod-v0"]) == 0
     assert "Observation Space" in capfd.readouterr().out
-    assert main(["envs", "Nobody"]) == 2
+    assert main(["list", "envs", "Nobody"]) == 2
     assert "there are: mjgranular/Ant-v0" in capfd.readouterr().err.replace("\n", " ")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX pipes")
-@pytest.mark.parametrize("command", [["drop", "--help"], ["--version"], ["media"]])
+@pytest.mark.parametrize("command", [["drop", "--help"], ["--version"], ["list", "media"]])
 def test_a_reader_that_goes_away_is_no_traceback(command):
     reader, writer = os.pipe()
     os.close(reader)

@@ -567,10 +567,10 @@ def test_policies_that_come_with_the_package_go_by_name(trained, tmp_path, monke
     for name in POLICY_FILES:
         (folder / name).write_bytes((trained.path / name).read_bytes())
     monkeypatch.setattr("mjgranular.learn.policies.SHIPPED", tmp_path / "policies")
-    assert main(["policies", "--json"]) == 0
+    assert main(["list", "policies", "--json"]) == 0
     (row,) = json.loads(capfd.readouterr().out)
     assert (row["name"], row["environment"], row["seed"]) == ("Pendulum-v1/ppo-3", ID, 3)
-    assert main(["policies"]) == 0
+    assert main(["list", "policies"]) == 0
     assert "Pendulum-v1/ppo-3" in capfd.readouterr().out
     np.testing.assert_array_equal(
         load_policy("Pendulum-v1/ppo-3").act(np.ones((2, 3)), np.zeros(2)),

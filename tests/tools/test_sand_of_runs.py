@@ -169,7 +169,10 @@ def test_a_policy_that_is_trained_without_sand_is_told_of(tmp_path, capfd):
     few = ["--total-steps", "64", "--set", "num_envs=1", "n_steps=64", "batch_size=64"]
     for name, warning in (
         ("Swimmer-v5", "Swimmer-v5 has no sand in its model: mjgranular/Swimmer-v0 has"),
-        ("Reacher-v5", "Reacher-v5 has no sand in its model: what `mjgranular envs` lists has"),
+        (
+            "Reacher-v5",
+            "Reacher-v5 has no sand in its model: what `mjgranular list envs` lists has",
+        ),
         ("Pendulum-v1", ""),  # of which nobody can know
         ("mjgranular/LinkDrop-v0", ""),
     ):

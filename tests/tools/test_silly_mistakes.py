@@ -178,14 +178,14 @@ render old --out film.avi | old holds no saved run (config.json names no
 render Hexapod-v0/ppo-0 | a film of Hexapod-v0/ppo-0 needs a file to write to: add --out FILE
 render Hexapod-v0/ppo-0 --out film.mp4 --fps 0 | a video has 1 to 240 frames a second
 render mjgranular/Hexapod-v0 | mjgranular/Hexapod-v0 is an environment: a film is made of a run
-media moon | no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,
-media '' | no medium ''; there are: glass_beads, glass_beads_3mm_close,
-media . | no medium '.'; there are: glass_beads, glass_beads_3mm_close,
-media moon.yaml | cannot read the medium moon.yaml
-media typo.yaml | medium 'mine': the law 'rft3d' has no constant 'scael'
-media law.yaml | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
-laws rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
-envs ChainSwin | no environment 'ChainSwin' ... did you mean mjgranular/ChainSwim-v0?
+list media moon | no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,
+list media '' | no medium ''; there are: glass_beads, glass_beads_3mm_close,
+list media . | no medium '.'; there are: glass_beads, glass_beads_3mm_close,
+list media moon.yaml | cannot read the medium moon.yaml
+list media typo.yaml | medium 'mine': the law 'rft3d' has no constant 'scael'
+list media law.yaml | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
+list laws rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
+list envs ChainSwin | no environment 'ChainSwin' ... did you mean mjgranular/ChainSwim-v0?
 train | train needs an environment, for example mjgranular train
 train '' | no environment ''; there are: mjgranular/Ant-v0,
 train Hexapod | no environment 'Hexapod' ... did you mean mjgranular/Hexapod-v0?
