@@ -28,10 +28,10 @@ _HEAD = """# How far the laws are right
 
 {quantities}
 Every law of the package against every set of measured motion that the repository has, and what
-came out, the bad with the good. `python referee/validate.py` runs all of it anew and writes this
-page, its figures and the errors that `report(data)[body].error` and `info["sand/error"]` tell with
-each force. The data lie in `referee/data`; `referee/README.md` says how simulated grains are made
-to move, and how to add a set of your own.
+came out, the bad with the good. `python referee/validate.py` repeats it and writes this page, its
+figures and the errors in `report(data)[body].error` and `info["sand/error"]`: those of drops, pushes
+and drags. Wheels and turning legs are only on this page. The data are in `referee/data`;
+`referee/README.md` says how grains are simulated and how to add a set.
 
 Errors are those of whole motions:
 
@@ -112,8 +112,8 @@ _QUANTITIES = {
     "thrust": "thrust of a leg",
     "walk": "walking speed",
     "bear": "vertical force on a wheel at its sinkage",
-    "pull": "horizontal force on a wheel",
-    "sinkage": "sinkage of a wheel",
+    "pull": "horizontal force on a wheel free to sink",
+    "sinkage": "sinkage of a wheel free to sink",
 }
 
 

@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.table import Table
-from rich.text import Text
 
-from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli.console import err, out, print_json, progress_bar, show_error, table
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.options import SandOptions, record_of
 from mjgranular.errors import GranularError, GranularWarning, InputError, MissingExtraError
@@ -137,23 +135,22 @@ def film(folder: ResultFolder, result: DropResult, camera: str) -> list[Granular
 
 def show(result: DropResult) -> None:
     """Prints a run as a table."""
-    table = Table(
-        title=f"{result.drop.title} on {result.medium}: {result.law} law, {result.elements} "
-        f"elements, {result.t[-1]:g} s in steps of {result.timestep:g} s",
-        title_justify="left",
+    title = (
+        f"{result.drop.title} on {result.medium}: {result.law} law, {result.elements} "
+        f"elements, {result.t[-1]:g} s in steps of {result.timestep:g} s"
     )
-    for heading in ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held"):
-        table.add_column(Text(heading), justify="left" if heading == "body" else "right")
-    for body in result.bodies:
-        held = body.within_validity
-        table.add_row(
+    headings = ("body", "depth\n[mm]", "force\n[N]", "energy into\nsand [J]", "law held")
+    cells = [
+        (
             body.body,
-            f"{body.greatest_depth * 1e3:.2f}" if held is not None else "not met",
+            "not met" if body.within_validity is None else f"{body.greatest_depth * 1e3:.2f}",
             f"{body.greatest_force:.3g}",
             f"{body.energy_into_sand + 0.0:.3g}",
-            "" if held is None else f"{held:.0%}",
+            "" if body.within_validity is None else f"{body.within_validity:.0%}",
         )
-    out.print(table)
+        for body in result.bodies
+    ]
+    out.print(table(title, headings, cells))
     if result.rest is not None:
         out.print(f"at rest after {result.rest:.3f} s", highlight=False)
     for body in result.bodies:

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular._util import files
-from mjgranular.cli.console import out, print_json, progress_bar, show_error
+from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
 from mjgranular.cli.options import law_named
 from mjgranular.errors import InputError, MissingExtraError, OutputError
 from mjgranular.fit import Fit, FitResult, RunErrors, read_fit, run_fit
@@ -160,27 +160,32 @@ def _percent(width: float) -> str:
 
 
 def _constants(result: FitResult) -> Table:
-    table = Table(title=f"Constants of {result.material.law.name}", title_justify="left")
+    made = Table(title=f"Constants of {result.material.law.name}", title_justify="left")
     for heading in ("constant", "value", "95 % interval", "unit", "told apart"):
         justify = "right" if heading in ("value", "95 % interval") else "left"
-        table.add_column(Text(heading), justify=justify)
+        made.add_column(Text(heading), justify=justify)
     for name, value in result.values.items():
         low, high = ("..." if end is None else f"{end:.4g}" for end in result.intervals[name])
         told = "yes" if result.identifiable[name] else "no"
         unit = "" if name == "strength" else result.material.unit(name)
-        table.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, told)
-    return table
+        made.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, told)
+    return made
 
 
 def _errors(title: str, errors: dict[str, RunErrors] | Any) -> Table:
-    table = Table(title=f"{title}: errors [%]", title_justify="left")
-    for heading in ("run", "depth", "stopping time", "force", "whole curve"):
-        table.add_column(Text(heading), justify="left" if heading == "run" else "right")
-    for name, error in errors.items():
-        cells = (error.depth, error.stopping_time, error.force)
-        signed = ["" if cell is None else f"{100 * cell:+.1f}" for cell in cells]
-        table.add_row(name, *signed, f"{100 * error.trajectory:.1f}")
-    return table
+    cells = [
+        (
+            name,
+            *(
+                "" if cell is None else f"{100 * cell:+.1f}"
+                for cell in (error.depth, error.stopping_time, error.force)
+            ),
+            f"{100 * error.trajectory:.1f}",
+        )
+        for name, error in errors.items()
+    ]
+    headings = ("run", "depth", "stopping time", "force", "whole curve")
+    return table(f"{title}: errors [%]", headings, cells)
 
 
 def _names(path: Path) -> tuple[str, str, str]:

@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.table import Table
-from rich.text import Text
 
-from mjgranular.cli.console import err, out, print_json, show_error
+from mjgranular.cli.console import err, out, print_json, show_error, table
 from mjgranular.cli.options import LawOptions, given_options, record_of
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
@@ -120,10 +118,7 @@ class IntrudeCommand(LawOptions):
         if self.json:
             print_json(rows)
             return
-        table = Table(
-            title=f"{self._what()} in {self.medium}: {result.law} law, {result.elements} elements",
-            title_justify="left",
-        )
+        title = f"{self._what()} in {self.medium}: {result.law} law, {result.elements} elements"
         headings = (
             "travelled\n[mm]",
             "depth\n[mm]",
@@ -131,18 +126,18 @@ class IntrudeCommand(LawOptions):
             "lift\n[N]",
             "sideways\n[N]",
         )
-        for heading in headings:
-            table.add_column(Text(heading), justify="right")
         step = max(1, (len(rows) - 1) // (_ROWS_SHOWN - 1))
-        for row in rows[::step]:
-            table.add_row(
+        cells = [
+            (
                 f"{row['travelled'] * 1e3:.1f}",
                 f"{row['depth'] * 1e3:.1f}",
                 f"{row['resistance']:.4g}",
                 f"{row['lift']:.4g}",
                 f"{row['sideways']:.4g}",
             )
-        out.print(table)
+            for row in rows[::step]
+        ]
+        out.print(table(title, headings, cells, words=0))
         outside = int((~result.valid).sum())
         if outside:
             err.print(

@@ -92,8 +92,8 @@ def _law(name: str) -> Listed:
     rows = []
     for key, default in defaults.items():
         values = [(medium.name, getattr(made, key)) for medium, made in known]
-        told = [f"{medium} {value:g}" for medium, value in values if value != default]
-        rows.append((key, "" if default is None else f"{default}", ", ".join(told)))
+        others = [f"{medium} {value:g}" for medium, value in values if value != default]
+        rows.append((key, "" if default is None else f"{default}", ", ".join(others)))
     headings = ("parameter", "default", "media with a value")
     title = f"{law.name}: {law.title}"
     return {**_facts(law), "parameters": defaults}, lambda: table(title, headings, rows, words=3)
@@ -103,37 +103,45 @@ def _facts(law: type[Law]) -> dict[str, str]:
     return {"name": law.name, "title": law.title, "citation": law.citation}
 
 
-def _policies(names: tuple[str, ...] = ()) -> Listed:
-    from mjgranular.learn.policies import last_return, shipped_policies
+def _policies() -> Listed:
+    from mjgranular.learn.policies import shipped_policies
 
-    rows = [
-        {
-            "name": name,
-            "environment": run.environment,
-            "algorithm": run.settings.algorithm,
-            "seed": run.seed,
-            "steps": run.settings.total_steps,
-            "mean_return": last_return(run),
-        }
-        for name, run in shipped_policies().items()
-        if not names or name in names
-    ]
+    rows = [_of_policy(name, run) for name, run in shipped_policies().items()]
     if not rows:
         return rows, lambda: "none yet: mjgranular train ENV makes one"
-    headings = ("name", "environment", "algorithm", "seed", "steps", "return at the end")
-    cells = [
-        ("" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values())
-        for row in rows
-    ]
-    return rows, lambda: table("Policies", headings, cells, words=6)
+    return rows, lambda: _policy_table(rows)
 
 
 def _policy(name: str) -> Listed:
     from mjgranular.learn.policies import shipped_policies
 
-    if name not in shipped_policies():
-        raise UnknownNameError("policy", name, shipped_policies())
-    return _policies((name,))
+    shipped = shipped_policies()
+    if name not in shipped:
+        raise UnknownNameError("policy", name, shipped)
+    row = _of_policy(name, shipped[name])
+    return row, lambda: _policy_table([row])
+
+
+def _of_policy(name: str, run: Any) -> dict[str, Any]:
+    from mjgranular.learn.policies import last_return
+
+    return {
+        "name": name,
+        "environment": run.environment,
+        "algorithm": run.settings.algorithm,
+        "seed": run.seed,
+        "steps": run.settings.total_steps,
+        "mean_return": last_return(run),
+    }
+
+
+def _policy_table(rows: list[dict[str, Any]]) -> object:
+    headings = ("name", "environment", "algorithm", "seed", "steps", "return at the end")
+    cells = [
+        ("" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values())
+        for row in rows
+    ]
+    return table("Policies", headings, cells, words=3)
 
 
 def _environments() -> Listed:

@@ -8,10 +8,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
-from rich.table import Table
-from rich.text import Text
-
-from mjgranular.cli.console import err, out, progress_bar, show_error
+from mjgranular.cli.console import err, out, progress_bar, show_error, table
 from mjgranular.cli.engines import check_resumed
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import Impact, Study, StudyResult, journal_of, run_study
@@ -97,12 +94,12 @@ def _show(result: StudyResult, *, as_json: bool) -> None:
     study = result.study
     axes = [axis_of(column_of(name)) for name in study.vary]
     axes += OUTCOMES[type(study.experiment).__name__.lower()]
-    table = Table(title=f"{result.finished} runs of {_title(study)}", title_justify="left")
-    for axis in axes:
-        table.add_column(Text(axis.label), justify="right")
-    for row in itertools.islice(result.rows(), _SHOWN):
-        table.add_row(*(_cell(row.get(axis.column), axis.scale) for axis in axes))
-    out.print(table)
+    title = f"{result.finished} runs of {_title(study)}"
+    cells = [
+        [_cell(row.get(axis.column), axis.scale) for axis in axes]
+        for row in itertools.islice(result.rows(), _SHOWN)
+    ]
+    out.print(table(title, [axis.label for axis in axes], cells, words=0))
     if result.finished > _SHOWN:
         out.print(f"and {result.finished - _SHOWN} more", highlight=False)
 

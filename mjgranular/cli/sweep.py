@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.table import Table
-from rich.text import Text
 
 from mjgranular.cli import study
-from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli.console import err, out, print_json, progress_bar, show_error, table
 from mjgranular.cli.engines import EngineOptions, check_resumed
 from mjgranular.cli.options import LinkOptions, given_options, option
 from mjgranular.cli.vary import read_experiment, read_vary, refuse_fixed
@@ -178,17 +176,17 @@ class SweepCommand(LinkOptions, EngineOptions):
         key, name = {"speed": ("speed", "speed [m/s]"), "angle": ("angle_deg", "angle [deg]")}[
             self.over
         ]
-        table = Table(title=f"Drops over the {self.over}", title_justify="left")
-        for heading in (name, "stopping time [ms]", "depth of T [mm]"):
-            table.add_column(Text(heading), justify="right")
-        for row in result.rows:
-            time = row["stopping_time"]
-            table.add_row(
+        cells = [
+            (
                 f"{row[key]:.4g}",
                 "not stopped" if time is None else f"{time * 1e3:.3f}",
                 f"{row['depth'] * 1e3:.3f}",
             )
-        out.print(table)
+            for row in result.rows
+            for time in [row["stopping_time"]]
+        ]
+        headings = (name, "stopping time [ms]", "depth of T [mm]")
+        out.print(table(f"Drops over the {self.over}", headings, cells, words=0))
 
     def _write(self, folder: ResultFolder, result: SweepResult) -> None:
         from mjgranular.picture.figures import draw_sweep

@@ -63,8 +63,9 @@ class BodyReport:
         power: sum over its elements [W].
         froude: greatest of its elements in the sand.
         validity: how the body stands against the law's limits.
-        found: the error that was found against measured motion as fast as this; None above the
-            sand, and where nothing as fast was compared.
+        found: the error that was found against drops, pushes and drags as fast as this; None above
+            the sand, and where nothing as fast was compared. Wheels and turning legs do worse
+            (docs/validity.md).
     """
 
     body: str

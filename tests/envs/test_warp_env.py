@@ -77,6 +77,7 @@ def test_episodes_are_those_of_the_processor(warp_env):
     assert weight.min() > 20
     assert (error < 0.015 * weight.max()).all()
     assert (np.abs(differences.mean(0)) < 3 * error + 1e-3).all()
+    assert np.abs(differences.mean((0, 1))).max() < 0.015 * weight.max()  # over worlds too
 
 
 def test_a_world_that_is_lost_begins_anew_and_the_others_go_on(warp_env):
