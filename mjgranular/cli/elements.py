@@ -5,21 +5,20 @@ from __future__ import annotations
 import csv
 import warnings
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import mujoco
 import numpy as np
 import tyro
-from rich.table import Table
-from rich.text import Text
 
-from mjgranular.cli.console import out, print_json, show_error
-from mjgranular.cli.options import ChoiceOptions, record_of
-from mjgranular.errors import FloorWarning, InputError, MissingExtraError
+from mjgranular.cli.console import out, print_json, table
+from mjgranular.cli.options import options_of, record_of
+from mjgranular.cli.results import OutputOptions, collected
+from mjgranular.errors import FloorWarning, GranularError, InputError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
-from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
+from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
 from mjgranular.sand.cost import Cost
@@ -30,9 +29,12 @@ _CSV = "elements.csv"
 _FIGURE = "elements.png"
 
 
-@dataclass(frozen=True)
-class ElementsCommand(ChoiceOptions):
-    """What a law cuts your MJCF model into: rods, facets or blobs, counted and drawn.
+@dataclass(frozen=True, kw_only=True)
+class ElementsCommand(
+    OutputOptions,
+    options_of(Drop, "medium", "law", "resolution", "bodies", "geoms", "groups", "keyframe"),
+):
+    """Count and draw what a law cuts your MJCF model into: rods, facets or blobs.
 
     Prints for each geom how many elements there are, with their area or length. With --figure
     FILE, draws them; with --out DIR, writes figure, table and every element there.
@@ -40,59 +42,43 @@ class ElementsCommand(ChoiceOptions):
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
     """The MJCF file."""
-    keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Keyframe of the model to draw. Default: the model as it is."""
     color: Literal["body", "geom", "depth"] = "body"
-    """What colours of the figure stand for; depth is that below the plane z = 0."""
+    """What colors of the figure stand for; depth is that below the plane z = 0."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File for the figure, .png, .svg or .pdf."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for figure, table and elements; nothing is written without it or --figure."""
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace what is there already."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object instead of a table."""
 
     def run(self) -> int:
-        """Runs the command."""
+        """Run the command."""
         if self.out is not None and self.figure is not None:
             raise InputError("give --figure FILE for the figure alone or --out DIR, not both")
         if self.figure is not None:
             check_file(self.figure)
         if self.out is None and self.figure is None and self.color != "body":
             raise InputError("--color is for a figure: add --figure FILE or --out DIR")
-        if self.out is not None:
-            target, figure = self.out, _FIGURE
-            names = (CONFIG, SUMMARY, _CSV, _FIGURE)
-        elif self.figure is not None:
-            target, figure = self.figure.parent, self.figure.name
-            names = (figure,)
+        if self.figure is None:
+            target, names = self.out, (CONFIG, SUMMARY, _CSV, _FIGURE)
         else:
-            sand, _ = self._cut()
-            self._show(self._summary(sand))
-            return 0
-        with ResultFolder(target, names).claimed(overwrite=self.overwrite) as folder:
+            target, names = self.figure.parent, (self.figure.name,)
+        problems: list[GranularError] = []
+        with replace(self, out=target, figure=None).claimed(*names) as folder:
             sand, qpos = self._cut()
             summary = self._summary(sand)
-            if self.out is not None:
+            if folder is not None and self.out is not None:
                 with folder.published():
                     folder.write_config("elements", {**self._config(), "law": _law(sand)})
                     folder.write(_CSV, lambda path: _write_csv(path, sand))
                     folder.write_json(SUMMARY, summary)
             self._show(summary)
-            try:
-                folder.write(
-                    figure,
-                    lambda path: draw_elements(
-                        sand, qpos=qpos, color=self.color, title=self.model.name, file=path
-                    ),
-                )
-            except MissingExtraError as error:
-                kept = "" if self.out is None else f" (the numbers are in {self.out})"
-                show_error(f"{error}{kept}")
-                return 2
+            if folder is not None:
+                drawn = {"qpos": qpos, "color": self.color, "title": self.model.name}
+                with collected(problems):
+                    folder.write(names[-1], lambda path: draw_elements(sand, file=path, **drawn))
+        if self.figure is None:
+            return self.finish(problems)
+        for problem in problems:
+            raise problem
         if not self.json:
-            out.print(f"written to {self.out or self.figure}", highlight=False, markup=False)
+            out.print(f"written to {self.figure}", highlight=False)
         return 0
 
     def _cut(self) -> tuple[Sand, np.ndarray]:
@@ -134,34 +120,25 @@ class ElementsCommand(ChoiceOptions):
         if self.json:
             print_json(summary)
             return
-        kind = summary["kind"]
-        table = Table(
-            title=f"{summary['model']} in {summary['medium']}: {summary['law']} law, "
-            f"{count(summary['elements'], kind)}",
-            title_justify="left",
-            show_footer=len(summary["geoms"]) > 1,
-        )
+        kind, rows = summary["kind"], summary["geoms"]
         # What is summed up over the elements: heading, factor from SI units.
         sums = {"area": ("area\n[cm^2]", 1e4), "length": ("length\n[mm]", 1e3)}
         sums = {key: sums[key] for key in sums if summary[key] is not None}
-        table.add_column(Text("body"), footer="together")
-        table.add_column(Text("geom"))
-        table.add_column(Text("shape"))
-        table.add_column(Text(kind), justify="right", footer=str(summary["elements"]))
-        for key, (heading, factor) in sums.items():
-            footer = f"{summary[key] * factor:.4g}"
-            table.add_column(Text(heading), justify="right", footer=footer)
-        table.add_column(Text("width\n[mm]"), justify="right")
-        for row in summary["geoms"]:
-            table.add_row(
-                row["body"],
-                row["geom"],
-                row["shape"],
+
+        def cells(row: dict[str, Any]) -> list[str]:
+            return [
+                *(row[key] for key in ("body", "geom", "shape")),
                 str(row["elements"]),
                 *(f"{row[key] * factor:.4g}" for key, (_, factor) in sums.items()),
-                f"{row['width'] * 1e3:.4g}",
-            )
-        out.print(table)
+                f"{row['width'] * 1e3:.4g}" if "width" in row else "",
+            ]
+
+        together = {**summary, "body": "together", "geom": "", "shape": ""}
+        title = f"{summary['model']} in {summary['medium']}: {summary['law']} law"
+        headings = ("body", "geom", "shape", kind, *(heading for heading, _ in sums.values()))
+        shown = map(cells, [*rows, together] if len(rows) > 1 else rows)
+        title = f"{title}, {count(summary['elements'], kind)}"
+        out.print(table(title, (*headings, "width\n[mm]"), shown, words=3))
         out.print(f"cost: {Cost(**summary['cost'])}", highlight=False)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -14,7 +13,7 @@ from rich.text import Text
 
 from mjgranular.cli.agents import doubt_of, find_actor
 from mjgranular.cli.console import out, print_json, progress_bar
-from mjgranular.cli.engines import EngineOptions, kept, tell_interrupted
+from mjgranular.cli.engines import EngineOptions
 from mjgranular.errors import InputError, warn_user
 from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.learn import environments
@@ -27,7 +26,7 @@ _SPEED = "x_velocity"
 _VALID = "sand/valid"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EvaluateCommand(EngineOptions):
     """Mean return over seeds with its 95 % confidence interval, for policies and baselines.
 
@@ -53,12 +52,6 @@ class EvaluateCommand(EngineOptions):
     """The first seed; the others follow it."""
     trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Import the module of an environment that only a run's file names: this executes it."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for the results; nothing is written without it."""
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace a result that the folder holds already."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print a JSON list instead of a table."""
 
     @property
     def where(self) -> Workers:
@@ -76,13 +69,13 @@ class EvaluateCommand(EngineOptions):
         if self.gait and self.agent != "gait":
             raise InputError("--gait is for --agent gait")
         _ = self.where  # which checks itself
+        self.check_resume()
         evaluation = self._evaluation()
         journal = evaluation.journal(self.out)
-        names = (CONFIG, SUMMARY)
-        with kept(journal, self.out, names, overwrite=self.overwrite, resume=self.resume) as folder:
+        with self.resumable(journal, CONFIG, SUMMARY) as folder:
             scores = self._scores(evaluation, journal)
             if isinstance(scores, Mapped):
-                return tell_interrupted(scores, self.out)
+                return self.show_interrupted(journal, scores.stopped_by)
             if folder is not None:
                 asked = {
                     "policies": list(self.policies),
@@ -96,9 +89,7 @@ class EvaluateCommand(EngineOptions):
                     folder.write_config("evaluate", asked)
                     folder.write_json(SUMMARY, [score.as_json() for score in scores])
             self._show(scores)
-        if folder is not None and not self.json:
-            out.print(f"written to {self.out}", highlight=False, markup=False)
-        return 0
+        return self.finish()
 
     def _evaluation(self) -> Evaluation:
         actors = [

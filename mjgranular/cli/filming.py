@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from mjgranular.cli.console import err, progress_bar
-from mjgranular.errors import GranularError, MissingExtraError
 from mjgranular.experiment.folder import ResultFolder
 
 if TYPE_CHECKING:
@@ -54,15 +53,10 @@ def write_film(
     name: str,
     film: Film,
     pictures: Callable[[], tuple[int, Iterator[Any]]],
-) -> list[GranularError]:
-    """Writes a film with a progress bar; returns what kept it from doing so."""
-    from mjgranular.errors import RenderError
+) -> None:
+    """Write a film with a progress bar."""
     from mjgranular.picture.video import write_video
 
-    try:
-        with progress_bar("filming", 1.0, remaining=True) as show:
-            estimate = Estimate(film, show)
-            folder.write(name, lambda path: write_video(path, film, *pictures(), progress=estimate))
-    except (MissingExtraError, RenderError) as error:
-        return [error]
-    return []
+    with progress_bar("filming", 1.0, remaining=True) as show:
+        estimate = Estimate(film, show)
+        folder.write(name, lambda path: write_video(path, film, *pictures(), progress=estimate))

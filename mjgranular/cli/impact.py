@@ -1,26 +1,33 @@
-"""`mjgranular impact`: one drop."""
+"""`mjgranular impact`: one drop of the link, of another body or of a chain; the paper's table."""
 
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.table import Table
 
-from mjgranular.cli.console import err, out, print_json, progress_bar, show_error
+from mjgranular.cli import drop as models
+from mjgranular.cli.console import out, print_json, progress_bar, table
 from mjgranular.cli.filming import write_film
-from mjgranular.cli.options import LinkOptions
-from mjgranular.errors import GranularError, InputError, MissingExtraError
-from mjgranular.experiment import DropResult, Impact, ImpactResult, run_drop, run_impact
+from mjgranular.cli.options import given_options, option, options_of, record_of
+from mjgranular.cli.results import FilmOptions, collected, note
+from mjgranular.errors import GranularError, InputError
+from mjgranular.experiment import CASES, Impact, ImpactResult, reproduce, run_drop, run_impact
 from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
-from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop, write_impact
+from mjgranular.experiment.folder import (
+    CONFIG,
+    RUN_FILES,
+    SUMMARY,
+    ResultFolder,
+    write_drop,
+    write_impact,
+)
+from mjgranular.experiment.paper import comparison
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.models import Link
 from mjgranular.prints import Prints
 from mjgranular.relief.memory import as_memory
 from mjgranular.sand.prepare import fitted
@@ -33,9 +40,9 @@ PROFILE = "prints.png"
 VIDEO = "impact.mp4"
 
 
-@dataclass(frozen=True)
-class ImpactCommand(LinkOptions):
-    """One drop: the link meets the sand, and its end T stops.
+@dataclass(frozen=True, kw_only=True)
+class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
+    """Drop the link onto sand: its end T meets the sand and stops.
 
     Prints stopping time and depth. With --out DIR, writes trajectory, summary, configuration and
     figures there; with --video, a film too.
@@ -43,145 +50,133 @@ class ImpactCommand(LinkOptions):
 
     body: Annotated[str, tyro.conf.arg(metavar="SHAPE")] = "link"
     """What falls: link, sphere, box, cylinder, capsule, ellipsoid, plate, or chain:N."""
-    speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 10.0
-    """Velocity of the lower end T at release, down [m/s]."""
-    angle: Annotated[float, tyro.conf.arg(metavar="DEG")] = 45.0
-    """Angle of the link from the vertical [degrees]."""
-    until: Literal["stop", "rest"] = "stop"
-    """End when T stops, or when the whole link is at rest (try --law link_distributed)."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for the results; nothing is written without it."""
-    video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Write a film of the impact into the folder."""
-    camera: Annotated[str, tyro.conf.arg(metavar="NAME")] = "side"
-    """Camera of the film: side, close or corner."""
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace a result that the folder holds already."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object instead of a table."""
+    paper: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Run the six drops of the paper's table instead, and print them beside its values."""
 
     def run(self) -> int:
-        """Runs the command."""
-        self._check_options()
+        """Run the command."""
+        if self.paper:
+            return self._run_paper()
+        self.check_film()
         count = chain_length(self.body)
         if count is not None:
             return self._run_chain(count)
-        impact = self.impact(
-            speed=self.speed, angle_deg=self.angle, until=self.until, body=self.body
-        )
-        if self.video and self.out is None:
-            raise InputError("--video needs a folder to write to: add --out DIR")
-        if self.out is None:
-            self._show(self._drop(impact))
-            return 0
-        film = self._film(impact.link) if self.video else None
-        names = (*RUN_FILES, *FIGURES, PROFILE, VIDEO)
-        with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
-            result = self._drop(impact)
-            write_impact(folder, result)
-            self._show(result)
-            problems = draw_impact(folder, result.trajectory, result.summary())
-            if result.prints is not None:
-                problems += draw_profile(folder, impact, result.prints, result.summary())
-            if film is not None:
-                problems += film_impact(
-                    folder, VIDEO, impact, result.trajectory, result.summary(), film, result.prints
-                )
-        if not self.json:
-            out.print(f"written to {self.out}", highlight=False, markup=False)
-        for problem in problems:
-            show_error(f"{problem} (the numbers are in {self.out})")
-        return 2 if problems else 0
-
-    def _check_options(self) -> None:
-        """Refuses options that would be left aside without a word."""
-        if self.body == "sphere" and self.length != LinkOptions.length:
+        if self.body == "sphere" and self.length != Impact.length:
             raise InputError("a sphere has no --length: its size is its --diameter")
-        if chain_length(self.body) is not None and self.until != "stop":
-            raise InputError("--until is for one body: a chain is followed for its --duration")
-        if self.camera != "side" and not self.video:
-            raise InputError("--camera is for a film: add --video")
+        impact = self.experiment()
+        film = self._film(impact) if self.video else None
+        with self.claimed(*RUN_FILES, *FIGURES, PROFILE, VIDEO) as folder:
+            with progress_bar("dropping the link", impact.duration) as progress:
+                result = run_impact(impact, progress=progress)
+            if folder is not None:
+                write_impact(folder, result)
+            if self.json:
+                print_json(result.summary())
+            else:
+                out.print(impact_table(result))
+                for line in remarks(result):
+                    note(line)
+            problems = [] if folder is None else _draw(folder, result, film)
+        return self.finish(problems)
+
+    def experiment(self) -> Impact:
+        """Return what is asked for."""
+        if chain_length(self.body) is not None:
+            raise InputError("a chain cannot be swept over: write it as a model, for --of drop")
+        return record_of(Impact, self)
+
+    def _film(self, impact: Impact) -> Film:
+        from mjgranular.picture.video import Film
+
+        film = Film(camera=self.camera or "side")
+        film.check(impact.link)
+        return film
 
     def _run_chain(self, count: int) -> int:
-        """Drops a chain of so many links."""
-        from mjgranular.cli import drop as models
-        from mjgranular.experiment.drop import load
-
-        impact = self.impact(speed=self.speed, angle_deg=self.angle)
-        if self.video and self.out is None:
-            raise InputError("--video needs a folder to write to: add --out DIR")
+        """Drop a chain of `count` links."""
+        if self.until != "stop":
+            raise InputError("--until is for one body: a chain is followed for its --duration")
+        impact = record_of(Impact, self, body="link")
         drop = chain_drop(impact, count)
-        if self.video:
-            from mjgranular.picture.video import check_camera
-
-            check_camera(load(drop)[0], self.camera)
-        warn_of_slips(
-            lengths={"the height of release": self.height}, speed=self.speed, density=self.density
-        )
-        names = (*RUN_FILES, models.FIGURE, models.FILM)
-        folder = None if self.out is None else ResultFolder(self.out, names)
-        problems: list[GranularError] = []
-        with nullcontext() if folder is None else folder.claimed(overwrite=self.overwrite):
+        models.check_film(self, drop)
+        height: dict[str, float | None] = {"the height of release": impact.height}
+        warn_of_slips(lengths=height, speed=impact.speed, density=impact.density)
+        with self.claimed(*RUN_FILES, models.FIGURE, models.FILM) as folder:
             with progress_bar("dropping the chain", drop.duration) as progress:
                 result = run_drop(drop, progress=progress)
             if folder is not None:
                 write_drop(folder, result)
-            self._show_chain(impact, count, result)
+            if self.json:
+                print_json(chain_summary(impact, count, result))
+            else:
+                models.show(result)
+                end = "T, the end of the last link,"
+                if result.stop is None:
+                    out.print(f"{end} did not stop within {impact.duration:g} s")
+                else:
+                    time, depth = (1e3 * value for value in result.stop)
+                    text = f"{end} stops after {time:.3f} ms, {depth:.3f} mm deep"
+                    out.print(text, highlight=False)
+            problems = [] if folder is None else models.draw(self, folder, result)
+        return self.finish(problems)
+
+    def _run_paper(self) -> int:
+        """Run the paper's six drops."""
+        for name in given_options(self, "speed", "angle", "body", "until", "video", "camera"):
+            raise InputError(f"--paper has its own drops: leave {option(name)} away")
+        base = self.experiment()
+        figures = {case: f"figure_{case.figure}.png" for case in CASES}
+        problems: list[GranularError] = []
+        with self.claimed(CONFIG, SUMMARY, *figures.values()) as folder:
+            with progress_bar("dropping the paper's links", len(CASES)) as progress:
+                results = reproduce(base, progress=progress)
+            rows = [comparison(*pair) for pair in results]
             if folder is not None:
-                problems += models.draw(folder, result)
-                if self.video:
-                    problems += models.film(folder, result, self.camera)
-        for problem in problems:
-            show_error(f"{problem} (the numbers are in {self.out})")
-        return 2 if problems else 0
+                with folder.published():
+                    folder.write_config("impact --paper", asdict(base))
+                    folder.write_json(SUMMARY, rows)
+                for case, result in results:
+                    with collected(problems):
+                        _draw_motion(folder, figures[case], result.trajectory, result.summary())
+            if self.json:
+                print_json(rows)
+            else:
+                out.print(paper_table(rows, self.timestep))
+        return self.finish(problems)
 
-    def _show_chain(self, impact: Impact, count: int, result: DropResult) -> None:
-        from mjgranular.cli import drop as models
 
-        if self.json:
-            print_json(chain_summary(impact, count, result))
-            return
-        models.show(result)
-        if result.stop is None:
-            out.print(f"T, the end of the last link, did not stop within {impact.duration:g} s")
-        else:
-            time, depth = result.stop
-            out.print(
-                f"T, the end of the last link, stops after {time * 1e3:.3f} ms, "
-                f"{depth * 1e3:.3f} mm deep",
-                highlight=False,
+def paper_table(rows: list[dict[str, Any]], timestep: float) -> Table:
+    """Make a table of the paper's drops beside its printed values."""
+    cells = []
+    for row in rows:
+        time, depth = row["stopping_time"], row["depth"]
+        late = None if time is None else time - row["paper_stopping_time"]
+        cells.append(
+            (
+                f"{row['speed']:g}",
+                f"{row['angle_deg']:g}",
+                "not stopped" if time is None else f"{time * 1e3:.3f}",
+                f"{row['paper_stopping_time'] * 1e3:.3f}",
+                "" if late is None else f"{late * 1e6:+.1f}",
+                f"{depth * 1e3:.3f}",
+                f"{row['paper_depth'] * 1e3:.3f}",
+                f"{(depth - row['paper_depth']) * 1e6:+.1f}",
             )
-
-    def _film(self, link: Link) -> Film:
-        from mjgranular.picture.video import Film
-
-        film = Film(camera=self.camera)
-        film.check(link)
-        return film
-
-    def _drop(self, impact: Impact) -> ImpactResult:
-        with progress_bar("dropping the link", impact.duration) as progress:
-            return run_impact(impact, progress=progress)
-
-    def _show(self, result: ImpactResult) -> None:
-        if self.json:
-            print_json(result.summary())
-        else:
-            out.print(impact_table(result))
-            for line in remarks(result):
-                err.print(line, highlight=False, markup=False)
+        )
+    headings = ("speed\n[m/s]", "angle\n[deg]", "stopping\ntime [ms]", "paper\n[ms]")
+    headings += ("diff.\n[us]", "depth\n[mm]", "paper\n[mm]", "diff.\n[um]")
+    return table(f"The paper's six drops, time step {timestep:g} s", headings, cells, words=0)
 
 
 def impact_table(result: ImpactResult) -> Table:
-    """The result as a table for a person."""
+    """Make a table of the result."""
     summary = result.summary()
     impact = result.impact
     table = Table(
         title=f"Impact on sand: {result.impact.body}", show_header=False, title_justify="left"
     )
-    table.add_column(style="dim")
-    table.add_column(justify="right")
-    table.add_column(style="dim")
+    for justify in ("left", "right", "left"):
+        table.add_column(justify=justify, style="dim" if justify == "left" else "")
 
     def row(name: str, value: float | None, digits: str, unit: str) -> None:
         if value is not None:
@@ -212,7 +207,7 @@ def impact_table(result: ImpactResult) -> Table:
 
 
 def remarks(result: ImpactResult) -> list[str]:
-    """Notes for a person beside the numbers."""
+    """Return what a person should know besides the numbers."""
     impact = result.impact
     lines = []
     if result.stop is None:
@@ -229,52 +224,52 @@ def remarks(result: ImpactResult) -> list[str]:
 
 
 def release_to_stop(summary: dict[str, Any]) -> float | None:
-    """Time from release to the stop [s], None if there was none."""
+    """Return the time from release to the stop [s], None if there was none."""
     if summary["stopping_time"] is None:
         return None
     return summary["touchdown_time"] + summary["stopping_time"]
 
 
 def title(summary: dict[str, Any]) -> str:
-    """A line above figures."""
+    """Return the line above figures."""
     return (
         f"{summary['speed']:g} m/s, {summary['angle_deg']:g} deg, {summary['medium']}, "
         f"{summary['law']} law, {summary['scheme']}, {summary['timestep']:g} s"
     )
 
 
-def draw_impact(
-    folder: ResultFolder, trajectory: Trajectory, summary: dict[str, Any]
-) -> list[GranularError]:
-    """Draws the figures of a drop; returns what kept it from doing so."""
-    from mjgranular.picture.figures import draw_forces, draw_motion
+def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list[GranularError]:
+    """Draw the figures of a drop and its film; return what could not be drawn."""
+    from mjgranular.picture.figures import draw_forces, draw_prints
+
+    problems: list[GranularError] = []
+    impact, summary, prints = result.impact, result.summary(), result.prints
+    motion, forces = FIGURES
+    stop, above = release_to_stop(summary), title(summary)
+    with collected(problems):
+        _draw_motion(folder, motion, result.trajectory, summary)
+        folder.write(
+            forces, lambda path: draw_forces(path, result.trajectory, stop=stop, title=above)
+        )
+    if prints is not None:
+        memory = as_memory(fitted(impact.link.model(impact.timestep), impact.described).memory)
+        assert memory is not None
+        profile = prints.profile(memory)
+        with collected(problems):
+            folder.write(PROFILE, lambda path: draw_prints(path, *profile, title=above))
+    if film is not None:
+        with collected(problems):
+            film_impact(folder, VIDEO, impact, result.trajectory, summary, film, prints)
+    return problems
+
+
+def _draw_motion(
+    folder: ResultFolder, name: str, trajectory: Trajectory, summary: dict[str, Any]
+) -> None:
+    from mjgranular.picture.figures import draw_motion
 
     stop = release_to_stop(summary)
-    try:
-        for name, draw in zip(FIGURES, (draw_motion, draw_forces), strict=True):
-            folder.write(
-                name,
-                lambda path, draw=draw: draw(path, trajectory, stop=stop, title=title(summary)),
-            )
-    except MissingExtraError as error:
-        return [error]
-    return []
-
-
-def draw_profile(
-    folder: ResultFolder, impact: Impact, prints: Prints, summary: dict[str, Any]
-) -> list[GranularError]:
-    """Draws the sand as the run has left it; returns what kept it from doing so."""
-    from mjgranular.picture.figures import draw_prints
-
-    memory = as_memory(fitted(impact.link.model(impact.timestep), impact.described).memory)
-    assert memory is not None
-    places, heights = prints.profile(memory)
-    try:
-        folder.write(PROFILE, lambda path: draw_prints(path, places, heights, title=title(summary)))
-    except MissingExtraError as error:
-        return [error]
-    return []
+    folder.write(name, lambda path: draw_motion(path, trajectory, stop=stop, title=title(summary)))
 
 
 def film_impact(
@@ -285,12 +280,12 @@ def film_impact(
     summary: dict[str, Any],
     film: Film,
     prints: Prints | None = None,
-) -> list[GranularError]:
-    """Films a drop; returns what kept it from doing so."""
+) -> None:
+    """Film a drop."""
     from mjgranular.picture.video import frames_of_run
 
     stop = release_to_stop(summary)
-    return write_film(
+    write_film(
         folder,
         name,
         film,

@@ -26,7 +26,6 @@ from mjgranular.cli.lists import ListCommand
 from mjgranular.cli.numbers import number_rules
 from mjgranular.cli.options import in_options
 from mjgranular.cli.render import RenderCommand
-from mjgranular.cli.reproduce import ReproduceCommand
 from mjgranular.cli.studio import StudioCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
@@ -39,7 +38,6 @@ PIPE_CLOSED = 141  # what a shell expects when the reader went away: 128 + SIGPI
 COMMANDS: dict[str, Any] = {
     "impact": ImpactCommand,
     "sweep": SweepCommand,
-    "reproduce": ReproduceCommand,
     "drop": DropCommand,
     "view": ViewCommand,
     "intrude": IntrudeCommand,
@@ -96,8 +94,7 @@ def _main(given: Sequence[str]) -> int:
     command = tyro.cli(
         _Command,
         prog="mjgranular",
-        description="Sand for MuJoCo: drops, sweeps, the paper's table, films. SI units; angles "
-        "in degrees.",
+        description="Sand for MuJoCo: drops, sweeps, films, policies. SI units; angles in degrees.",
         args=given,
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
         registry=number_rules(),

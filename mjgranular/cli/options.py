@@ -1,57 +1,119 @@
-"""Options that commands share."""
+"""Options made from the records of experiments, and what commands share about options."""
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 import shlex
-from dataclasses import dataclass, fields
+import types
+import typing
+from dataclasses import dataclass, field, fields, make_dataclass
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from mjgranular._util.user_modules import import_own
 from mjgranular.errors import UnknownNameError
-from mjgranular.experiment import Impact
+from mjgranular.experiment.ground import PlainSand
+from mjgranular.experiment.study import ANGLES
+from mjgranular.experiment.trajectory import degrees
 from mjgranular.law import Law, laws, register_law
 from mjgranular.shape.rods import CHOOSE
 
 T = TypeVar("T")
-_DEGREES = {"slope", "uphill", "tilt", "direction"}  # options that records have in radians
+_METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
+
+
+def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
+    """Make a dataclass of options from a record: its fields, defaults and documentation.
+
+    Angles are in degrees. A field that the record does not document is one of `PlainSand`.
+
+    Args:
+        kind: a dataclass with a section `Attributes:`, where units stand in brackets at the end.
+        *names: of the fields; none for all.
+        without: names of fields that are no options.
+    """
+    hints = typing.get_type_hints(kind)
+    texts = _documented(PlainSand) | _documented(kind)
+    made = []
+    for each in fields(kind):  # pyright: ignore[reportArgumentType]
+        if each.name in without or (names and each.name not in names):
+            continue
+        text, hint = texts[each.name], hints[each.name]
+        default: Any = each.default
+        if each.name in ANGLES:
+            text, default = text.replace("[rad]", "[degrees]"), degrees(default)
+        made.append((each.name, _annotated(hint, text), field(default=default, kw_only=True)))
+    return make_dataclass(f"{kind.__name__}Options", made, frozen=True)
+
+
+def _documented(kind: type) -> dict[str, str]:
+    """Return what the docstrings of a dataclass and its bases say of its attributes."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        section = (inspect.cleandoc(base.__doc__ or "")).partition("Attributes:\n")[2]
+        for name, text in re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE):
+            found[name] = " ".join(text.split())
+    return found
+
+
+def _annotated(hint: Any, text: str) -> Any:
+    """Return the type of an option with what tyro shows of it."""
+    text = f"{text[0].upper()}{text[1:].rstrip('.')}."
+    if hint is bool:
+        return Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help=text)]
+    kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    if float in kinds and str in kinds:  # a number or words: words, which hold numbers too
+        kinds = tuple(kind for kind in kinds if kind is not float)
+        hint = str | None if type(None) in kinds else str
+    plain = next(kind for kind in kinds if kind is not type(None))
+    if typing.get_origin(plain) is typing.Literal:
+        return Annotated[hint, tyro.conf.arg(help=text)]
+    unit = re.search(r"\[([^\]]+)\]\.?$|\[([^\]]+)\][;,.]", text)
+    if typing.get_origin(plain) is tuple:
+        metavar = f"{_METAVARS[typing.get_args(plain)[0]]} ..."
+    elif unit:
+        metavar = (unit[1] or unit[2]).upper().replace("DEGREES", "DEG")
+    else:
+        metavar = _METAVARS[plain]
+    return Annotated[hint, tyro.conf.arg(metavar=metavar, help=text)]
 
 
 def record_of(kind: type[T], command: object, **others: Any) -> T:
-    """Picks the options of a command that are called as the fields of an experiment are.
+    """Make a record from the options of a command that are called as its fields are.
 
     Args:
         kind: a dataclass.
         command: the command.
         **others: fields that are no options, or other than these.
     """
-    names = [field.name for field in fields(kind)]  # pyright: ignore[reportArgumentType]
+    names = [each.name for each in fields(kind)]  # pyright: ignore[reportArgumentType]
     given = {name: getattr(command, name) for name in names if hasattr(command, name)}
     if "law" in given:
         given["law"] = law_named(given["law"])
-    angles = {name: math.radians(given[name]) for name in _DEGREES & given.keys()}
+    angles = {name: math.radians(given[name]) for name in given.keys() & set(ANGLES)}
     return kind(**{**given, **angles, **others})
 
 
 def given_options(command: object, *names: str) -> list[str]:
-    """Names of the options of a command that were given another value than their default.
+    """Return the names of the options that were given another value than their default.
 
     Args:
         command: a dataclass.
         names: of the options that are meant.
     """
     return [
-        field.name
-        for field in fields(command)  # pyright: ignore[reportArgumentType]
-        if field.name in names and getattr(command, field.name) != field.default
+        each.name
+        for each in fields(command)  # pyright: ignore[reportArgumentType]
+        if each.name in names and getattr(command, each.name) != each.default
     ]
 
 
 def option(name: str) -> str:
-    """A field as it is typed."""
+    """Return a field as it is typed."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -65,7 +127,7 @@ _NAMES = re.compile(r"'([^']*)'|([^\[\],\s']+)")
 
 
 def in_options(command: object, text: str) -> str:
-    """A message with its advice as somebody types it who calls the command.
+    """Return a message with its advice as a user of the command types it.
 
     The library says `geoms=['left', 'right']`, which is `--geoms left right` here.
 
@@ -90,7 +152,7 @@ def in_options(command: object, text: str) -> str:
 
 
 def law_named(text: str | None) -> str | None:
-    """A law as the library knows it: of `my_laws:Drag k=2` the module is imported.
+    """Return a law as the library knows it: of `my_laws:Drag k=2` the module is imported.
 
     Raises:
         UnknownNameError: no such module, or no such law in it; lists those there are.
@@ -110,92 +172,9 @@ def law_named(text: str | None) -> str | None:
     return f"{register_law(found[name]).name} {options}".strip()
 
 
-@dataclass(frozen=True)
-class LinkOptions:
-    """The link, the sand and the simulation."""
-
-    tangential_speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.0
-    """Velocity of T along the surface at release, towards the side the link leans to [m/s]."""
-    angular_velocity: Annotated[float, tyro.conf.arg(metavar="RAD/S")] = 0.0
-    """Rate of change of the angle at release [rad/s]."""
-    height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
-    """Height of the end T above the surface at release [m]."""
-    length: Annotated[float, tyro.conf.arg(metavar="M")] = 0.2
-    """Length of the link [m]."""
-    diameter: Annotated[float, tyro.conf.arg(metavar="M")] = 0.01
-    """Diameter of the link [m]."""
-    density: Annotated[float, tyro.conf.arg(metavar="KG/M^3")] = 7700.0
-    """Density of the link [kg/m^3]."""
-    medium: Annotated[str, tyro.conf.arg(metavar="NAME")] = "play_sand"
-    """The sand; see `mjgranular list media`."""
-    law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
-    """The force law; see `mjgranular list laws`, "rft3d scale=1.3" has other parameters
-    than the medium, my_laws:Mud is one of your own. Default: the medium's own."""
-    scheme: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """How forces become a step. Default: explicit, or implicit where the law needs it."""
-    timestep: Annotated[float, tyro.conf.arg(metavar="S")] = 1e-5
-    """Time step of the simulation [s]."""
-    duration: Annotated[float, tyro.conf.arg(metavar="S")] = 2.0
-    """Simulated time after which the run ends at the latest [s]."""
-    memory: Annotated[str | None, tyro.conf.arg(metavar="CELL")] = None
-    """Let the sand remember what has been pressed down, on cells of this side [m], or as in
-    "cell=0.005 extent=1". Default: it closes behind what has passed."""
-
-    def impact(
-        self, *, speed: float, angle_deg: float, until: str = "stop", body: str = "link"
-    ) -> Impact:
-        """The drop with these options."""
-        angle = math.radians(angle_deg)
-        return record_of(Impact, self, speed=speed, angle=angle, until=until, body=body)
-
-
 @dataclass(frozen=True, kw_only=True)
-class LawOptions:
-    """How sand resists, and how finely a law cuts what meets it."""
+class ModelOptions(options_of(PlainSand)):
+    """A model, and the sand under it."""
 
-    law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
-    """The force law; see `mjgranular list laws`, "rft3d scale=1.3" has other parameters
-    than the medium, my_laws:Mud is one of your own. Default: the medium's own."""
-    resolution: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """How finely bodies are cut into elements. Default: the law's."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChoiceOptions(LawOptions):
-    """The sand, and what of a model meets it."""
-
-    medium: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """The sand, or a YAML file; see `mjgranular list media`. Default: by the law, or
-    quikrete_medium."""
-    bodies: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Bodies that meet the sand, by name or number. Default: all that can move."""
-    geoms: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Geoms that meet the sand, by name or number, visual or not; `all` is all that collide. What
-    --bodies, --geoms and --groups name is taken together."""
-    groups: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
-    """Geom groups whose collision geoms meet the sand; of a group of visual ones, all."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SandOptions(ChoiceOptions):
-    """The sand under a model."""
-
-    scheme: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto"
-    """How forces become a step."""
-    surface_height: Annotated[float, tyro.conf.arg(metavar="M")] = 0.0
-    """Height of the surface above the world's origin [m]."""
-    slope: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
-    """Slope of the surface [degrees]."""
-    uphill: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
-    """Direction of steepest ascent from the x axis [degrees]."""
-    bed: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
-    """Box geom of the model that is the sand."""
-    height_field: Annotated[str | None, tyro.conf.arg(metavar="GEOM")] = None
-    """Hfield geom of the model that is the sand."""
-    instead_of: Annotated[tuple[str, ...], tyro.conf.arg(metavar="GEOM ...")] = ()
-    """Geoms that the sand replaces, such as a floor that would carry the model above the sand."""
-    memory: Annotated[str | None, tyro.conf.arg(metavar="CELL")] = None
-    """Let the sand remember what has been pressed down, on cells of this side [m], or as in
-    "cell=0.01 extent=4". Default: it closes behind what has passed."""
-    keep_floor: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Let the model stand on ground of its own at or above the surface of the sand."""
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
+    """The MJCF file."""

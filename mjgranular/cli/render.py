@@ -15,7 +15,6 @@ from mjgranular.cli.drop import FILM
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.impact import VIDEO, film_impact
 from mjgranular.errors import (
-    GranularError,
     GranularWarning,
     InputError,
     OutputError,
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 
 POLICY_FILM = "policy.mp4"
 
-Draw = Callable[[ResultFolder, str], list[GranularError]]
+Draw = Callable[[ResultFolder, str], None]
 
 
 @dataclass(frozen=True)
@@ -100,9 +99,7 @@ class RenderCommand:
         draw = draws[command](film)
         folder = ResultFolder(target.parent, (target.name,))
         with folder.claimed(overwrite=self.overwrite):
-            problems = draw(folder, target.name)
-        if problems:
-            raise problems[0]
+            draw(folder, target.name)
         out.print(f"written to {target}", highlight=False, markup=False)
         return 0
 
@@ -169,7 +166,7 @@ class RenderCommand:
         if doubt is not None:
             warn_user(doubt)
 
-        def draw(folder: ResultFolder, name: str) -> list[GranularError]:
+        def draw(folder: ResultFolder, name: str) -> None:
             with progress_bar("filming", film.seconds * film.fps, remaining=True) as show:
                 folder.write(
                     name,
@@ -184,6 +181,5 @@ class RenderCommand:
                         progress=show,
                     ),
                 )
-            return []
 
         return draw

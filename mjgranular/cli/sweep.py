@@ -1,221 +1,276 @@
-"""`mjgranular sweep`: many drops."""
+"""`mjgranular sweep`: an experiment many times, with any of its fields varied."""
 
 from __future__ import annotations
 
+import itertools
+import json
 import math
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Annotated, Literal
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Union
 
+import numpy as np
 import tyro
 
-from mjgranular.cli import study
-from mjgranular.cli.console import err, out, print_json, progress_bar, show_error, table
-from mjgranular.cli.engines import EngineOptions, check_resumed
-from mjgranular.cli.options import LinkOptions, given_options, option
-from mjgranular.cli.vary import read_experiment, read_vary, refuse_fixed
-from mjgranular.errors import InputError, MissingExtraError
-from mjgranular.experiment import Impact, Study, Sweep, SweepResult, run_sweep
+from mjgranular._util.parse import split_words
+from mjgranular.cli.console import out, progress_bar, show_error, table
+from mjgranular.cli.drop import DropCommand
+from mjgranular.cli.engines import EngineOptions
+from mjgranular.cli.impact import ImpactCommand
+from mjgranular.cli.intrude import IntrudeCommand
+from mjgranular.cli.numbers import number_rules, whole_number
+from mjgranular.cli.options import given_options, law_named, option
+from mjgranular.cli.results import FilmOptions, note
+from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
+from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
-from mjgranular.experiment.table import write_csv
-from mjgranular.pool import UNFINISHED, Journal
+from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
+from mjgranular.experiment.table import need_parquet, write_csv, write_parquet
+from mjgranular.pool import UNFINISHED
 
-_CSV = "sweep.csv"
-_FIGURE = "sweep.png"
-_RANGE = {"speed": (1.0, 10.0, 19), "angle": (30.0, 60.0, 31)}  # as in the paper's Figs. 5 and 9
+_COMMANDS: dict[str, Any] = {
+    "impact": ImpactCommand,
+    "drop": DropCommand,
+    "intrude": IntrudeCommand,
+}
+_Command: Any = Union[  # noqa: UP007 - of a list
+    tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in _COMMANDS.items())
+]
+_OUTPUTS = tuple(FilmOptions.__dataclass_fields__)
+_MOST = 10**6  # values of one field; chosen, as are these
+_SHOWN = 40  # rows of the table for people
+_TOLD = 10  # failures
+_DRAWN = 2  # fields that fit in a figure
 
 
 @dataclass(frozen=True)
-class SweepCommand(LinkOptions, EngineOptions):
-    """Many drops over a range of speeds or angles, as in Figs. 5 and 9 of the paper, or any others.
+class SweepCommand(EngineOptions):
+    """Run an experiment many times, with any of its fields varied; by default as in Fig. 5.
 
-    --vary names what differs: fields of the experiment, law.NAME, medium.density. The runs are
-    spread over the cores, or with --engine ray over a cluster. Ctrl-C ends the sweep; with --out
-    what is finished is kept, whatever ended it, and the same command goes on.
+    The runs are spread over the cores, or with --engine ray over a cluster. Ctrl-C ends the sweep;
+    with --out what is finished is kept, and the same command goes on.
     """
 
-    over: Literal["speed", "angle"] = "speed"
-    """What differs from drop to drop, without --vary."""
-    first: Annotated[float | None, tyro.conf.arg(metavar="M/S|DEG")] = None
-    """First value [m/s or degrees]. Default: 1 m/s, 30 degrees."""
-    last: Annotated[float | None, tyro.conf.arg(metavar="M/S|DEG")] = None
-    """Last value [m/s or degrees]. Default: 10 m/s, 60 degrees."""
-    points: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Number of drops. Default: 19 speeds, 31 angles."""
-    vary: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES ...")] = ()
+    vary: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES ...")] = ("speed=1:10:19",)
     """What differs from run to run, every value with every other: speed=1:10:19 has 19 values,
-    angle=30,45,60 three, law.eta_v=18:26:5 five. Angles in degrees."""
+    angle=30,45,60 three. Fields of the experiment, law.NAME or medium.density; degrees."""
+    of: Annotated[str, tyro.conf.arg(metavar="COMMAND")] = "impact"
+    """What is run: a command in quotes, such as "impact --speed 2 --law rft2d", "drop MODEL.xml
+    --slope 15" or "intrude --intruder sphere"."""
     sample: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Draw N points from ranges such as --vary speed=1:10 in place of a grid."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Of --sample."""
     method: Literal["latin", "sobol"] = "latin"
     """Of --sample: a Latin hypercube or a Sobol sequence."""
-    of: Annotated[str | None, tyro.conf.arg(metavar="COMMAND")] = None
-    """What is run, in place of a drop of the link: a command in quotes, "drop MODEL.xml --slope 15"
-    or "intrude --intruder sphere" or "impact --body sphere". With --vary."""
     table: Literal["csv", "parquet"] = "csv"
-    """Form of the table in the folder of --out, with --vary."""
-    speed: Annotated[float | None, tyro.conf.arg(metavar="M/S")] = None
-    """Speed of T where it is not varied [m/s]. Default: 2."""
-    angle: Annotated[float | None, tyro.conf.arg(metavar="DEG")] = None
-    """Angle from the vertical where it is not varied [degrees]. Default: 45."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for the results; nothing is written without it."""
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace a result that the folder holds already."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print a JSON list instead of a table."""
+    """Form of the table in the folder of --out."""
 
     def run(self) -> int:
-        """Runs the command."""
-        _ = self.where  # which checks itself
-        if self.resume and (self.out is None or self.overwrite):
-            raise InputError("--resume goes on with the folder of --out, and overwrites nothing")
-        if self.vary:
-            return study.run(
-                self._study(),
-                self.where,
-                place=self.out,
-                overwrite=self.overwrite,
-                resume=self.resume,
-                as_json=self.json,
-                parquet=self.table == "parquet",
-            )
-        self._only("of", "sample", "seed", "method", "table", wants="is for --vary")
-        other = "angle" if self.over == "speed" else "speed"
-        self._only(
-            self.over,
-            wants=f"is fixed, and this sweep goes over the {self.over}, from --first to --last: "
-            f"leave it away, or say --over {other}",
-        )
-        sweep = self._sweep()
-        journal = sweep.journal(self.out)
-        if self.out is None:
-            result = self._run(sweep, journal)
+        """Run the command."""
+        where = self.where  # which checks itself
+        self.check_resume()
+        study = self._study()
+        if self.table == "parquet":
+            if self.out is None:
+                raise InputError("--table is of the folder of --out")
+            need_parquet()
+        journal = journal_of(study, self.out)
+        names = (CONFIG, SUMMARY, "sweep.csv", "sweep.parquet", "sweep.png")
+        with self.resumable(journal, *names) as folder:
+            with progress_bar("running", len(study)) as progress:
+                result = run_study(study, workers=where, journal=journal, progress=progress)
             self._show(result)
-            return self._status(result, kept=None)
-        names = (CONFIG, SUMMARY, _CSV, _FIGURE, UNFINISHED)
-        if self.resume:
-            check_resumed(journal, self.out)
-        with ResultFolder(self.out, names).claimed(
-            overwrite=self.overwrite, goes_on=journal.goes_on
-        ) as folder:
-            try:
-                result = self._run(sweep, journal)
-                self._show(result)
-                if result.rows:
-                    self._write(folder, result)
-                    if not self.json:
-                        out.print(f"written to {self.out}", highlight=False, markup=False)
-            finally:
-                journal.close()
-                if not journal.count:
-                    (self.out / UNFINISHED).unlink(missing_ok=True)
-            return self._status(result, kept=self.out if result.rows else None)
-
-    def _only(self, *names: str, wants: str) -> None:
-        """Refuses options that would do nothing.
-
-        Raises:
-            InputError: one of them is given; says what it wants beside it.
-        """
-        for name in given_options(self, *names):
-            raise InputError(f"{option(name)} {wants}")
+            if folder is not None and result.finished:
+                self._write(folder, result)
+                self.finish()
+        return self._status(result)
 
     def _study(self) -> Study:
-        self._only("over", "first", "last", "points", wants="is for a sweep without --vary")
         if self.sample is None:
-            self._only("seed", "method", wants="is for --sample")
+            for name in given_options(self, "seed", "method"):
+                raise InputError(f"{option(name)} is for --sample")
         varied = read_vary(self.vary)
-        if self.of is not None:
-            inside = (*(field.name for field in fields(LinkOptions)), "speed", "angle")
-            self._only(*inside, wants="belongs inside the quotes of --of, with its command")
-            experiment = read_experiment(self.of, varied)
-        else:
-            refuse_fixed(self, varied)
-            experiment = self._impact()
-        return Study(experiment, varied, sample=self.sample, seed=self.seed, method=self.method)
+        experiment = read_experiment(self.of, varied)
+        return Study(experiment, varied, self.sample, self.seed, self.method)
 
-    def _impact(self) -> Impact:
-        return self.impact(
-            speed=2.0 if self.speed is None else self.speed,
-            angle_deg=45.0 if self.angle is None else self.angle,
-        )
-
-    def _sweep(self) -> Sweep:
-        first, last, points = _RANGE[self.over]
-        first = first if self.first is None else self.first
-        last = last if self.last is None else self.last
-        if self.over == "angle":
-            first, last = math.radians(first), math.radians(last)
-        return Sweep(
-            over=self.over,
-            first=first,
-            last=last,
-            points=points if self.points is None else self.points,
-            impact=self._impact(),
-        )
-
-    def _run(self, sweep: Sweep, journal: Journal) -> SweepResult:
-        journal.begin()
-        if journal.count:
-            err.print(f"{journal.count} of {sweep.points} drops are finished", style="dim")
-        with progress_bar("dropping links", sweep.points) as progress:
-            return run_sweep(
-                sweep,
-                workers=self.where,
-                progress=progress,
-                journal=journal,
-            )
-
-    def _show(self, result: SweepResult) -> None:
-        if self.json:
-            print_json(result.rows)
+    def _show(self, result: StudyResult) -> None:
+        if self.json:  # row by row
+            between = "["
+            for row in result.rows():
+                sys.stdout.write(f"{between}\n  {json.dumps(row, allow_nan=False)}")
+                between = ","
+            sys.stdout.write("[]\n" if between == "[" else "\n]\n")
             return
-        key, name = {"speed": ("speed", "speed [m/s]"), "angle": ("angle_deg", "angle [deg]")}[
-            self.over
-        ]
-        cells = [
-            (
-                f"{row[key]:.4g}",
-                "not stopped" if time is None else f"{time * 1e3:.3f}",
-                f"{row['depth'] * 1e3:.3f}",
-            )
-            for row in result.rows
-            for time in [row["stopping_time"]]
-        ]
-        headings = (name, "stopping time [ms]", "depth of T [mm]")
-        out.print(table(f"Drops over the {self.over}", headings, cells, words=0))
+        from mjgranular.picture.studies import OUTCOMES, axis_of
 
-    def _write(self, folder: ResultFolder, result: SweepResult) -> None:
-        from mjgranular.picture.figures import draw_sweep
+        study = result.study
+        axes = [axis_of(column_of(name)) for name in study.vary]
+        axes += OUTCOMES[type(study.experiment).__name__.lower()]
+        cells = (
+            [_cell(row.get(axis.column), axis.scale) for axis in axes]
+            for row in itertools.islice(result.rows(), _SHOWN)
+        )
+        title = f"{result.finished} runs of {study.experiment.title}"
+        out.print(table(title, [axis.label for axis in axes], cells, words=0))
+        if result.finished > _SHOWN:
+            out.print(f"and {result.finished - _SHOWN} more", highlight=False)
 
-        first = result.rows[0]
-        fixed = f"{first['angle_deg']:g} deg" if self.over == "speed" else f"{first['speed']:g} m/s"
-        title = f"{fixed}, {first['medium']}, {first['law']} law, {first['timestep']:g} s"
+    def _write(self, folder: ResultFolder, result: StudyResult) -> None:
+        columns = result.columns()
         goes_on = result.interrupted or result.lost > 0
+        study = result.study
+        summary = {
+            "runs": len(study),
+            "finished": result.finished,
+            "failed": result.failed,
+            "lost": result.lost,
+            "interrupted": result.interrupted,
+            "failures": [result.told(failure) for failure in result.failures],
+        }
         with folder.published(keep=(UNFINISHED,) if goes_on else ()):
-            asked = {**asdict(result.sweep), "interrupted": result.interrupted}
-            folder.write_config("sweep", asked)
-            columns = list(result.rows[0])
-            folder.write(_CSV, lambda path: write_csv(path, columns, lambda: iter(result.rows)))
-            folder.write_json(SUMMARY, result.rows)
+            folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
+            folder.write_json(SUMMARY, summary)
+            write = write_parquet if self.table == "parquet" else write_csv
+            folder.write(f"sweep.{self.table}", lambda path: write(path, columns, result.rows))
             try:
-                folder.write(
-                    _FIGURE, lambda path: draw_sweep(path, result.rows, over=self.over, title=title)
-                )
+                _draw(folder, result)
             except MissingExtraError as error:
-                err.print(f"no figure: {error}", highlight=False, markup=False)
+                note(f"no figure: {error}")
 
-    def _status(self, result: SweepResult, *, kept: Path | None) -> int:
-        for value, reason in result.failures:
-            show_error(f"{self.over} {value:g}: {reason}")
+    def _status(self, result: StudyResult) -> int:
+        for failure in result.failures[:_TOLD]:
+            show_error(result.told(failure))
+        if result.failed > _TOLD:
+            where = f"; {SUMMARY} has them" if self.out else ""
+            show_error(f"and {result.failed - _TOLD} more have no result{where}")
         if result.interrupted:
-            where = f", kept in {kept}; the same command goes on" if kept else ""
-            show_error(
-                f"interrupted: {len(result.rows)} of {result.sweep.points} drops are "
-                f"finished{where}"
+            return self.show_interrupted(result.journal, result.stopped_by)
+        if result.lost:
+            again = "; the same command tries them again" if self.out and result.finished else ""
+            show_error(f"{result.lost} runs were lost with their processes{again}")
+        return 2 if result.failed else 0
+
+
+def _cell(value: object, scale: float) -> str:
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return f"{value * scale:.5g}"
+    return "" if value is None else str(value)
+
+
+def _draw(folder: ResultFolder, result: StudyResult) -> None:
+    """Draw the figure, if so few fields are varied that there is one."""
+    from mjgranular.picture.studies import OUTCOMES, draw_study
+
+    study = result.study
+    varied = [column_of(name) for name in study.vary]
+    if len(varied) > _DRAWN:
+        return
+    outcomes = OUTCOMES[type(study.experiment).__name__.lower()]
+    wanted = [*varied, *(axis.column for axis in outcomes)]
+    columns: dict[str, list[object]] = {name: [] for name in wanted}
+    for row in result.rows():
+        for name in wanted:
+            columns[name].append(row.get(name))
+    first = next(result.rows())
+    fixed = [f"{first[name]}" for name in ("medium", "law") if name not in study.vary]
+    title = ", ".join([study.experiment.title, *fixed])
+    folder.write(
+        "sweep.png",
+        lambda path: draw_study(
+            path, columns, varied, outcomes, joined=study.sample is None, title=title
+        ),
+    )
+
+
+def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value] | Between]:
+    """Read fields and their values from `speed=1:10:19 angle=30,45 law.eta_v=18:26`.
+
+    `FIRST:LAST:COUNT` is evenly spaced, both ends included; `LOW:HIGH` a range to draw from.
+
+    Raises:
+        InputError: not of this form; says what would be.
+    """
+    found: dict[str, Sequence[Value] | Between] = {}
+    for word in words:
+        name, equals, text = word.partition("=")
+        if not (equals and name and text):
+            raise InputError(
+                "what is varied is NAME=FIRST:LAST:COUNT, NAME=VALUE,VALUE,... or, for a sample, "
+                f"NAME=LOW:HIGH, not {shown(word)}"
             )
-            return 2 if result.stopped_by is None else 128 + result.stopped_by
-        return 2 if result.failures else 0
+        if name in found:
+            raise InputError(f"{name} is varied twice")
+        found[name] = _values(name, text)
+    return found
+
+
+def _values(name: str, text: str) -> Sequence[Value] | Between:
+    scale = math.radians(1) if name in ANGLES else 1.0
+    parts = text.split(":")
+    numbers = [_number(part) for part in parts[:2]]
+    if len(parts) == 1 or name == "law" or None in numbers:  # my_laws:Mud is a name
+        return [_value(name, part.strip()) for part in text.split(",")]
+    low, high = (scale * (number or 0.0) for number in numbers)
+    if len(parts) == 2:
+        return Between(low, high)
+    if len(parts) > 3:
+        raise InputError(f"{name} varies from FIRST:LAST:COUNT, not {shown(text)}")
+    try:
+        count = whole_number(parts[2])
+    except ValueError as error:
+        raise InputError(f"{name}={text}: {error}") from None
+    if not 2 <= count <= _MOST:
+        raise InputError(f"{name}={text}: from 2 to {_MOST} values, not {count}")
+    Between(min(low, high), max(low, high))  # which checks that both are finite and differ
+    return np.linspace(low, high, count).tolist()
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _value(name: str, text: str) -> Value:
+    if not text:
+        raise InputError(f"{name} has an empty value: write NAME=VALUE,VALUE,...")
+    if name == "law":
+        return str(law_named(text))
+    number = _number(text)
+    if number is None:
+        return text
+    return math.radians(number) if name in ANGLES else number
+
+
+def read_experiment(text: str, varied: Iterable[str] = ()) -> Experiment:
+    """Read the experiment of a command in one text, such as "drop block.xml --slope 15".
+
+    Args:
+        text: the command.
+        varied: names of what is varied.
+
+    Raises:
+        UnknownNameError: no command of an experiment.
+        InputError: options of output within it or of what is varied, or a body that is a chain.
+    """
+    words = split_words(text)
+    if not words or words[0] not in _COMMANDS:
+        raise UnknownNameError("experiment to sweep", (words or [""])[0], _COMMANDS)
+    command = tyro.cli(
+        _Command,
+        prog="mjgranular sweep --of",
+        args=words,
+        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        registry=number_rules(),
+    )
+    for name in given_options(command, *_OUTPUTS):
+        raise InputError(f"--{name} is of the sweep and not of each of its runs: not within --of")
+    for name in given_options(command, *varied):
+        raise InputError(
+            f"{name} is varied, and {option(name)} {shown(getattr(command, name))} fixes it: leave "
+            "one of the two away"
+        )
+    return command.experiment()

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Literal
 
 import mujoco
 import tyro
 
 from mjgranular.cli.console import err
-from mjgranular.cli.options import SandOptions, record_of
+from mjgranular.cli.options import ModelOptions, options_of, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
@@ -26,8 +25,8 @@ from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.sand.prepare import fitted
 
 
-@dataclass(frozen=True)
-class ViewCommand(SandOptions):
+@dataclass(frozen=True, kw_only=True)
+class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
     """Your own MJCF model on sand in MuJoCo's viewer, at the speed of life.
 
     Space holds it and lets it go on, Backspace begins anew, a double click and Ctrl with the mouse
@@ -35,12 +34,6 @@ class ViewCommand(SandOptions):
     sand of its own is shown with that.
     """
 
-    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
-    """The MJCF file."""
-    keyframe: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Keyframe of the model to start from."""
-    timestep: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """Time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme."""
     draw: Annotated[
         tuple[Literal["forces", "depth"], ...], tyro.conf.arg(metavar="{forces,depth} ...")
     ] = ("forces",)

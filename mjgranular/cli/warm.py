@@ -14,10 +14,11 @@ import mujoco
 import tyro
 
 from mjgranular.cli.console import err, progress_bar
-from mjgranular.cli.options import SandOptions, given_options, law_named, option, record_of
+from mjgranular.cli.options import given_options, law_named, option, options_of, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import GranularWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read
+from mjgranular.experiment.ground import PlainSand
 from mjgranular.law import laws
 from mjgranular.medium import get_medium
 from mjgranular.sand import Sand, SandSpec
@@ -42,8 +43,8 @@ _SCHEMES = ["implicit", "explicit"]
 _Work = tuple[str, Callable[[], object]]
 
 
-@dataclass(frozen=True)
-class WarmCommand(SandOptions):
+@dataclass(frozen=True, kw_only=True)
+class WarmCommand(options_of(PlainSand)):
     """Compiles ahead what a run needs: for clusters and containers, where nobody wants to wait.
 
     Name a model, an environment, or laws and schemes; without any of them, every law under every
@@ -109,7 +110,7 @@ class WarmCommand(SandOptions):
 
     def _check_options(self) -> None:
         """Refuses options that would be left aside without a word."""
-        of_sand = {field.name for field in fields(SandOptions)}
+        of_sand = {field.name for field in fields(PlainSand)}
         if self.model is not None:
             for name in given_options(self, "over"):
                 raise InputError(

@@ -16,7 +16,4 @@ from mjgranular.experiment.run_study import journal_of as journal_of
 from mjgranular.experiment.run_study import run_study as run_study
 from mjgranular.experiment.study import Between as Between
 from mjgranular.experiment.study import Study as Study
-from mjgranular.experiment.sweep import Sweep as Sweep
-from mjgranular.experiment.sweep import SweepResult as SweepResult
-from mjgranular.experiment.sweep import run_sweep as run_sweep
 from mjgranular.experiment.trajectory import Trajectory as Trajectory

@@ -63,12 +63,12 @@ class Drop(PlainSand):
 
     Attributes:
         model: the MJCF file, or a chain.
-        keyframe: name of the keyframe to start from.
-        height: of the model's lowest point above the surface at the start [m]; None to start as
-            the model stands.
-        velocity: downward, at the start [m/s].
-        duration: [s].
-        timestep: [s]; None for the model's own, but at most 1e-4 s with the explicit scheme.
+        keyframe: name of the keyframe to start from. Default: the model as it is.
+        height: height of the lowest point above the surface at the start [m]. Default: as the
+            model is.
+        velocity: velocity at the start, down [m/s].
+        duration: simulated time [s].
+        timestep: time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme.
         state: `qpos` and `qvel` to start from, one after the other; None for the model's own.
         site: name of a site whose stop is looked for; needs a level surface.
     """

@@ -21,16 +21,29 @@ from mjgranular.surface.place import replace_geoms
 class PlainSand:
     """A `SandSpec` in plain values, SI units and radians, as folders of results have it.
 
-    `medium`, `law`, `scheme`, `bodies`, `geoms`, `groups`, `resolution`, `instead_of` and `memory`
-    are those of `SandSpec`, by name; None and `()` stand for no choice.
+    None and `()` stand for no choice. The command line shows these texts too.
 
     Attributes:
-        surface_height: world z of a level or sloping surface [m].
-        slope: of that surface [rad].
+        medium: name of the sand, see `mjgranular list media`, or a YAML file. Default:
+            by the law, or quikrete_medium.
+        law: the force law, see `mjgranular list laws`. "rft3d scale=1.3" has other parameters than
+            the medium, my_laws:Mud is your own law. Default: the medium's.
+        scheme: how forces become a step.
+        surface_height: height of the surface above the world's origin [m].
+        slope: slope of the surface [rad].
         uphill: direction of steepest ascent from the x axis [rad].
-        bed: name of a box geom that is the sand; overrides height and slope.
-        height_field: name of an hfield geom that is the sand; overrides height and slope.
-        keep_floor: whether ground of the model's own may carry it above the sand.
+        bed: name of a box geom of the model that is the sand.
+        height_field: name of an hfield geom of the model that is the sand.
+        bodies: bodies that meet the sand, by name or number. Default: all that can move.
+        geoms: geoms that meet the sand, by name or number, visual or not; `all` is all that
+            collide. What bodies, geoms and groups name is taken together.
+        groups: geom groups whose collision geoms meet the sand; of a group of visual ones, all.
+        resolution: how finely bodies are cut into elements. Default: the law's.
+        instead_of: geoms that the sand replaces, such as a floor that would carry the model above
+            the sand.
+        memory: side of a cell [m], or words such as "cell=0.01 extent=4", for sand that remembers
+            what has been pressed down. Default: it closes behind what has passed.
+        keep_floor: let the model stand on its own ground at or above the surface of the sand.
     """
 
     medium: str | None = None

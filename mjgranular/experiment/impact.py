@@ -30,25 +30,25 @@ Until = Literal["stop", "rest"]
 class Impact:
     """A drop of the link, SI units and radians. The defaults are the paper's first case.
 
+    `law` and `memory` are those of `PlainSand`.
+
     Attributes:
-        speed: v_Ty(0), of the end T at release, down [m/s].
-        angle: q(0), of the link from the vertical [rad], inside (-pi/2, pi/2).
-        tangential_speed: v_Tx(0), of T at release, along the surface [m/s].
-        angular_velocity: dq/dt at release [rad/s].
-        height: of T above the surface at release [m].
-        length: of the link [m].
-        diameter: of the link [m].
-        density: of the link [kg/m^3].
-        medium: name of the sand.
-        law: name of the force law; None for the medium's own.
-        scheme: name of the scheme; None for the explicit one, or where the law moves sand along for
-            the implicit one, which it needs.
-        timestep: of the simulation [s].
-        until: "stop" ends the run when T stops, "rest" when the whole link does.
-        duration: the run ends after this time at the latest [s].
-        body: what falls: the link, or another shape of that length and diameter.
-        memory: side of a cell [m], or words such as "cell=0.005 extent=1", for sand that remembers;
-            None for sand that closes behind what has passed.
+        speed: velocity of the lower end T at release, down [m/s].
+        angle: angle of the link from the vertical, less than a right angle [rad].
+        tangential_speed: velocity of T along the surface at release, towards the side that the link
+            leans to [m/s].
+        angular_velocity: rate of change of the angle at release [rad/s].
+        height: height of T above the surface at release [m].
+        length: length of the link [m].
+        diameter: diameter of the link [m].
+        density: density of the link [kg/m^3].
+        medium: name of the sand, see `mjgranular list media`, or a YAML file.
+        scheme: how forces become a step. Default: explicit, or implicit where the law needs it.
+        timestep: time step of the simulation [s].
+        until: "stop" ends the run when T stops, "rest" when the whole link does, which needs a law
+            such as link_distributed.
+        duration: simulated time after which the run ends at the latest [s].
+        body: what falls: link, or another shape of that length and diameter.
     """
 
     speed: float = 10.0
@@ -111,6 +111,11 @@ class Impact:
         medium = get_medium(self.medium)
         get_law(self.law, medium)
         get_scheme(self.scheme_taken)
+
+    @property
+    def title(self) -> str:
+        """Name of what falls."""
+        return self.body
 
     @property
     def link(self) -> Projectile:

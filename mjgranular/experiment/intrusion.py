@@ -27,25 +27,24 @@ class Intrusion:
     """An intruder on a straight path through level sand, SI units and radians.
 
     The path lies in the plane y = 0 and is travelled at constant speed, the intruder kept at its
-    tilt; it is moved, not pushed, so that its mass plays no part.
+    tilt; it is moved, not pushed, so that its mass plays no part. `law` and `resolution` are those
+    of `PlainSand`.
 
     Attributes:
-        intruder: its shape, if no model is given. A plate is `size` square and a tenth as thick, a
-            sphere has that diameter, a box that edge; a cylinder or capsule has a quarter of it as
-            diameter and stands upright.
-        size: [m].
-        model: an MJCF file to take the intruder from.
-        geom: name of the geom in that file; None for all of the model's geoms.
-        tilt: of the intruder about -y [rad]: positive lifts its +x side.
-        direction: of the motion below the horizontal [rad]: pi/2 is straight down, 0 along +x.
-        speed: [m/s].
+        intruder: shape of the intruder, if no model is given. A plate is `size` square and a tenth
+            as thick, a sphere has that diameter, a box that edge; a cylinder or capsule has a
+            quarter of it as diameter and stands upright.
+        size: size of that shape [m].
+        model: MJCF file to take the intruder from.
+        geom: name of the geom in that file. Default: all of it.
+        tilt: tilt of the intruder: positive lifts its +x side [rad].
+        direction: direction of motion below the horizontal; 0 is along +x [rad].
+        speed: speed, which matters to laws with inertia and to validity [m/s].
         start: depth of the deepest point at the start [m].
-        depth: of the deepest point at the end of a path that goes down or up [m].
-        distance: length of the path [m]; None for what `depth` asks for.
+        depth: depth of the deepest point at the end of a path that goes down or up [m].
+        distance: length of the path [m]. Default: as far as `depth` asks for.
         points: number of samples.
-        medium: name of the sand, or a YAML file.
-        law: name of the force law; None for the medium's own.
-        resolution: how finely the intruder is cut; None for the law's default.
+        medium: name of the sand, see `mjgranular list media`, or a YAML file.
     """
 
     intruder: Intruder = "plate"
@@ -84,6 +83,13 @@ class Intrusion:
         if self.geom is not None and self.model is None:
             raise InputError("--geom names a geom of a model: give the model too")
         _ = self.length
+
+    @property
+    def title(self) -> str:
+        """Name of what is moved."""
+        if self.model is not None:
+            return self.geom or self.model.name
+        return f"{self.intruder} of {self.size * 1e3:g} mm"
 
     @property
     def length(self) -> float:

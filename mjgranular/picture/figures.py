@@ -10,7 +10,6 @@ import numpy as np
 
 from mjgranular._util.extras import need
 from mjgranular._util.files import whole
-from mjgranular.experiment.paper import CASES, PaperCase
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.picture.plain import plain
 
@@ -207,55 +206,3 @@ def draw_intrusion(
     axes[1].legend()
     figure.suptitle(plain(title))
     save_figure(figure, context, path)
-
-
-def draw_sweep(path: Path, rows: Sequence[dict[str, Any]], *, over: str, title: str = "") -> None:
-    """Stopping time and depth against speed or angle, as in Figs. 5 and 9, paper's values beside.
-
-    Args:
-        path: of the picture.
-        rows: summaries of drops.
-        over: "speed" or "angle".
-        title: above the figure.
-    """
-    key, label = {
-        "speed": ("speed", "initial velocity of T, $v_{Ty}(0)$ [m/s]"),
-        "angle": ("angle_deg", "initial angle, $q(0)$ [deg]"),
-    }[over]
-    stopped = [row for row in rows if row["stopped"]]
-    x = [row[key] for row in stopped]
-    figure, context = figure_of_size(6.4, 6.0)
-    axes = figure.subplots(2, 1, sharex=True)
-    ours = {"color": _BLUE, "marker": "o", "markersize": 3.5, "label": "mjgranular"}
-    axes[0].plot(x, [row["stopping_time"] * 1e3 for row in stopped], **ours)
-    axes[1].plot(x, [row["depth"] * 1e3 for row in stopped], **ours)
-    cases = [case for case in CASES if stopped and _comparable(case, stopped[0], over)]
-    if cases:
-        printed = {"color": _RED, "marker": "x", "s": 60, "zorder": 3, "label": "paper"}
-        at = [getattr(case, key) for case in cases]
-        axes[0].scatter(at, [case.stopping_time * 1e3 for case in cases], **printed)
-        axes[1].scatter(at, [case.depth * 1e3 for case in cases], **printed)
-    axes[0].set_ylabel("stopping time [ms]")
-    axes[1].set_ylabel("depth of T at the stop [mm]")
-    axes[1].set_xlabel(label)
-    axes[0].legend()
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
-
-
-def _comparable(case: PaperCase, row: dict[str, Any], over: str) -> bool:
-    """Tells whether a printed value belongs into a sweep: all but what is swept is the paper's."""
-    paper = {
-        "law": "link",
-        "medium": "play_sand",
-        "tangential_speed": 0.0,
-        "angular_velocity": 0.0,
-        "length": 0.2,
-        "diameter": 0.01,
-        "density": 7700.0,
-    }
-    if any(row[key] != value for key, value in paper.items()):
-        return False
-    if over == "speed":
-        return abs(case.angle_deg - row["angle_deg"]) < 1e-9
-    return abs(case.speed - row["speed"]) < 1e-9

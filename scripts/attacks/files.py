@@ -35,7 +35,7 @@ from mjgranular.cli.impact import release_to_stop
 from mjgranular.cli.main import main
 from mjgranular.cli.render import RenderCommand
 from mjgranular.errors import GranularError
-from mjgranular.experiment import Impact, Sweep
+from mjgranular.experiment import Impact, Study, journal_of, run_study
 from mjgranular.experiment.folder import ResultFolder, read_impact, saved_command
 from mjgranular.learn import change, find_settings
 from mjgranular.learn.checkpoint import load_checkpoint
@@ -50,7 +50,7 @@ _QUICK = {
     "ppo": ("n_steps=32", "batch_size=64", "n_epochs=1"),
     "sac": ("learning_starts=32", "buffer_size=500", "train_freq=16", "gradient_steps=1"),
 }
-_SWEEP = Sweep(points=4, impact=Impact(timestep=1e-4))
+_SWEEP = Study(Impact(timestep=1e-4), {"speed": [1.0, 4.0, 7.0, 10.0]})
 Random = random.Random
 
 
@@ -98,10 +98,10 @@ def make_runs(folder: Path) -> None:
     quick = ["--timestep", "1e-4", "--duration", "0.02", "--json"]
     assert main(["impact", *quick, "--out", str(folder / "impact")]) == 0
     assert main(["impact", "--body", "chain:2", *quick, "--out", str(folder / "drop")]) == 0
-    sweep = ["sweep", "--points", "4", *quick[:2], "--workers", "1", "--json"]
-    assert main([*sweep, "--out", str(folder / "sweep")]) == 0
-    rows = json.loads((folder / "sweep" / "summary.json").read_text())
-    journal = _SWEEP.journal(folder / "sweep")
+    sweep = ["sweep", "--vary", "speed=1:10:4", "--of", "impact --timestep 1e-4"]
+    assert main([*sweep, "--workers", "1", "--out", str(folder / "sweep")]) == 0
+    rows = [*run_study(_SWEEP, workers=1).rows()]
+    journal = journal_of(_SWEEP, folder / "sweep")
     journal.keep([*enumerate(rows[:3])])
     journal.close()
     for algorithm, some in _QUICK.items():
@@ -127,7 +127,7 @@ def read_everything(kind: str, folder: Path) -> None:
         assert count < 10_000
 
     def sweep() -> None:
-        journal = _SWEEP.journal(folder)
+        journal = journal_of(_SWEEP, folder)
         names = ("config.json", "summary.json", "sweep.csv")
         with ResultFolder(folder, names).claimed(goes_on=journal.goes_on):
             journal.begin()

@@ -10,6 +10,7 @@ process and no file of a killed one may be left.
 
 from __future__ import annotations
 
+import csv
 import functools
 import json
 import os
@@ -127,26 +128,27 @@ def impact(speed: str = "4") -> Command:
 
 def sweep(workers: int) -> Command:
     """Return a sweep, in this process or in others."""
-    quick = ["sweep", "--points", "12", "--timestep", "2e-5", "--duration", "0.05", "--json"]
+    quick = ["sweep", "--vary", "speed=1:10:12", "--of", "impact --timestep 2e-5 --duration 0.05"]
 
     def command(folder: Path) -> list[str]:
-        return [*quick, "--workers", str(workers), "--out", str(folder)]
+        return [*quick, "--json", "--workers", str(workers), "--out", str(folder)]
 
     def result(folder: Path) -> str:
         assert not (folder / UNFINISHED).exists()
         assert json.loads((folder / CONFIG).read_text())["config"]["interrupted"] is False
-        return (folder / "summary.json").read_text()
+        return (folder / "sweep.csv").read_text()
 
     def look(folder: Path) -> float:
         with suppress(FileNotFoundError):
             lines = (folder / UNFINISHED).read_text().split("\n")[1:-1]
-            for line in lines:
-                row = json.loads(line)
-                assert row["row"] == json.loads(sweeping.expected)[row["index"]], "another row"
+            expected = [*csv.DictReader(sweeping.expected.splitlines())]
+            for line in map(json.loads, lines):
+                there = float(expected[line["index"]]["depth"])
+                assert line["row"]["depth"] == there, "another row"
             return len(lines)
         # Of a finished one.
         with suppress(FileNotFoundError):
-            return len(json.loads((folder / "summary.json").read_text()))
+            return float(json.loads((folder / "summary.json").read_text())["finished"])
         return 0.0
 
     sweeping = Command(command, look, result, once=True)

@@ -16,12 +16,13 @@ from mjgranular._util.saved import checked_fields, is_plain_name, read_arrays, r
 from mjgranular._util.signals import Stopped, stopped_by_signals
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
-from mjgranular.experiment import Impact, Sweep, run_sweep
+from mjgranular.experiment import Impact, Study, journal_of, run_study
 from mjgranular.experiment.folder import ResultFolder, read_impact
 from mjgranular.pool import UNFINISHED
 
 ATTACK = Path(__file__).resolve().parents[2] / "scripts" / "attack.py"
 QUICK = ["--timestep", "1e-4", "--duration", "0.05", "--json"]
+OF = "impact --timestep 1e-4 --duration 0.05"
 
 
 def attack(folder: Path, name: str, *options: str, seconds: float) -> None:
@@ -231,9 +232,9 @@ def test_a_result_takes_the_place_of_the_whole_one_before(tmp_path, capfd):
     assert main(["impact", *QUICK, "--out", str(folder)]) == 0
     (folder / "impact.mp4").write_text("a film of the old one")
     (folder / "diary.txt").write_text("mine")
-    assert main(["sweep", "--points", "2", "--workers", "1", *QUICK, "--out", str(folder)]) == 2
-    again = ["--out", str(folder), "--overwrite"]
-    assert main(["sweep", "--points", "2", "--workers", "1", *QUICK, *again]) == 0
+    sweep = ["sweep", "--vary", "speed=2,4", "--of", OF, "--workers", "1", "--out", str(folder)]
+    assert main(sweep) == 2
+    assert main([*sweep, "--overwrite"]) == 0
     assert {path.name for path in folder.iterdir()} == {
         *("config.json", "summary.json", "sweep.csv", "sweep.png", "diary.txt")
     }
@@ -278,29 +279,29 @@ def test_a_reader_sees_one_result_while_it_is_replaced(tmp_path, monkeypatch):
 # Sweeps
 
 
-SWEEP = Sweep(points=3, impact=Impact(speed=2.0, timestep=1e-4, duration=0.05))
+SWEEP = Study(Impact(timestep=1e-4, duration=0.05), {"speed": [1.0, 5.5, 10.0]})
 
 
 def kept(sweep, folder):
     """The rows that a folder keeps of a sweep, by their number; None if there are none of it."""
-    journal = sweep.journal(folder)
+    journal = journal_of(sweep, folder)
     if not journal.goes_on():
         return None
     journal.begin()
-    rows = {index: journal[index] for index in range(sweep.points) if index in journal}
+    rows = {index: journal[index] for index in range(len(sweep)) if index in journal}
     journal.close()
     return rows
 
 
 def keep(sweep, folder, *rows):
-    journal = sweep.journal(folder)
+    journal = journal_of(sweep, folder)
     journal.begin()
     journal.keep(rows)
     journal.close()
 
 
 def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
-    whole = run_sweep(SWEEP, workers=1).rows
+    whole = list(run_study(SWEEP, workers=1).rows())
     assert kept(SWEEP, tmp_path) is None
     (tmp_path / UNFINISHED).write_text('{"asked"')  # killed at its first line
     assert kept(SWEEP, tmp_path) == {}
@@ -308,28 +309,26 @@ def test_rows_are_kept_as_soon_as_they_are_finished(tmp_path):
     with (tmp_path / UNFINISHED).open("a") as file:
         file.write('{"index": 1, "ro')  # killed while it wrote
     assert kept(SWEEP, tmp_path) == {2: whole[2]}
-    assert kept(Sweep(points=4, impact=SWEEP.impact), tmp_path) is None
-    computed = []
-    result = run_sweep(
-        SWEEP,
-        workers=1,
-        finished=kept(SWEEP, tmp_path),
-        keep=lambda index, row: computed.append(index),
-    )
-    assert computed == [0, 1]
-    assert result.rows == whole
+    assert kept(Study(SWEEP.experiment, {"speed": [1.0, 10.0]}), tmp_path) is None
+    journal = journal_of(SWEEP, tmp_path)
+    journal.begin()
+    done = []
+    result = run_study(SWEEP, workers=1, journal=journal, progress=done.append)
+    assert done == [2, 3]
+    assert list(result.rows()) == whole
+    journal.close()
 
 
 def test_another_unfinished_sweep_is_not_lost(tmp_path, capfd):
-    keep(SWEEP, tmp_path, (0, run_sweep(SWEEP, workers=1).rows[0]))
+    keep(SWEEP, tmp_path, (0, next(run_study(SWEEP, workers=1).rows())))
     before = (tmp_path / UNFINISHED).read_bytes()
-    command = ["sweep", "--points", "5", "--workers", "1", *QUICK, "--out", str(tmp_path)]
-    assert main(command) == 2
+    command = ["sweep", "--workers", "1", "--of", OF, "--out", str(tmp_path), "--vary"]
+    assert main([*command, "speed=1:10:5"]) == 2
     assert UNFINISHED in capfd.readouterr().err
     assert (tmp_path / UNFINISHED).read_bytes() == before
-    assert main(["sweep", "--points", "3", *command[3:]]) == 0
+    assert main([*command, "speed=1:10:3"]) == 0
     assert not (tmp_path / UNFINISHED).exists()
-    assert len(json.loads((tmp_path / "summary.json").read_text())) == 3
+    assert json.loads((tmp_path / "summary.json").read_text())["finished"] == 3
 
 
 def workers_of(pid: int) -> list[int]:
@@ -349,8 +348,8 @@ def workers_of(pid: int) -> list[int]:
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes as Linux does")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_workers_end_with_a_sweep_that_is_ended_and_its_rows_are_kept(number, tmp_path):
-    command = [sys.executable, "-m", "mjgranular", "sweep", "--points", "400", "--workers", "2"]
-    command += ["--timestep", "1e-6", "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "mjgranular", "sweep", "--vary", "speed=1:10:400"]
+    command += ["--of", "impact --timestep 1e-6", "--workers", "2", "--out", str(tmp_path)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True) as process:
         deadline = time.monotonic() + 100
         file = tmp_path / UNFINISHED

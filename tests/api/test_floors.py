@@ -149,8 +149,8 @@ def test_view_refuses_it_too(tmp_path):
     model = tmp_path / "robot.xml"
     model.write_text(ROBOT)
     with pytest.raises(InputError, match="--instead-of floor"):
-        ViewCommand(model).load()
-    loaded = ViewCommand(model, instead_of=("floor", "1")).load()
+        ViewCommand(model=model).load()
+    loaded = ViewCommand(model=model, instead_of=("floor", "1")).load()
     names = [loaded.geom(number).name for number in range(loaded.ngeom)]
     assert names == ["floor", "", ""]
     assert not (loaded.geom_contype | loaded.geom_conaffinity)[:2].any()

@@ -17,11 +17,9 @@ from mjgranular.errors import GranularError, MissedStepWarning
 from mjgranular.experiment import (
     Impact,
     Study,
-    Sweep,
     reproduce,
     run_impact,
     run_study,
-    run_sweep,
 )
 from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
@@ -676,9 +674,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: run_study(Study(Impact(), {"speed": [1.0]}), journal="out"),  # pyright: ignore[reportArgumentType]
         "run_study takes a Journal, not 'out'; use journal_of(study, folder), begun",
     ),
-    "drop for a sweep": (lambda: run_sweep(Impact()), "run_sweep takes a Sweep, not an Impact"),  # pyright: ignore[reportArgumentType]
-    "speed for a sweep's drop": (lambda: Sweep(impact=2.0), "a sweep takes an Impact, not 2.0"),  # pyright: ignore[reportArgumentType]
-    "text for a sweep's end": (lambda: Sweep(last="10"), "a sweep's range must be finite, not"),  # pyright: ignore[reportArgumentType]
     "time step for the paper": (lambda: reproduce(1e-6), "reproduce takes an Impact, not 1e-06"),  # pyright: ignore[reportArgumentType]
     "path for an intrusion": (
         lambda: run_intrusion("plate"),  # pyright: ignore[reportArgumentType]

@@ -5,17 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from mjgranular.experiment import Impact, Sweep, run_sweep
+from mjgranular.experiment import Impact, Study, run_study
 
 POINTS = 21
 
 
 def sweep(over, first, last, **impact):
     impact = Impact(timestep=2e-5, **impact)
-    result = run_sweep(Sweep(over, first, last, POINTS, impact), workers=1)
-    assert not result.failures
-    assert [row["stopped"] for row in result.rows] == [True] * POINTS
-    return (np.array([row[name] for row in result.rows]) for name in ("stopping_time", "depth"))
+    result = run_study(Study(impact, {over: np.linspace(first, last, POINTS)}), workers=1)
+    rows = list(result.rows())
+    assert [row["stopped"] for row in rows] == [True] * POINTS
+    return (np.array([row[name] for row in rows]) for name in ("stopping_time", "depth"))
 
 
 @pytest.mark.slow

@@ -34,8 +34,7 @@ RFT3D = """
 SHORT = {
     "evaluate": "--seeds 2",
     "render": "--seconds 0.2 --width 160 --height 120 --fps 5",
-    "reproduce": "--timestep 2e-5",
-    "sweep": "--points 2 --workers 1",
+    "sweep": "--workers 1",
     "train": "--total-steps 64 --set n_steps=32 num_envs=2 batch_size=64",
 }
 RUNS = {  # that docs/training.md takes for granted; policies of the package stand for them
@@ -89,12 +88,11 @@ def shortened(command):
         return [*words, "--law", "link", "--scheme", "explicit"]
     if "--resume" in words:
         return with_options(words, "--total-steps 128") if "--total-steps" in words else words
-    if "--vary" in words:  # has no points, and its own options where it has --of
-        words = words if "--of" in words else with_options(words, "--timestep 5e-5")
+    if words[0] == "sweep":
+        words = words if "--of" in words else [*words, "--of", "impact --timestep 5e-5"]
         words = with_options(words, "--sample 3") if "--sample" in words else words
-        return with_options(words, "--workers 1")
-    if words[0] == "reproduce" and "--out" in words:
-        words = with_options(words, "--workers 1")
+    if "--paper" in words:
+        return with_options(words, "--timestep 2e-5")
     return with_options(words, SHORT.get(words[0], ""))
 
 

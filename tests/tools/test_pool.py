@@ -187,14 +187,14 @@ def test_without_ray_the_install_line_is_given(monkeypatch, capfd):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'mjgranular\[ray\]'"):
         RayPool(operator.add, 1, Workers("ray"))
-    assert main(["sweep", "--points", "2", "--engine", "ray"]) == 2
+    assert main(["sweep", "--vary", "speed=1,2", "--engine", "ray"]) == 2
     assert "mjgranular[ray]" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("address", ["somewhere", "ray://host:10001", "host:", ":1", "host:99999"])
 def test_an_address_that_is_none(address, capfd):
     pytest.importorskip("ray")
-    assert main(["sweep", "--points", "2", "--engine", "ray", "--address", address]) == 2
+    assert main(["sweep", "--vary", "speed=1,2", "--engine", "ray", "--address", address]) == 2
     assert "HOST:PORT of its head" in capfd.readouterr().err
 
 
@@ -204,7 +204,7 @@ def test_an_address_where_nobody_listens_is_told_at_once(capfd):
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
         before = time.monotonic()
-        assert main(["sweep", "--points", "2", "--engine", "ray", "--address", address]) == 2
+        assert main(["sweep", "--vary", "speed=1,2", "--engine", "ray", "--address", address]) == 2
         assert time.monotonic() - before < 20
     assert f"nothing answers at {address}" in capfd.readouterr().err
 

@@ -6,13 +6,14 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mjgranular.cli import main
-from mjgranular.cli.vary import read_experiment, read_vary
+from mjgranular.cli.sweep import read_experiment, read_vary
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment import Between, Drop, Impact, Study, run_impact, run_study
 from mjgranular.experiment.intrusion import Intrusion
@@ -20,7 +21,7 @@ from mjgranular.experiment.study import with_values
 from mjgranular.medium import get_medium
 
 QUICK = Impact(speed=2.0, timestep=1e-4, duration=0.05)
-FEW = ["--timestep", "1e-4", "--duration", "0.05", "--workers", "1"]
+FEW = ["--of", "impact --timestep 1e-4 --duration 0.05", "--workers", "1"]
 BALL = """
 <mujoco><worldbody><body name="ball" pos="0 0 0.03"><freejoint/>
 <geom name="ball" type="sphere" size="0.02" density="2000"/></body></worldbody></mujoco>
@@ -140,15 +141,12 @@ def test_words_of_a_grid():
         (["--vary", "speed=1:2:3:4"], "FIRST:LAST:COUNT"),
         (["--vary", "speed=1,2", "speed=3"], "varied twice"),
         (["--vary", "speed=1,,2"], "empty value"),
-        (["--vary", "speed=1,2", "--points", "3"], "--points is for a sweep without --vary"),
         (["--vary", "speed=1,2", "--seed", "3"], "--seed is for --sample"),
         (["--vary", "speed=1,2", "--of", "train x"], "no experiment to sweep 'train'"),
         (["--vary", "speed=1,2", "--of", "impact --json"], "not within --of"),
-        (["--vary", "speed=1,2", "--of", "impact", "--law", "link"], "inside the quotes"),
         (["--vary", "speed=1,2", "--of", "impact --body chain:2"], "a chain cannot"),
         (["--vary", "speed=1,2", "--of", "drop nowhere.xml"], "no field to vary 'speed'"),
         (["--vary", "height=1,2", "--of", "drop nowhere.xml"], "nowhere.xml"),
-        (["--sample", "3"], "--sample is for --vary"),
         (["--chunk", "0"], "at least 1 task"),
         (["--address", "auto"], "say --engine ray too"),
         (["--resume", "--overwrite"], "overwrites nothing"),
@@ -187,7 +185,7 @@ def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
     command = ["sweep", "--vary", "speed=1:2:3", *FEW, "--out", str(tmp_path)]
     assert main([*command, "--resume"]) == 2
     assert "nothing to go on with" in capfd.readouterr().err
-    study = Study(QUICK, {"speed": [1.0, 1.5, 2.0]})
+    study = Study(replace(QUICK, speed=Impact.speed), {"speed": [1.0, 1.5, 2.0]})
     marked = {**run_study(Study(QUICK, {"speed": [1.5]}), workers=1).journal[0], "depth": -1.0}
     journal = journal_of(study, tmp_path)
     journal.keep([(1, marked)])
@@ -197,7 +195,7 @@ def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
     assert main([*other, "--resume"]) == 2
     assert "begun with another vary" in capfd.readouterr().err
     assert main([*command, "--resume"]) == 0
-    assert "1 of 3 runs are finished" in capfd.readouterr().err
+    assert "1 of 3 are finished" in capfd.readouterr().err
     assert [float(row["depth"]) > 0 for row in table(tmp_path / "sweep.csv")] == [
         True,
         False,  # not computed again
@@ -207,7 +205,15 @@ def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
 
 def test_a_run_that_fails_is_named_with_its_values_and_the_rest_is_there(tmp_path, capfd):
     # Explicit, with a step of 20 ms, at 5 m/s: unstable.
-    command = ["sweep", "--vary", "timestep=1e-4,2e-2", "--speed", "9", "--workers", "1"]
+    command = [
+        "sweep",
+        "--vary",
+        "timestep=1e-4,2e-2",
+        "--of",
+        "impact --speed 9",
+        "--workers",
+        "1",
+    ]
     assert main([*command, "--out", str(tmp_path / "run")]) == 2
     error = " ".join(capfd.readouterr().err.split())
     assert "number 1 (timestep=0.02): the run was stopped" in error
@@ -259,11 +265,11 @@ def test_a_law_of_ones_own_acts_in_worker_processes(tmp_path):
     (tmp_path / "my_mud.py").write_text(OWN)
     constants = get_medium("play_sand").constants_for("link")
     words = " ".join(f"{key}={value}" for key, value in constants.items())
-    command = [sys.executable, "-m", "mjgranular", "sweep", "--json", *FEW[:4], "--workers", "2"]
+    command = [sys.executable, "-m", "mjgranular", "sweep", "--json", "--workers", "2"]
 
     def depths(law):
         told = subprocess.run(
-            [*command, "--law", law, "--vary", "speed=1,2"],
+            [*command, "--of", f"{FEW[1]} --law '{law}'", "--vary", "speed=1,2"],
             cwd=tmp_path,
             capture_output=True,
             text=True,
@@ -276,8 +282,6 @@ def test_a_law_of_ones_own_acts_in_worker_processes(tmp_path):
 
 def test_a_machine_without_the_model_gets_it(tmp_path, monkeypatch):
     """As on another node: files of the model, a medium's file and a law's module come along."""
-    from dataclasses import replace
-
     from mjgranular.experiment import run_drop
     from mjgranular.experiment.baggage import pack, unpack
 

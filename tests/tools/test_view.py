@@ -45,7 +45,7 @@ def block(tmp_path: Path) -> Path:
 
 
 def test_what_is_shown_moves_as_under_sand_of_ones_own(block: Path) -> None:
-    shown = ViewCommand(block, instead_of=("floor",), surface_height=0.01).load()
+    shown = ViewCommand(model=block, instead_of=("floor",), surface_height=0.01).load()
     assert sands_in(shown) == ("sand",)
     assert shown.geom("floor").group == 5  # not to be seen in the plane of the sand
     bare = mujoco.MjModel.from_xml_string(BLOCK)
@@ -63,8 +63,8 @@ def test_what_is_shown_moves_as_under_sand_of_ones_own(block: Path) -> None:
 
 
 def test_prints_are_shown(block: Path) -> None:
-    assert ViewCommand(block, memory="0.02", instead_of=("floor",)).load().nskin == 1
-    assert ViewCommand(block, instead_of=("floor",)).load().nskin == 0
+    assert ViewCommand(model=block, memory="0.02", instead_of=("floor",)).load().nskin == 1
+    assert ViewCommand(model=block, instead_of=("floor",)).load().nskin == 0
 
 
 def test_a_model_with_sand_is_shown_with_that(
@@ -73,7 +73,7 @@ def test_a_model_with_sand_is_shown_with_that(
     spec = mujoco.MjSpec.from_string(BLOCK)
     add_sand(spec, medium="glass_beads", law="rft2d", name="mine")
     block.write_text(spec.to_xml())
-    assert sands_in(ViewCommand(block).load()) == ("mine",)
+    assert sands_in(ViewCommand(model=block).load()) == ("mine",)
     assert "sand of its own" in capsys.readouterr().err
 
 
@@ -90,12 +90,12 @@ def test_a_model_with_sand_is_shown_with_that(
 )
 def test_mistakes_are_told(block: Path, options: dict[str, Any], said: str) -> None:
     with pytest.raises((InputError, UnknownNameError), match=said):
-        ViewCommand(block, **options).load()
+        ViewCommand(model=block, **options).load()
 
 
 def test_a_file_that_is_none_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"MuJoCo cannot load nowhere\.xml"):
-        ViewCommand(tmp_path / "nowhere.xml").load()
+        ViewCommand(model=tmp_path / "nowhere.xml").load()
 
 
 def test_without_a_display_the_command_says_so(

@@ -1,0 +1,82 @@
+"""Options of commands that write a result, and what such commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mjgranular.cli.console import err, out, show_error
+from mjgranular.errors import GranularError, InputError, MissingExtraError, RenderError
+from mjgranular.experiment.folder import ResultFolder
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """Where results go."""
+
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for the results; nothing is written without it."""
+    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Replace a result that the folder holds already."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print JSON instead of a table."""
+
+    @contextmanager
+    def claimed(self, *names: str) -> Iterator[ResultFolder | None]:
+        """Claim the folder of `--out`; yield None without one.
+
+        Args:
+            *names: of all files that the result may have.
+
+        Raises:
+            OutputError: the folder holds a result already, or it cannot be written to.
+        """
+        if self.out is None:
+            yield None
+            return
+        with ResultFolder(self.out, names).claimed(overwrite=self.overwrite) as folder:
+            yield folder
+
+    def finish(self, problems: Sequence[GranularError] = ()) -> int:
+        """Say where the result is, and what could not be drawn; return the exit status."""
+        if self.out is not None and not self.json:
+            out.print(f"written to {self.out}", highlight=False, markup=False)
+        for problem in problems:
+            show_error(f"{problem} (the numbers are in {self.out})")
+        return 2 if problems else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmOptions(OutputOptions):
+    """Where results go, and whether a film is one of them."""
+
+    video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Write a film into the folder."""
+    camera: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Camera of the film: side, close or corner of the link; one of a model's, or free."""
+
+    def check_film(self) -> None:
+        """Raise if options of a film are given and no film can be written."""
+        if self.video and self.out is None:
+            raise InputError("--video needs a folder to write to: add --out DIR")
+        if self.camera is not None and not self.video:
+            raise InputError("--camera is for a film: add --video")
+
+
+@contextmanager
+def collected(problems: list[GranularError]) -> Iterator[None]:
+    """Append the error to a list if something cannot be drawn, and continue after the block."""
+    try:
+        yield
+    except (MissingExtraError, RenderError) as error:
+        problems.append(error)
+
+
+def note(text: str) -> None:
+    """Print a remark to standard error."""
+    err.print(text, highlight=False, markup=False)
