@@ -39,7 +39,9 @@ class EngineOptions(OutputOptions):
     def check_resume(self) -> None:
         """Raise if `--resume` contradicts other options."""
         if self.resume and (self.out is None or self.overwrite):
-            raise InputError("--resume goes on with the folder of --out, and overwrites nothing")
+            raise InputError(
+                "--resume continues in the folder of --out: add --out DIR, omit --overwrite"
+            )
 
     @contextmanager
     def resumable(self, journal: Journal, *names: str) -> Iterator[ResultFolder | None]:
@@ -60,8 +62,8 @@ class EngineOptions(OutputOptions):
             fault = journal.fault() if self.resume else None
             if fault is not None:
                 raise OutputError(
-                    f"{self.out} has nothing to go on with ({UNFINISHED}: {fault}): give the "
-                    "options that it was begun with, or start over without --resume"
+                    f"{self.out} has nothing to resume ({UNFINISHED}: {fault}): give the "
+                    "options that it was started with, or start over without --resume"
                 )
             claim = ResultFolder(self.out, (*names, UNFINISHED))
             with claim.claimed(overwrite=self.overwrite, goes_on=journal.goes_on) as folder:
@@ -79,7 +81,7 @@ class EngineOptions(OutputOptions):
 
     def show_interrupted(self, journal: Journal, stopped_by: int | None) -> int:
         """Say how far an interrupted run came; return the exit status."""
-        kept = f", kept in {self.out}; the same command goes on" if self.out else ""
+        kept = f", kept in {self.out}; the same command resumes it" if self.out else ""
         where = kept if journal.count else ""
         show_error(f"interrupted: {journal.count} of {len(journal)} are finished{where}")
         return 2 if stopped_by is None else 128 + stopped_by

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -13,7 +13,7 @@ from mjgranular.cli import drop as models
 from mjgranular.cli.console import out, print_json, progress_bar, table
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.options import given_options, option, options_of, record_of
-from mjgranular.cli.results import FilmOptions, collected, note
+from mjgranular.cli.results import FilmOptions, OutputOptions, collected, note
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import CASES, Impact, ImpactResult, reproduce, run_drop, run_impact
 from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
@@ -81,8 +81,10 @@ class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
 
     def experiment(self) -> Impact:
         """Return what is asked for."""
+        if self.paper:
+            raise InputError("--paper has its own drops: a sweep takes one experiment")
         if chain_length(self.body) is not None:
-            raise InputError("a chain cannot be swept over: write it as a model, for --of drop")
+            raise InputError("a sweep cannot drop a chain: write it as a model, for --of drop")
         return record_of(Impact, self)
 
     def _film(self, impact: Impact) -> Film:
@@ -122,9 +124,12 @@ class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
 
     def _run_paper(self) -> int:
         """Run the paper's six drops."""
-        for name in given_options(self, "speed", "angle", "body", "until", "video", "camera"):
-            raise InputError(f"--paper has its own drops: leave {option(name)} away")
-        base = self.experiment()
+        free = ["paper", "timestep", "scheme", "law"]
+        free += [each.name for each in fields(OutputOptions)]
+        fixed = [each.name for each in fields(self) if each.name not in free]
+        for name in given_options(self, *fixed):
+            raise InputError(f"--paper has its own drops: omit {option(name)}")
+        base = record_of(Impact, self)
         figures = {case: f"figure_{case.figure}.png" for case in CASES}
         problems: list[GranularError] = []
         with self.claimed(CONFIG, SUMMARY, *figures.values()) as folder:

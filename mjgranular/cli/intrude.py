@@ -50,12 +50,10 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
     def experiment(self) -> Intrusion:
         """Return what is asked for."""
         for name in given_options(self, "intruder", "size") if self.model is not None else ():
-            raise InputError(
-                f"the intruder is a shape or of a model: leave --model or --{name} away"
-            )
+            raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
         if self.distance is not None and given_options(self, "depth"):
             raise InputError(
-                "--depth and --distance both say where the path ends: leave one of the two away"
+                "--depth and --distance both say where the path ends: omit one of the two"
             )
         return record_of(Intrusion, self)
 

@@ -49,7 +49,7 @@ class SweepCommand(EngineOptions):
     """Run an experiment many times, with any of its fields varied; by default as in Fig. 5.
 
     The runs are spread over the cores, or with --engine ray over a cluster. Ctrl-C ends the sweep;
-    with --out what is finished is kept, and the same command goes on.
+    with --out what is finished is kept, and the same command resumes it.
     """
 
     vary: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES ...")] = ("speed=1:10:19",)
@@ -74,7 +74,7 @@ class SweepCommand(EngineOptions):
         study = self._study()
         if self.table == "parquet":
             if self.out is None:
-                raise InputError("--table is of the folder of --out")
+                raise InputError("--table needs a folder to write to: add --out DIR")
             need_parquet()
         journal = journal_of(study, self.out)
         names = (CONFIG, SUMMARY, "sweep.csv", "sweep.parquet", "sweep.png")
@@ -174,8 +174,9 @@ def _draw(folder: ResultFolder, result: StudyResult) -> None:
         for name in wanted:
             columns[name].append(row.get(name))
     first = next(result.rows())
-    fixed = [f"{first[name]}" for name in ("medium", "law") if name not in study.vary]
-    title = ", ".join([study.experiment.title, *fixed])
+    fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
+    words = [text for name, text in fixed.items() if name not in study.vary]
+    title = ", ".join([study.experiment.title, *words])
     folder.write(
         "sweep.png",
         lambda path: draw_study(
@@ -267,10 +268,12 @@ def read_experiment(text: str, varied: Iterable[str] = ()) -> Experiment:
         registry=number_rules(),
     )
     for name in given_options(command, *_OUTPUTS):
-        raise InputError(f"--{name} is of the sweep and not of each of its runs: not within --of")
+        raise InputError(
+            f"--{name} is an option of the sweep, not of its runs: omit it within --of"
+        )
     for name in given_options(command, *varied):
         raise InputError(
-            f"{name} is varied, and {option(name)} {shown(getattr(command, name))} fixes it: leave "
-            "one of the two away"
+            f"{name} is varied, and {option(name)} {shown(getattr(command, name))} fixes it: omit "
+            "one of the two"
         )
     return command.experiment()

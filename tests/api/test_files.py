@@ -366,7 +366,7 @@ def test_workers_end_with_a_sweep_that_is_ended_and_its_rows_are_kept(number, tm
     assert not workers_of(process.pid)
     assert (tmp_path / UNFINISHED).read_text().count("\n") >= 2
     if number == signal.SIGTERM:
-        assert "the same command goes on" in said
+        assert "the same command resumes it" in said
         assert json.loads((tmp_path / "config.json").read_text())["config"]["interrupted"] is True
 
 

@@ -505,9 +505,9 @@ def test_an_evaluation_goes_on_and_that_of_another_policy_does_not(trained, tmp_
     command = ["evaluate", str(trained.path), "--on", "g=5.0", "--seeds", "2", "--json"]
     kept = [*command, "--out", str(tmp_path / "scores"), "--resume"]
     assert main(kept) == 2
-    assert "nothing to go on with" in capfd.readouterr().err
+    assert "nothing to resume" in capfd.readouterr().err
     assert main([*command, "--resume"]) == 2
-    assert "--resume goes on with the folder of --out" in capfd.readouterr().err
+    assert "--resume continues in the folder of --out" in capfd.readouterr().err
     actor = find_actor(str(trained.path))
     evaluation = Evaluation([Job(actor), Job(actor, "g=5.0")], 2)
     (tmp_path / "scores").mkdir()

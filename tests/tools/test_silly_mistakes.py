@@ -166,7 +166,7 @@ intrude --size 0 | the size must be positive and finite
 intrude --geom foot | --geom names a geom of a model: give the model too
 intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
 intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world: an intruder is a
-intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: leave --model
+intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: omit --model
 sweep --vary mass=1,2 | no field to vary 'mass'; there are:
 sweep --vary speed=2:2:3 | a range goes from its lower to its upper end, not from 2.0 to 2.0
 sweep --vary speed=1:2:1 | from 2 to 1000000 values, not 1
@@ -238,12 +238,14 @@ warm --bodies block | --bodies is of a model: name a MODEL.xml too
 warm --bed tray | --bed is of a model: name a MODEL.xml too
 warm --env mjgranular/Hexapod-v0 --law rft3d | --law goes with a MODEL.xml: an environment has its
 sweep --speed 3 | Unrecognized or misplaced options: --speed
-sweep --of "impact --speed 2" | speed is varied, and --speed 2.0 fixes it: leave one of the
+sweep --of "impact --speed 2" | speed is varied, and --speed 2.0 fixes it: omit one of the
 sweep --vary angle=10:30:3 --of "impact --angle 20" | angle is varied, and --angle 20.0 fixes it
 sweep --vary height=1:3:3 --of "impact --height 2" | height is varied, and --height 2.0 fixes it
-sweep --of "drop block.xml --velocity 3" --vary velocity=1,2 | --velocity 3.0 fixes it: leave one
+sweep --of "drop block.xml --velocity 3" --vary velocity=1,2 | --velocity 3.0 fixes it: omit one
+sweep --of "impact --paper" | --paper has its own drops: a sweep takes one experiment
 sweep --workers -1 | a run needs at least 1 worker, not -1
-impact --paper --speed 3 | --paper has its own drops: leave --speed away
+impact --paper --speed 3 | --paper has its own drops: omit --speed
+impact --paper --length 0.1 | --paper has its own drops: omit --length
 intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) either way, not 400
 intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 rad)
 intrude --depth 0.05 --distance 0.2 | --depth and --distance both say where the path ends

@@ -143,13 +143,13 @@ def test_words_of_a_grid():
         (["--vary", "speed=1,,2"], "empty value"),
         (["--vary", "speed=1,2", "--seed", "3"], "--seed is for --sample"),
         (["--vary", "speed=1,2", "--of", "train x"], "no experiment to sweep 'train'"),
-        (["--vary", "speed=1,2", "--of", "impact --json"], "not within --of"),
-        (["--vary", "speed=1,2", "--of", "impact --body chain:2"], "a chain cannot"),
+        (["--vary", "speed=1,2", "--of", "impact --json"], "omit it within --of"),
+        (["--vary", "speed=1,2", "--of", "impact --body chain:2"], "a sweep cannot drop a chain"),
         (["--vary", "speed=1,2", "--of", "drop nowhere.xml"], "no field to vary 'speed'"),
         (["--vary", "height=1,2", "--of", "drop nowhere.xml"], "nowhere.xml"),
         (["--chunk", "0"], "at least 1 task"),
         (["--address", "auto"], "say --engine ray too"),
-        (["--resume", "--overwrite"], "overwrites nothing"),
+        (["--resume", "--overwrite"], "omit --overwrite"),
     ],
 )
 def test_mistakes_on_the_command_line(arguments, words, tmp_path, capfd):
@@ -184,7 +184,7 @@ def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
 
     command = ["sweep", "--vary", "speed=1:2:3", *FEW, "--out", str(tmp_path)]
     assert main([*command, "--resume"]) == 2
-    assert "nothing to go on with" in capfd.readouterr().err
+    assert "nothing to resume" in capfd.readouterr().err
     study = Study(replace(QUICK, speed=Impact.speed), {"speed": [1.0, 1.5, 2.0]})
     marked = {**run_study(Study(QUICK, {"speed": [1.5]}), workers=1).journal[0], "depth": -1.0}
     journal = journal_of(study, tmp_path)
