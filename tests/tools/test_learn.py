@@ -518,7 +518,7 @@ def test_an_evaluation_goes_on_and_that_of_another_policy_does_not(trained, tmp_
     assert "begun with another first_seed" in capfd.readouterr().err
     assert main(kept) == 0
     captured = capfd.readouterr()
-    assert "1 parts are finished" in captured.err
+    assert "1 of 2 are finished" in captured.err
     first, second = json.loads(captured.out)
     assert second["return"]["values"] == [-1.0, -2.0]  # not computed again
     alone = evaluate("", actor.make, ID, {}, seeds=2)
