@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -27,6 +29,14 @@ _RINGS, _AROUND = 4, 8  # rays: angles to the normal, and directions for each; c
 # geom within so far is the facet. Chosen.
 _TOUCH, _ITSELF = 1e-6, 1e-2
 
+_CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5))  # where rays start, in half edges
+_SPREAD = 0.46  # tangent of the angle to the normal that no ray exceeds
+
+# Of what a ray meets so many parts count, one behind the other; arcs are followed in so many chords
+# of so many radians. Chosen.
+_WALLS, _CHORDS, _CHORD = 4, 6, math.radians(15)
+
+_SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
@@ -124,8 +134,9 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
     """Return the share of each facet that meets sand which does not move along, shape (n,).
 
     A face in front of which another part of the same rigid body stands is sheltered: the sand
-    between them moves with the body. Exposed is the share of rays that meet no such part. Across a
-    joint nothing is sheltered.
+    between them moves with the body. With f_k the share of rays that meet a k-th part, each with
+    sand before it, the product of all 1 - f_k is exposed. Rays of a body on one hinge run in arcs
+    around it. Across a joint nothing is sheltered.
 
     Args:
         model: the model.
@@ -135,41 +146,201 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
     exposed = np.ones(len(facets))
     points, normals, edges = _placed(data, facets)
     welds = model.body_weldid[facets["body"]]
-    directions = _lobe()
-    seen = copy.copy(model)  # rays meet what is visible
-    seen.geom_rgba[:, 3], seen.geom_matid[:] = 1.0, -1
-    group = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-    hit, distance = np.zeros(len(directions), np.int32), np.zeros(len(directions))
-    slant = np.zeros(3 * len(directions))
+    sight, directions = _Sight(model, data), _lobe()
     for weld in np.unique(welds):
         mine = np.flatnonzero(welds == weld)
         geoms = np.unique(facets["geom"][mine])
         if len(geoms) == 1 and model.geom_type[geoms[0]] != _MESH:
             continue  # one convex skin
-        seen.geom_group[:] = 1
-        seen.geom_group[geoms] = 0
+        sight.show(geoms)
+        hinge = _hinge(model, weld)
+        reach = np.linalg.norm(edges[mine], axis=2).sum(axis=1)
         for row in mine:
             n, (first, second) = normals[row], edges[row]
+            if not _anything_ahead(points[row], n, points[mine], reach, hinge):
+                continue
             # The middle of a patch lies within a bulging skin: so far, at most.
             bulge = np.linalg.norm(edges[row], axis=1) @ np.linalg.norm(
                 facets["spread"][row], axis=1
             )
-            least = _ITSELF * facets["width"][row]
-            start = points[row] + (bulge + _TOUCH * facets["width"][row]) * n
-            rays = directions @ np.vstack([_axes_across(n, first), n])
-            free = []
-            for s, t in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)):
-                mujoco.mj_multiRay(
-                    seen, data, start + s * first + t * second, rays.ravel(), group, True, -1, hit,
-                    distance, slant, len(rays), mujoco.mjMAXVAL,
-                )  # fmt: skip
-                # A ray that leaves the geom's own skin from within has not been stopped, nor has
-                # one that meets the facet itself by rounding.
-                leaves = np.einsum("ni,ni->n", slant.reshape(-1, 3), rays) > 0
-                itself = (hit == facets["geom"][row]) & (leaves | (distance < least))
-                free.append(((hit < 0) | itself).mean())
-            exposed[row] = np.mean(free)
+            width = facets["width"][row]
+            start = points[row] + (bulge + _TOUCH * width) * n
+            axes = np.vstack([_axes_across(n, first), n])
+            met = []
+            for s, t in _CORNERS:
+                at = start + s * first + t * second
+                for ray in sight.not_free(at, directions @ axes, hinge):
+                    met.append(sight.walls(at, ray, n, hinge, facets["geom"][row], width))
+            rays = len(_CORNERS) * len(directions)
+            exposed[row] = np.prod(1.0 - np.sum(met, axis=0) / rays)
     return exposed
+
+
+class _Sight:
+    """What rays meet of one rigid body."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = copy.copy(model), data
+        self._model.geom_rgba[:, 3], self._model.geom_matid[:] = 1.0, -1  # rays meet what is visible
+        self._size = 0.0
+        self._hit, self._normal = np.zeros(1, np.int32), np.zeros(3)
+
+    def show(self, geoms: np.ndarray) -> None:
+        """Let rays meet these geoms only."""
+        self._model.geom_group[:] = 2
+        self._model.geom_group[geoms] = 1
+        far = np.linalg.norm(self._data.geom_xpos[geoms], axis=1) + self._model.geom_rbound[geoms]
+        self._size = float(far.max())
+
+    def not_free(self, at: np.ndarray, rays: np.ndarray, hinge: _Hinge | None) -> np.ndarray:
+        """Return the rays from a point that may meet something: of straight ones those that do."""
+        if hinge is not None:
+            return rays
+        hit, far = np.zeros(len(rays), np.int32), np.zeros(len(rays))
+        mujoco.mj_multiRay(
+            self._model, self._data, at, rays.ravel(), _SHOWN, True, -1, hit, far, None, len(rays),
+            mujoco.mjMAXVAL,
+        )  # fmt: skip
+        return rays[hit >= 0]
+
+    def _first(self, at: np.ndarray, way: np.ndarray, group: np.ndarray = _SHOWN) -> tuple[float, int, bool]:
+        """Return how far the first skin is, in parts of `way`, its geom, and whether it is entered."""
+        far = mujoco.mj_ray(
+            self._model, self._data, at, way, group, True, -1, self._hit, self._normal
+        )
+        return far, int(self._hit[0]), bool(self._normal @ way < 0)
+
+    def _leaves(self, geom: int, at: np.ndarray, way: np.ndarray) -> float:
+        """Return where a ray that has entered a geom leaves it, in parts of `way`."""
+        self._model.geom_group[geom] = 0
+        far = self._first(at, way, _ALONE)[0]
+        self._model.geom_group[geom] = 1
+        return max(far, 0.0)
+
+    def walls(
+        self,
+        at: np.ndarray,
+        ray: np.ndarray,
+        n: np.ndarray,
+        hinge: _Hinge | None,
+        own: int,
+        width: float,
+    ) -> np.ndarray:
+        """Return the walls that a ray meets, one after the other, shape (_WALLS,).
+
+        A wall counts in full, 1, where it faces the facet within 60 degrees and, behind another,
+        has as much sand before it as the first has.
+
+        Args:
+            at: where it starts [m].
+            ray: its direction.
+            n: normal of the facet.
+            hinge: around which it runs, or None.
+            own: geom of the facet that it starts from.
+            width: of that geom [m].
+        """
+        met, count = np.zeros(_WALLS), 0
+        passed, end, nearest = 0.0, 0.0, 0.0  # way before the chord, end of the last wall [m]
+        touch = _TOUCH * width
+        for here, way, turned in _chords(at, ray, n, hinge, self._size):
+            length = float(np.linalg.norm(way))
+            x, step = 0.0, touch / length
+            while x < 1.0 and count < _WALLS:
+                far, geom, enters = self._first(here + x * way, way)
+                if far < 0 or x + far > 1.0:
+                    break
+                x += far
+                place = passed + x * length
+                if not enters:
+                    if not (count == 0 and geom == own):
+                        if count == 0:  # it began inside another geom
+                            met[0], count = 1.0, 1
+                        end = place
+                    x += step
+                    continue
+                itself = count == 0 and geom == own and place < _ITSELF * width
+                gap = place - end
+                if not itself and (count == 0 or gap > touch):
+                    nearest = nearest if count else gap
+                    met[count] = min(1.0, gap / nearest) if nearest > 0 else 1.0
+                    met[count] *= min(1.0, max(0.0, -2.0 * float(self._normal @ turned)))
+                    count += 1
+                x += step + self._leaves(geom, here + (x + step) * way, way)
+                x = min(x, 1.0)
+                end = passed + x * length
+                x += step
+            passed += length
+        return met
+
+
+class _Hinge(NamedTuple):
+    """A hinge in the frame of its rigid body."""
+
+    anchor: np.ndarray
+    axis: np.ndarray
+
+    def frame(self, at: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the distance from the axis [m] and the axes out, around and along, as rows."""
+        out = at - self.anchor
+        out = out - (out @ self.axis) * self.axis
+        radius = float(np.linalg.norm(out))
+        axes = _axes_across(self.axis, out)
+        return radius, np.stack([axes[0], np.cross(self.axis, axes[0]), self.axis])
+
+
+def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
+    """Return the hinge of a rigid body that has one and no other joint."""
+    joint = model.body_jntadr[weld]
+    if model.body_jntnum[weld] != 1 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        return None
+    return _Hinge(model.jnt_pos[joint].copy(), model.jnt_axis[joint].copy())
+
+
+def _chords(
+    at: np.ndarray, ray: np.ndarray, n: np.ndarray, hinge: _Hinge | None, size: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield the chords of a ray, one or those of its arc: starts [m], ways [m], and n turned along."""
+    length = 2.0 * size
+    if hinge is None:
+        yield at, length * ray, n
+        return
+    radius, axes = hinge.frame(at)
+    out, around, along = axes @ ray
+    if abs(around) * length < _CHORD * radius or radius == 0.0:
+        yield at, length * ray, n
+        return
+    step, begin = min(length, _CHORD * radius / abs(around)), at
+    middle, parts = at - radius * axes[0], axes @ n
+    for k in range(1, _CHORDS + 1):
+        way = k * step
+        angle, half = around * way / radius, around * (way - 0.5 * step) / radius
+        end = middle + (radius + out * way) * _turned(angle, axes)[0] + along * way * axes[2]
+        yield begin, end - begin, parts @ _turned(half, axes)
+        begin = end
+
+
+def _turned(angle: float, axes: np.ndarray) -> np.ndarray:
+    """Return axes out, around and along a hinge after a turn around the last."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ axes
+
+
+def _anything_ahead(
+    at: np.ndarray, n: np.ndarray, others: np.ndarray, reach: np.ndarray, hinge: _Hinge | None
+) -> bool:
+    """Return whether rays from a facet can meet others, of which these are middles and extents."""
+    away = others - at
+    if hinge is not None:
+        radius, axes = hinge.frame(at)
+        away = (others - hinge.anchor) @ axes.T
+        far = np.hypot(away[:, 0], away[:, 1])
+        angle = np.arctan2(away[:, 1], away[:, 0])
+        along = away[:, 2] - (at - hinge.anchor) @ hinge.axis
+        away = np.stack([far - radius, radius * angle, along], -1) @ axes
+        reach = reach * np.maximum(1.0, radius / np.maximum(far, 1e-12))
+    ahead = away @ n
+    aside = np.linalg.norm(away - ahead[:, None] * n, axis=1)
+    return bool(((ahead + reach > 0) & (aside - reach < _SPREAD * (ahead + reach))).any())
 
 
 def _lobe() -> np.ndarray:
