@@ -227,6 +227,13 @@ class _Sight:
         self._model.geom_group[geom] = 1
         return max(far, 0.0)
 
+    def _is_within(self, geom: int, at: np.ndarray, way: np.ndarray) -> bool:
+        """Return whether a ray that meets a geom comes from within another: then it leaves that."""
+        self._model.geom_group[geom] = 2
+        far, _, enters = self._first(at, way)
+        self._model.geom_group[geom] = 1
+        return far >= 0 and not enters
+
     def walls(
         self, at: np.ndarray, ray: np.ndarray, arc: _Arc | None, own: int, width: float
     ) -> np.ndarray:
@@ -263,6 +270,8 @@ class _Sight:
                     continue
                 itself = count == 0 and geom == own and place < _ITSELF * width
                 gap = place - end
+                if count and gap > touch and self._is_within(geom, here + (x - far) * way, way):
+                    gap = 0.0
                 if not itself and (count == 0 or gap > touch):
                     nearest = nearest if count else gap
                     met[count] = min(1.0, gap / nearest) if nearest > 0 else 1.0
