@@ -25,7 +25,7 @@ _MOST = 4000  # facets of a plane that are compared in pairs, else they are one 
 # Fitted to plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
 _FOCUS = 20.0
 _RINGS = 4  # angles of rays to the normal, two opposite ones at each; chosen
-# Rays start so far outside, in parts of the geom's width, and what they meet of the facet's own
+# Rays start so far outside, in parts of the geom's width, and what they graze of the facet's own
 # geom within so far is the facet. Chosen.
 _TOUCH, _ITSELF = 1e-6, 1e-2
 
@@ -268,7 +268,8 @@ class _Sight:
                         end = place
                     x += step
                     continue
-                itself = count == 0 and geom == own and place < _ITSELF * width
+                near = count == 0 and geom == own and place < _ITSELF * width
+                itself = near and float(self._normal @ ray) > -0.5  # not the far side of a slit
                 gap = place - end
                 if count and gap > touch and self._is_within(geom, here + (x - far) * way, way):
                     gap = 0.0

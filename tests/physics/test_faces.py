@@ -58,6 +58,42 @@ def test_narrow_gaps_leave_a_bar_what_it_is(law, gap):
     assert ratio == pytest.approx(np.ones(4), abs=0.02)
 
 
+@pytest.mark.parametrize("depth", [1e-9, 0.005, 0.0133, 0.02])
+def test_inertia_acts_on_what_is_in_the_sand(depth):
+    # An upright plate of 40 x 40 mm at 2 m/s, cut coarsely and finely.
+    plate = f'<geom type="box" size=".002 .02 .02" pos="0 0 {0.07 - depth}"/>'
+    model = model_of(plate, joint='<joint type="slide" axis="1 0 0" armature="1e5"/>')
+    data, found = mujoco.MjData(model), []
+    data.qvel[0] = 2.0
+    for resolution in (None, 64):
+        sand = Sand(model, medium="quikrete_medium", resolution=resolution)
+        found.append(-sand.report(data)["b"].force[0])
+    assert found[0] == pytest.approx(found[1], rel=0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize("gap", [1e-5, 3e-4, 1e-3])
+def test_a_slit_in_a_mesh_is_one_between_boxes(gap):
+    corners = np.array([(x, y, z) for x in (0, 0.01) for y in (-0.02, 0.02) for z in (0, 0.04)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    aside = np.array([gap / 2, 0, 0])
+    vertices = np.concatenate([corners - (0.01, 0, 0) - aside, corners + aside])
+    faces = np.concatenate([faces, faces + 8])
+    asset = (
+        f'<asset><mesh name="m" inertia="exact" vertex="{" ".join(map(str, vertices.ravel()))}" '
+        f'face="{" ".join(map(str, faces.ravel()))}"/></asset>'
+    )
+    boxes = "".join(
+        f'<geom type="box" size=".005 .02 .02" pos="{x} 0 .02"/>'
+        for x in (-0.005 - gap / 2, 0.005 + gap / 2)
+    )
+    areas = []
+    for model in (model_of('<geom type="mesh" mesh="m"/>', asset), model_of(boxes)):
+        facets = facets_from_model(model, range(model.ngeom))
+        areas.append(facets["area"][np.abs(facets["normal"][:, 0]) > 0.9].sum())
+    assert areas[0] == pytest.approx(areas[1], rel=0.02)
+
+
 RADIUS, THICK, BROAD = 0.038, 0.004, 0.025
 
 
