@@ -18,7 +18,7 @@ from mjgranular.law.facet_slope import (
     simple_slope_kernel,
 )
 from mjgranular.law.kernel import AddedMass, LawKernel
-from mjgranular.law.patch import wet_part
+from mjgranular.law.patch import wet_part, wet_share
 from mjgranular.law.raised import not_raised
 
 LANES = 8
@@ -135,8 +135,10 @@ def facet_kernel(
         if all_of(lowered > reach):  # in the sand as a whole, like most
             scale = _THIRD / lowered
             mean, s, t = lowered, rise_1 * scale, rise_2 * scale
+            share = choose(lowered > reach, 1.0, 0.0)
         else:
             mean, s, t = wet_part(lowered, rise_1, rise_2)
+            share = wet_share(lowered, rise_1, rise_2)
         # The force acts at the wet part's centre of pressure.
         centre = point + pose.rotation @ (s * edge_1 + t * edge_2)
         if not is_plane and mean > 0.0 and middle <= 0.0:
@@ -156,7 +158,7 @@ def facet_kernel(
             rise_2,
             mean,
             facet.area * raised(law, facet, pose, centre, outward, up, mean, g),
-            choose(depth <= 0.0, 0.0, law.inertia * facet.area),
+            choose(depth <= 0.0, 0.0, law.inertia * facet.area * share),
             moved(law, facet, dot(outward, up), mean),
             _ENTRY * facet.face,
         )

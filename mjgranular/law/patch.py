@@ -124,3 +124,22 @@ def wet_part(depth, a, b):
         choose(is_dry, 0.0, choose(a < 0.0, -s, s)),
         choose(is_dry, 0.0, choose(b < 0.0, -t, t)),
     )
+
+
+@partial(compiled, inline=True)
+def wet_share(depth, a, b):
+    """Share of a facet's area in the sand: the derivative of its mean depth (`wet_part`) by depth.
+
+    Args:
+        depth: of the facet's middle [m].
+        a: its rise along the first half edge [m].
+        b: its rise along the second [m].
+    """
+    size_a, size_b, size = abs(a), abs(b), abs(depth)
+    first = size_a >= size_b
+    h, k = choose(first, size_a, size_b), choose(first, size_b, size_a)
+    q, is_wet = h + k - size, depth > 0.0
+    corner = 0.125 * (q / h) * (q / k)
+    share = choose(is_wet, 1.0 - corner, corner)
+    share = choose(size <= h - k, 0.5 + 0.5 * depth / h, share)
+    return choose(q <= 0.0, choose(is_wet, 1.0, 0.0), share)

@@ -1,12 +1,11 @@
 """Passivity: over a step the sand gives no energy, also where the solver stops short.
 
 With the sand's momentum j = h J^T f and the velocity v' that the step ends with, its work is
-j . v'. At a solution no element's force has a positive part in it, but for what sand in motion
-gives of its energy E (`scheme.added`). Where the solver stops short, forces are bounded by the
-law's, but need not oppose the velocities that they lead to: then the largest share sigma of them is
-taken with
+j . v'. At a solution no element's force has a positive part in it. Where the solver stops short,
+forces are bounded by the law's, but need not oppose the velocities that they lead to: then the
+largest share sigma of them is taken with
 
-    j . v'(sigma) <= E,    A (v'(sigma) - v) = h (q + q_c(v'(sigma))) + sigma j.
+    j . v'(sigma) <= 0,    A (v'(sigma) - v) = h (q + q_c(v'(sigma))) + sigma j.
 """
 
 from __future__ import annotations

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,11 +24,19 @@ _MOST = 4000  # facets of a plane that are compared in pairs, else they are one 
 # Rays from a facet go into the directions around its normal with the weight cos(angle)^_FOCUS.
 # Fitted to plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
 _FOCUS = 20.0
-_RINGS, _AROUND = 4, 8  # rays: angles to the normal, and directions for each; chosen
-# Rays start so far outside, in parts of the geom's width, and what they meet of the facet's own
+_RINGS = 4  # angles of rays to the normal, two opposite ones at each; chosen
+# Rays start so far outside, in parts of the geom's width, and what they graze of the facet's own
 # geom within so far is the facet. Chosen.
 _TOUCH, _ITSELF = 1e-6, 1e-2
 
+_CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5))  # where rays start, in half edges
+_SPREAD = 0.46  # tangent of the angle to the normal that no ray exceeds
+
+# Of what a ray meets so many parts count, one behind the other; arcs are followed in so many chords
+# of so many radians. Chosen.
+_WALLS, _CHORDS, _CHORD = 4, 4, math.radians(22.5)
+
+_SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]))
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
@@ -124,8 +134,12 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
     """Return the share of each facet that meets sand which does not move along, shape (n,).
 
     A face in front of which another part of the same rigid body stands is sheltered: the sand
-    between them moves with the body. Exposed is the share of rays that meet no such part. Across a
-    joint nothing is sheltered.
+    between them moves with the body. With f_k the share of rays that meet a k-th wall, exposed is
+
+        (1 - f_1) (1 - (1 - f_1) f_2) (1 - (1 - f_1) f_3) ...
+
+    Where the body turns on a hinge, rays run in arcs around it, as the sand does past the body.
+    Across a joint nothing is sheltered.
 
     Args:
         model: the model.
@@ -135,51 +149,241 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
     exposed = np.ones(len(facets))
     points, normals, edges = _placed(data, facets)
     welds = model.body_weldid[facets["body"]]
-    directions = _lobe()
-    seen = copy.copy(model)  # rays meet what is visible
-    seen.geom_rgba[:, 3], seen.geom_matid[:] = 1.0, -1
-    group = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-    hit, distance = np.zeros(len(directions), np.int32), np.zeros(len(directions))
-    slant = np.zeros(3 * len(directions))
+    sight, directions = _Sight(model, data), _lobe()
     for weld in np.unique(welds):
         mine = np.flatnonzero(welds == weld)
         geoms = np.unique(facets["geom"][mine])
         if len(geoms) == 1 and model.geom_type[geoms[0]] != _MESH:
             continue  # one convex skin
-        seen.geom_group[:] = 1
-        seen.geom_group[geoms] = 0
-        for row in mine:
-            n, (first, second) = normals[row], edges[row]
-            # The middle of a patch lies within a bulging skin: so far, at most.
-            bulge = np.linalg.norm(edges[row], axis=1) @ np.linalg.norm(
-                facets["spread"][row], axis=1
-            )
-            least = _ITSELF * facets["width"][row]
-            start = points[row] + (bulge + _TOUCH * facets["width"][row]) * n
-            rays = directions @ np.vstack([_axes_across(n, first), n])
-            free = []
-            for s, t in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)):
-                mujoco.mj_multiRay(
-                    seen, data, start + s * first + t * second, rays.ravel(), group, True, -1, hit,
-                    distance, slant, len(rays), mujoco.mjMAXVAL,
-                )  # fmt: skip
-                # A ray that leaves the geom's own skin from within has not been stopped, nor has
-                # one that meets the facet itself by rounding.
-                leaves = np.einsum("ni,ni->n", slant.reshape(-1, 3), rays) > 0
-                itself = (hit == facets["geom"][row]) & (leaves | (distance < least))
-                free.append(((hit < 0) | itself).mean())
-            exposed[row] = np.mean(free)
+        sight.show(geoms)
+        hinge = _hinge(model, weld)
+        frames = np.concatenate([edges[mine], normals[mine, None]], axis=1)
+        # The middle of a patch lies within a bulging skin: so far, at most.
+        bulges = np.einsum(
+            "ni,ni->n", *(np.linalg.norm(facets[k][mine], axis=2) for k in ("edges", "spread"))
+        )
+        for k, row in enumerate(mine):
+            others = facets["geom"][mine] != facets["geom"][row]
+            if model.geom_type[facets["geom"][row]] == _MESH:
+                others = mine != row
+            seen = _unrolled(hinge, k, points[mine], frames)
+            if not _anything_ahead(k, others, *seen, bulges):
+                continue
+            n, (first, second), width = normals[row], edges[row], facets["width"][row]
+            start = points[row] + (bulges[k] + _TOUCH * width) * n
+            axes = np.vstack([_axes_across(n, first), n])
+            met = []
+            for s, t in _CORNERS:
+                at = start + s * first + t * second
+                rays = (directions * np.sign((s, t, 1.0))) @ axes  # mirrored: so is the body's twin
+                arc = hinge and hinge.frame(at)
+                for ray in sight.not_free(at, rays) if arc is None else rays:
+                    met.append(sight.walls(at, ray, arc, facets["geom"][row], width))
+            if met:
+                share = np.sum(met, axis=0) / (len(_CORNERS) * len(directions))
+                share[1:] *= 1.0 - share[0]
+                exposed[row] = np.prod(1.0 - share)
     return exposed
+
+
+class _Sight:
+    """What rays meet of one rigid body."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = copy.copy(model), data
+        self._model.geom_rgba[:, 3], self._model.geom_matid[:] = 1.0, -1  # what is visible is met
+        self._size = 0.0
+        self._hit, self._normal = np.zeros(1, np.int32), np.zeros(3)
+
+    def show(self, geoms: np.ndarray) -> None:
+        """Let rays meet these geoms only."""
+        self._model.geom_group[:] = 2
+        self._model.geom_group[geoms] = 1
+        far = np.linalg.norm(self._data.geom_xpos[geoms], axis=1) + self._model.geom_rbound[geoms]
+        self._size = float(far.max())
+
+    def not_free(self, at: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        """Return the rays from a point that meet something."""
+        hit, far = np.zeros(len(rays), np.int32), np.zeros(len(rays))
+        mujoco.mj_multiRay(
+            self._model, self._data, at, rays.ravel(), _SHOWN, True, -1, hit, far, None, len(rays),
+            mujoco.mjMAXVAL,
+        )  # fmt: skip
+        return rays[hit >= 0]
+
+    def _first(
+        self, at: np.ndarray, way: np.ndarray, group: np.ndarray = _SHOWN
+    ) -> tuple[float, int, bool]:
+        """Return how far the next skin is, in parts of `way`, its geom, and if the ray enters."""
+        far = mujoco.mj_ray(
+            self._model, self._data, at, way, group, True, -1, self._hit, self._normal
+        )
+        return far, int(self._hit[0]), bool(self._normal @ way < 0)
+
+    def _leaves(self, geom: int, at: np.ndarray, way: np.ndarray) -> float:
+        """Return where a ray that has entered a geom leaves it, in parts of `way`."""
+        self._model.geom_group[geom] = 0
+        far = self._first(at, way, _ALONE)[0]
+        self._model.geom_group[geom] = 1
+        return max(far, 0.0)
+
+    def _is_within(self, geom: int, at: np.ndarray, way: np.ndarray) -> bool:
+        """Return whether a ray that meets a geom comes from within another: then it leaves that."""
+        self._model.geom_group[geom] = 2
+        far, _, enters = self._first(at, way)
+        self._model.geom_group[geom] = 1
+        return far >= 0 and not enters
+
+    def walls(
+        self, at: np.ndarray, ray: np.ndarray, arc: _Arc | None, own: int, width: float
+    ) -> np.ndarray:
+        """Return the walls that a ray meets, one after the other, shape (_WALLS,).
+
+        A wall counts in full, 1, where as much sand is before it as before the first, and else in
+        that proportion: walls that touch are one.
+
+        Args:
+            at: where it starts [m].
+            ray: its direction.
+            arc: that it runs along, or None for a straight ray.
+            own: geom of the facet that it starts from.
+            width: of that geom [m].
+        """
+        met, count = np.zeros(_WALLS), 0
+        passed, end, nearest = 0.0, 0.0, 0.0  # way before the chord, end of the last wall [m]
+        touch = _TOUCH * width
+        for here, way in _chords(at, ray, arc, self._size):
+            length = math.sqrt(way @ way)
+            x, step = 0.0, touch / length
+            while x < 1.0 and count < _WALLS:
+                far, geom, enters = self._first(here + x * way, way)
+                if far < 0 or x + far > 1.0:
+                    break
+                x += far
+                place = passed + x * length
+                if not enters:
+                    if not (count == 0 and geom == own):
+                        if count == 0:  # it began inside another geom
+                            met[0], count = 1.0, 1
+                        end = place
+                    x += step
+                    continue
+                near = count == 0 and geom == own and place < _ITSELF * width
+                itself = near and float(self._normal @ ray) > -0.5  # not the far side of a slit
+                gap = place - end
+                if count and gap > touch and self._is_within(geom, here + (x - far) * way, way):
+                    gap = 0.0
+                if not itself and (count == 0 or gap > touch):
+                    nearest = nearest if count else gap
+                    met[count] = min(1.0, gap / nearest) if nearest > 0 else 1.0
+                    count += 1
+                x += step + self._leaves(geom, here + (x + step) * way, way)
+                x = min(x, 1.0)
+                end = passed + x * length
+                x += step
+            passed += length
+        return met
+
+
+class _Arc(NamedTuple):
+    """Where arcs around a hinge begin: radius [m], and axes out, around and along, as rows."""
+
+    radius: float
+    axes: np.ndarray
+
+
+class _Hinge(NamedTuple):
+    """A hinge in the frame of its rigid body."""
+
+    anchor: np.ndarray
+    axis: np.ndarray
+
+    def frame(self, at: np.ndarray) -> _Arc:
+        """Return what arcs from a point need."""
+        out = at - self.anchor
+        out = out - (out @ self.axis) * self.axis
+        axes = _axes_across(self.axis, out)
+        return _Arc(math.sqrt(out @ out), np.stack([*axes, self.axis]))
+
+
+def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
+    """Return the hinge of a rigid body that has one and no other joint."""
+    joint = model.body_jntadr[weld]
+    if model.body_jntnum[weld] != 1 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE:
+        return None
+    return _Hinge(model.jnt_pos[joint].copy(), model.jnt_axis[joint].copy())
+
+
+def _chords(
+    at: np.ndarray, ray: np.ndarray, arc: _Arc | None, size: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the chords of a ray, starts and ways [m]: one, or those of an arc around the hinge."""
+    length = 2.0 * size
+    radius, axes = arc or (0.0, np.eye(3))
+    out, around, along = (axes @ ray).tolist()
+    if abs(around) * length < _CHORD * radius or radius == 0.0:
+        yield at, length * ray
+        return
+    step, begin = min(length, _CHORD * radius / abs(around)), at
+    middle = at - radius * axes[0]
+    for k in range(1, _CHORDS + 1):
+        angle, far = around * k * step / radius, radius + out * k * step
+        end = middle + (far * math.cos(angle), far * math.sin(angle), along * k * step) @ axes
+        yield begin, end - begin
+        begin = end
+
+
+def _unrolled(
+    hinge: _Hinge | None, row: int, at: np.ndarray, axes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return middles and axes of facets as arcs from one of them see them: on a straight line."""
+    if hinge is None:
+        return at, axes
+    radius, own = hinge.frame(at[row])
+    away = at - hinge.anchor
+    out = away - (away @ hinge.axis)[:, None] * hinge.axis
+    far = np.maximum(np.linalg.norm(out, axis=1), 1e-12)
+    out = out / far[:, None]
+    angle = np.arctan2(out @ own[1], out @ own[0])
+    places = np.stack([far, radius * angle, away @ hinge.axis], axis=-1) @ own
+    theirs = np.stack([out, np.cross(hinge.axis, out), np.tile(hinge.axis, (len(at), 1))], axis=1)
+    stretch = np.stack([np.ones(len(at)), radius / far, np.ones(len(at))], axis=-1)
+    parts = np.einsum("nki,nji->nkj", axes, theirs) * stretch[:, None]
+    turned = parts @ own
+    turned[:, 2] = np.einsum("nki,nji->nkj", axes, theirs)[:, 2] @ own
+    return places, turned
+
+
+def _anything_ahead(
+    row: int, others: np.ndarray, at: np.ndarray, axes: np.ndarray, bulge: np.ndarray
+) -> bool:
+    """Return whether rays from a facet can meet others of the same rigid body.
+
+    Args:
+        row: the facet.
+        others: which those are, shape (n,).
+        at: middles of all, shape (n, 3).
+        axes: half edges and normals of all, shape (n, 3, 3).
+        bulge: how far skin may stand out from their planes, shape (n,).
+    """
+    n = axes[row, 2]
+    away = at - at[row]
+    ahead = away @ n + np.abs(axes[:, :2] @ n).sum(axis=1) + bulge
+    reach = np.linalg.norm(axes[:, :2], axis=2).sum(axis=1)
+    aside = np.linalg.norm(away - (away @ n)[:, None] * n, axis=1) - reach - reach[row]
+    found = (ahead > _TOUCH * reach[row]) & (aside < _SPREAD * ahead)
+    found &= others
+    return bool(found.any())
 
 
 def _lobe() -> np.ndarray:
     """Directions around z, as many as weights ask for: cos^(_FOCUS + 1) over the half sphere."""
-    share = (np.arange(_RINGS) + 0.5) / _RINGS
-    up = share ** (1.0 / (_FOCUS + 2.0))
-    ring, around = np.meshgrid(np.arange(_RINGS), np.arange(_AROUND), indexing="ij")
-    turn = 2 * math.pi * (around + 0.5 * (ring % 2)) / _AROUND
-    out = np.sqrt(1.0 - up**2)[ring]
-    return np.stack([out * np.cos(turn), out * np.sin(turn), up[ring]], -1).reshape(-1, 3)
+    ring = np.arange(_RINGS)
+    up = ((ring + 0.5) / _RINGS) ** (1.0 / (_FOCUS + 2.0))
+    turn = math.pi * (ring + 0.5) / _RINGS
+    out = np.sqrt(1.0 - up**2)
+    rays = np.stack([out * np.cos(turn), out * np.sin(turn), up], axis=-1)
+    return np.concatenate([rays, rays * (-1.0, -1.0, 1.0)])
 
 
 def _axes_across(n: np.ndarray, along: np.ndarray) -> np.ndarray:

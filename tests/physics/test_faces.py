@@ -10,6 +10,7 @@ import pytest
 
 from mjgranular import Sand
 from mjgranular.shape import facets_from_model
+from mjgranular.shape.rigid import exposures, in_own_frames
 
 LAWS = ["rft3d", "rft3d_dynamic"]
 MOTIONS = {"x": (0.1, 0, 0), "y": (0, 0.1, 0), "up": (0, 0, 0.1), "down": (0, 0, -0.1)}
@@ -55,6 +56,42 @@ def along(found):
 def test_narrow_gaps_leave_a_bar_what_it_is(law, gap):
     ratio = along(forces(law, bar(20, gap))) / along(forces(law, bar(1, 0.0)))
     assert ratio == pytest.approx(np.ones(4), abs=0.02)
+
+
+@pytest.mark.parametrize("depth", [1e-9, 0.005, 0.0133, 0.02])
+def test_inertia_acts_on_what_is_in_the_sand(depth):
+    # An upright plate of 40 x 40 mm at 2 m/s, cut coarsely and finely.
+    plate = f'<geom type="box" size=".002 .02 .02" pos="0 0 {0.07 - depth}"/>'
+    model = model_of(plate, joint='<joint type="slide" axis="1 0 0" armature="1e5"/>')
+    data, found = mujoco.MjData(model), []
+    data.qvel[0] = 2.0
+    for resolution in (None, 64):
+        sand = Sand(model, medium="quikrete_medium", resolution=resolution)
+        found.append(-sand.report(data)["b"].force[0])
+    assert found[0] == pytest.approx(found[1], rel=0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize("gap", [1e-5, 3e-4, 1e-3])
+def test_a_slit_in_a_mesh_is_one_between_boxes(gap):
+    corners = np.array([(x, y, z) for x in (0, 0.01) for y in (-0.02, 0.02) for z in (0, 0.04)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    aside = np.array([gap / 2, 0, 0])
+    vertices = np.concatenate([corners - (0.01, 0, 0) - aside, corners + aside])
+    faces = np.concatenate([faces, faces + 8])
+    asset = (
+        f'<asset><mesh name="m" inertia="exact" vertex="{" ".join(map(str, vertices.ravel()))}" '
+        f'face="{" ".join(map(str, faces.ravel()))}"/></asset>'
+    )
+    boxes = "".join(
+        f'<geom type="box" size=".005 .02 .02" pos="{x} 0 .02"/>'
+        for x in (-0.005 - gap / 2, 0.005 + gap / 2)
+    )
+    areas = []
+    for model in (model_of('<geom type="mesh" mesh="m"/>', asset), model_of(boxes)):
+        facets = facets_from_model(model, range(model.ngeom))
+        areas.append(facets["area"][np.abs(facets["normal"][:, 0]) > 0.9].sum())
+    assert areas[0] == pytest.approx(areas[1], rel=0.02)
 
 
 RADIUS, THICK, BROAD = 0.038, 0.004, 0.025
@@ -139,22 +176,107 @@ def test_a_foot_in_pieces_sinks_as_one(speed):
 
 
 def test_plates_in_tandem_against_simulated_grains():
-    # Fitted: one constant. The scatter of the grains themselves is 0.07.
-    def pair(places):
+    # Fitted: one constant, to the pairs. The scatter of the grains themselves is 0.07.
+    def row_of(places):
         text = '<geom type="box" size=".002 .008 .008" pos="{} 0 0"/>'
         return along(forces("rft3d", "".join(text.format(x) for x in places)))[0]
 
     with TANDEM.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    measured = [
-        (float(row["gap over length"]), float(row["force over one plate's"]))
-        for row in rows
-        if row["plates"] == "2"
-    ]
-    assert measured
-    alone = pair([0.0])
-    wrong = [pair([0.0, 0.004 + 0.016 * gap]) / alone - ratio for gap, ratio in measured]
+        rows = [row for row in csv.DictReader(file) if int(row["plates"]) > 1]
+    assert {row["plates"] for row in rows} == {"2", "4"}
+    alone, wrong = row_of([0.0]), []
+    for row in rows:
+        step = 0.004 + 0.016 * float(row["gap over length"])
+        found = row_of(step * np.arange(int(row["plates"]))) / alone
+        wrong.append(found - float(row["force over one plate's"]))
     assert math.sqrt(np.mean(np.square(wrong))) < 0.1
+
+
+def exposed(geoms, joint="<freejoint/>"):
+    """Facets, and the share of the area of each that meets sand, for a model of geoms."""
+    model = model_of(geoms, joint=joint)
+    facets = facets_from_model(model, range(model.ngeom), sheltered="keep")
+    return facets, exposures(model, in_own_frames(model), facets)
+
+
+@pytest.mark.parametrize("joint", ["<freejoint/>", '<joint axis="0 1 0" pos="0 0 .5"/>'])
+def test_walls_that_touch_shelter_as_one(joint):
+    plate = '<geom type="box" size=".001 .01 .01"/>'
+    walls = {
+        "one": '<geom type="box" size=".01 .01 .01" pos=".03 0 0"/>',
+        "touching": "".join(
+            f'<geom type="box" size=".0025 .01 .01" pos="{x} 0 0"/>'
+            for x in (0.0225, 0.0275, 0.0325, 0.0375)
+        ),
+        "overlapping": "".join(
+            f'<geom type="box" size=".005 .01 .01" pos="{x} 0 0"/>' for x in (0.025, 0.029, 0.035)
+        ),
+        "a hair apart": "".join(
+            f'<geom type="box" size=".00495 .01 .01" pos="{x} 0 0"/>' for x in (0.02495, 0.03505)
+        ),
+    }
+    found = {}
+    for name, wall in walls.items():
+        facets, share = exposed(plate + wall, joint)
+        front = (facets["geom"] == 0) & (facets["normal"][:, 0] > 0.9)
+        found[name] = float(share[front].mean())
+    assert 0.2 < found["one"] < 0.6
+    assert list(found.values()) == pytest.approx([found["one"]] * len(walls), abs=0.01)
+
+
+RIM, GROUSERS, HIGH = 0.1, 12, 0.018  # a wheel: radius [m], number, and height of grousers [m]
+
+
+def wheel():
+    """A wheel of 80 mm width."""
+    angles = 2 * math.pi * np.arange(GROUSERS) / GROUSERS
+    middle = RIM + HIGH / 2
+    return f'<geom type="cylinder" size="{RIM} .04" euler="90 0 0" mass=".8"/>' + "".join(
+        f'<geom type="box" size="{HIGH / 2} .04 .003" mass=".01" euler="0 {np.degrees(a) - 90} 0" '
+        f'pos="{middle * math.sin(a)} 0 {middle * math.cos(a)}"/>'
+        for a in angles
+    )
+
+
+def test_grousers_shelter_each_other_along_the_rim():
+    flanks = {}
+    for joint in ("<freejoint/>", '<joint axis="0 1 0"/>', '<joint axis="0 -1 0"/>'):
+        facets, share = exposed(wheel(), joint)
+        flank = (facets["geom"] > 0) & (facets["area"] > 1e-4)
+        around = np.cross(facets["point"], (0.0, 1.0, 0.0))
+        flank &= np.abs((facets["normal"] * around).sum(axis=1)) > 0.9 * RIM
+        flanks[joint] = share[flank]
+    free, turning, mirrored = flanks.values()
+    assert turning == pytest.approx(mirrored, abs=1e-9)
+    assert turning.max() < 0.5 < free.min()  # straight rays miss the next grouser
+    assert np.ptp(turning.reshape(GROUSERS, -1), axis=0) == pytest.approx(0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_wheel_pulls_no_more_than_sand_bears():
+    # Others measured pulls of 0.2 to 0.3 of the load at high slip; a wheel as smooth and as large
+    # as the circle of the tips, with the sand's own friction, pulls 0.31 here.
+    load, pull = 40.0, {}
+    for slip in (0.2, 0.8):
+        model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco>
+          <option timestep="0.002" integrator="implicitfast"/>
+          <worldbody><body pos="0 0 {RIM + HIGH}">
+            <joint name="x" axis="1 0 0" type="slide"/>
+            <joint axis="0 0 1" type="slide" damping="20"/>
+            <inertial mass="{load / 9.81 - 0.92}" pos="0 0 0" diaginertia=".1 .1 .1"/>
+            <body><joint name="w" axis="0 1 0" armature=".01"/>{wheel()}</body>
+          </body></worldbody>
+          <actuator><velocity joint="x" kv="5000"/><velocity joint="w" kv="500"/></actuator>
+        </mujoco>""")
+        data, sand, found = mujoco.MjData(model), Sand(model, medium="quikrete_medium"), []
+        while data.time < 6:
+            data.ctrl[:] = min(1.0, data.time) * np.array([(RIM + HIGH) * (1 - slip), 1.0])
+            sand.step(data)
+            if data.time > 3:
+                found.append(-data.actuator_force[0])
+        pull[slip] = np.mean(found) / load
+    assert 0.1 < pull[0.2] < pull[0.8] < 0.45
 
 
 def test_widths_are_those_of_faces():

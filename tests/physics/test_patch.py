@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import integrate
 
 from mjgranular.law.facet_slope import load_of
-from mjgranular.law.patch import leading_part, wet_part
+from mjgranular.law.patch import leading_part, wet_part, wet_share
 
 # Of every size, zero included; a middle anywhere between dry and wet, and somewhat beyond.
 sizes = st.one_of(st.floats(0.01, 1), st.floats(-200, 0).map(lambda e: 10**e))
@@ -160,8 +160,16 @@ def test_depth_grows_by_what_is_wet(place, a, b):
     assert slope == pytest.approx(leading_part(d, a, b)[0], abs=2e-5)
 
 
+@given(place=places, a=rises, b=rises)
+@example(place=0.0, a=0.0, b=0.0)
+def test_wet_share_without_branches(place, a, b):
+    d = place * reach(a, b)
+    assert wet_share(d, a, b) == pytest.approx(leading_part(d, a, b)[0], rel=1e-12, abs=1e-15)
+
+
 @pytest.mark.parametrize("d", [-0.3, -1e-9, -0.0, 0.0, 1e-9, 0.3])
 def test_point(d):
+    assert wet_share(d, 0.0, 0.0) == float(d > 0)
     assert leading_part(d, 0.0, 0.0) == (float(d > 0), 0, 0)
     assert wet_part(d, 0.0, 0.0) == (max(d, 0), 0, 0)
     assert load_of(d, 0.0, 0.0, max(d, 0.0), 1.0, 0.0, 0.0, 1.0) == (max(d, 0), 0, 0)
