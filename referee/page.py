@@ -30,8 +30,9 @@ _HEAD = """# How far the laws are right
 Every law of the package against every set of measured motion that the repository has, and what
 came out, the bad with the good. `python referee/validate.py` repeats it and writes this page, its
 figures and the errors in `report(data)[body].error` and `info["sand/error"]`: those of drops,
-pushes and drags. Wheels and turning legs are only on this page. The data are in `referee/data`;
-`referee/README.md` says how grains are simulated and how to add a set.
+pushes and drags. Those of wheels and turning legs are only on this page; a report gives no error
+for a body that turns in the sand. The data are in `referee/data`; `referee/README.md` says how
+grains are simulated and how to add a set.
 
 Errors are those of whole motions:
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -17,6 +18,9 @@ from mjgranular.sand.binding import Binding
 from mjgranular.sand.prepare import PreparedSand
 
 _SHOWN = 3  # bodies in a report's `repr`
+# A body faster than this [m/s] turns in the sand where it turns by more than this [rad] while it
+# moves by the width of its elements. Chosen, not measured.
+_SLOW, _TURN = 0.01, 0.2
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,8 @@ class BodyReport:
         froude: greatest of its elements in the sand.
         validity: how the body stands against the law's limits.
         found: the error that was found against drops, pushes and drags as fast as this; None above
-            the sand, and where nothing as fast was compared. Wheels and turning legs do worse
-            (docs/validity.md).
+            the sand, where nothing as fast was compared, and where the body turns in the sand, as
+            wheels and legs do (docs/validity.md has their errors).
     """
 
     body: str
@@ -278,7 +282,7 @@ def describe(
         measures = _measures(table, wet, gravity=gravity, slope=slope, grain=grain)
         froude = float(measures["froude"] or 0.0)
         found = None
-        if len(wet):
+        if len(wet) and not _turns(table, wet):
             found = found_at(findings, froude, grain and float(table.width[wet].min()) / grain)
         bodies.append(
             BodyReport(
@@ -330,6 +334,20 @@ def _element_table(
         froude=np.divide(speed, scale, out=np.zeros_like(speed), where=scale > 0),
         width=elements["width"],
     )
+
+
+def _turns(table: ElementTable, wet: np.ndarray) -> bool:
+    """Return whether a body turns in the sand, by how velocities differ over its elements there."""
+    point, velocity = table.point[wet], table.velocity[wet]
+    speed, across = _rms(velocity), _rms(point - point.mean(axis=0))
+    if speed < _SLOW or across == 0.0:
+        return False
+    rate = _rms(velocity - velocity.mean(axis=0)) / across  # [rad/s]
+    return rate * float(table.width[wet].max()) > _TURN * speed
+
+
+def _rms(vectors: np.ndarray) -> float:
+    return math.sqrt(float((vectors**2).sum(axis=1).mean()))
 
 
 def _measures(

@@ -249,6 +249,18 @@ def test_a_report_has_the_error_that_was_found():
     assert report.bodies[0].error is None  # above the sand
 
 
+def test_a_body_that_turns_in_the_sand_has_no_error():
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body name="wheel" pos="0 0 .08">
+      <joint axis="1 0 0" type="slide"/><joint axis="0 1 0"/>
+      <geom type="cylinder" size=".1 .04" euler="90 0 0"/>
+    </body></worldbody></mujoco>""")
+    data, sand = mujoco.MjData(model), Sand(model)
+    for turns, known in ((0.0, True), (1.0, False), (10.0, False)):
+        data.qvel[:] = 0.1, turns
+        assert (sand.report(data)["wheel"].error is not None) is known
+
+
 @pytest.mark.parametrize("law", [GENERIC, dataclasses.replace(GENERIC, inertia=1.1, density=1500)])
 def test_findings_are_those_of_the_page(law):
     assert law.findings
