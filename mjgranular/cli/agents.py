@@ -97,7 +97,7 @@ def _policy(what: str, policy: Policy, environment: str | None, trust: bool) -> 
 
 
 def _run_of(what: str) -> Run:
-    """The run in whose environment a baseline acts; what is no run is told of as an environment."""
+    """Return the run in whose environment a baseline acts, or an error about the environment."""
     try:
         return load_policy(what).run
     except UnknownNameError:
@@ -106,7 +106,7 @@ def _run_of(what: str) -> Run:
 
 
 def is_environment(what: str) -> bool:
-    """Tells whether a word is the id of an environment, and not a folder.
+    """Return whether a word is the id of an environment, and not a folder.
 
     Raises:
         GranularError: the module before a colon cannot be imported, or registers no such id.

@@ -89,7 +89,7 @@ class ElementsCommand(
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # RK4 would be refused
         data = mujoco.MjData(model)
         start_from(model, data, self.keyframe)
-        # No step is made: sand and floor of the model's own are no matter.
+        # No step is made: sand and floor in the model do not matter.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FloorWarning)
             sand = Sand(model, drop.sand, scheme=Explicit(prescribed=True), shared=True)
@@ -194,6 +194,6 @@ def _write_csv(path: Path, sand: Sand) -> None:
 
 
 def _place(k: int, size: int) -> str:
-    """Name of the k-th of so many numbers: x, y, z of one vector; 1x to 3z of several."""
+    """Name of the k-th number of vectors: x, y, z of one vector; 1x to 3z of several."""
     axis = "xyz"[k % 3]
     return axis if size == 3 else f"{k // 3 + 1}{axis}"

@@ -104,7 +104,7 @@ class EvaluateCommand(EngineOptions):
         ]
         jobs = [Job(actor, variant) for actor in actors for variant in ("", *self.on)]
         doubts = []
-        for actor, variant in jobs:  # a mistake in one is told before the others are run
+        for actor, variant in jobs:  # a mistake in one is reported before the others run
             given = {**actor.arguments, **parse_variant(variant)}
             with closing(environments.one(actor.environment, given)) as env:
                 doubts.append(doubt_of(actor, variant, sands_of(env)))
@@ -124,7 +124,7 @@ class EvaluateCommand(EngineOptions):
 
 
 def table_of(scores: list[Score], seeds: int) -> Table:
-    """Scores for people; columns that would say the same in every row are left out."""
+    """Scores for people; columns with one value in all rows are omitted."""
     environments = {score.environment for score in scores}
     where = f" in {environments.pop()}" if len(environments) == 1 else ""
     columns: list[tuple[str, Callable[[Score], str]]] = [("agent", lambda score: score.agent)]

@@ -161,14 +161,14 @@ def _percent(width: float) -> str:
 
 def _constants(result: FitResult) -> Table:
     made = Table(title=f"Constants of {result.material.law.name}", title_justify="left")
-    for heading in ("constant", "value", "95 % interval", "unit", "told apart"):
+    for heading in ("constant", "value", "95 % interval", "unit", "determined"):
         justify = "right" if heading in ("value", "95 % interval") else "left"
         made.add_column(Text(heading), justify=justify)
     for name, value in result.values.items():
         low, high = ("..." if end is None else f"{end:.4g}" for end in result.intervals[name])
-        told = "yes" if result.identifiable[name] else "no"
+        determined = "yes" if result.identifiable[name] else "no"
         unit = "" if name == "strength" else result.material.unit(name)
-        made.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, told)
+        made.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, determined)
     return made
 
 

@@ -62,8 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; None for those of the process.
 
     Returns:
-        Exit status: 0 done; 2 for a mistake in what was asked for, told in one sentence; 130 when
-        interrupted, 143 when told to end, 141 when nobody reads the output any more.
+        Exit status: 0 done; 2 for a mistake in the arguments, reported in one sentence; 130 when
+        interrupted, 143 when terminated, 141 when nobody reads the output any more.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:

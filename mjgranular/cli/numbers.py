@@ -1,4 +1,4 @@
-"""Numbers on the command line: one sentence for what is none, and 1e6 is a whole number."""
+"""Numbers on the command line: one sentence for what is not a number; 1e6 is an integer."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-_EXACT = 2**53  # up to which a float is a whole number exactly
+_EXACT = 2**53  # up to which a float holds integers exactly
 
 
 def whole_number(text: str) -> int:
-    """A whole number, also as 1e6.
+    """An integer, also as 1e6.
 
     Raises:
         ValueError: it is none.

@@ -34,7 +34,7 @@ def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
     Args:
         kind: a dataclass with a section `Attributes:`, where units stand in brackets at the end.
         *names: of the fields; none for all.
-        without: names of fields that are no options.
+        without: names of fields that are not options.
     """
     hints = typing.get_type_hints(kind)
     texts = _documented(PlainSand) | _documented(kind)
@@ -88,7 +88,7 @@ def record_of(kind: type[T], command: object, **others: Any) -> T:
     Args:
         kind: a dataclass.
         command: the command.
-        **others: fields that are no options, or other than these.
+        **others: fields that are not options, or other than these.
     """
     names = [each.name for each in fields(kind)]  # pyright: ignore[reportArgumentType]
     given = {name: getattr(command, name) for name in names if hasattr(command, name)}

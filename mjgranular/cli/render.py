@@ -44,8 +44,8 @@ class RenderCommand:
     """A film of a run saved with `mjgranular impact --out`, `drop --out`, or of `train`.
 
     Of a drop the sand's force is drawn as an arrow, and the film is slowed so that the impact,
-    however short, takes --seconds. Of a training run the newest policy is filmed in an episode, at
-    the speed of life, for --seconds at most.
+    however short, takes --seconds. Of a training run the newest policy is filmed in an episode, in
+    real time, for --seconds at most.
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR", name="run")]

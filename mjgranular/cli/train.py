@@ -65,7 +65,7 @@ class TrainCommand:
     num_envs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Environments that are stepped at once, as --set num_envs=N."""
     processes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Step each environment in a process of its own: for your own, which are no batch."""
+    """Step each environment in a separate process, for custom ones, which are not a batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Of all random numbers. Default: 0."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -210,7 +210,7 @@ class TrainCommand:
             out.print(f"in {run.path}", highlight=False, markup=False)
         if training.stopped_by is not None:
             show_error(
-                f"stopped after {progress.steps} steps, all of them kept; go on with mjgranular "
+                f"stopped after {progress.steps} steps, all of them kept; resume with mjgranular "
                 f"train --resume {run.path}"
             )
             return 128 + training.stopped_by

@@ -1,4 +1,4 @@
-"""`mjgranular view`: a model of one's own on sand, to look at and to pull at."""
+"""`mjgranular view`: your own model on sand in a window."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from mjgranular.sand.prepare import fitted
 
 @dataclass(frozen=True, kw_only=True)
 class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
-    """Your own MJCF model on sand in MuJoCo's viewer, at the speed of life.
+    """Your own MJCF model on sand in MuJoCo's viewer, in real time.
 
-    Space holds it and lets it go on, Backspace begins anew, a double click and Ctrl with the mouse
-    pull at a body. The sand acts inside mj_step, by the plugin mjgranular.sand. A model that has
-    sand of its own is shown with that.
+    Space pauses and resumes, Backspace restarts, a double click and Ctrl with the mouse pull at a
+    body. The sand acts inside mj_step, by the plugin mjgranular.sand. A model that contains sand is
+    shown with that.
     """
 
     draw: Annotated[
@@ -39,7 +39,7 @@ class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
     ] = ("forces",)
     """Arrows for the forces, dots for the elements in the sand, coloured by depth."""
     speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0
-    """How fast: 0.1 is ten times slower than life."""
+    """Speed: 1 is real time, 0.1 a tenth of it."""
     duration: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Time after which the window closes by itself [s]. Default: never."""
 
@@ -54,7 +54,7 @@ class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
         start_from(model, data, self.keyframe)
         switch = Switch()
         with opened(model, data, switch) as viewer:
-            err.print("Space: hold. Backspace: anew. Ctrl and mouse: pull at a body.", style="dim")
+            err.print("Space: pause. Backspace: restart. Ctrl and mouse: pull a body.", style="dim")
             follow(viewer, model, data, switch, speed=self.speed, duration=self.duration)
         return 0
 
@@ -62,14 +62,14 @@ class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
         """The model with sand in it, by daylight.
 
         Raises:
-            InputError: MuJoCo cannot load it, the sand does not fit it, or ground of its own
+            InputError: MuJoCo cannot load it, the sand does not fit it, or its own ground
                 carries it.
         """
         drop = record_of(Drop, self, duration=1.0)  # which nobody asks for
         with loading(drop.title), warnings.catch_warnings():
             spec = read(drop)
             if any(plugin.plugin_name == NAME for plugin in spec.plugins):
-                err.print("The model has sand of its own, and is shown with that.", style="dim")
+                err.print("The model contains sand, and is shown with that.", style="dim")
                 return spec.compile()
             make_ready(spec, drop)
             bare = spec.compile()

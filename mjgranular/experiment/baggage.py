@@ -57,7 +57,7 @@ class Baggage:
         media: of the user's own, by the names that the experiments have for them.
         files: content of the model's files, by their paths on the machine of origin.
         origin: machine and process that it comes from.
-        name: of its own, by which a process knows it again.
+        name: by which a process recognizes it.
     """
 
     laws: tuple[OwnLaw, ...]
@@ -134,7 +134,7 @@ def _own_laws(study: Study) -> Iterable[OwnLaw]:
         if kind.__module__ == "__main__":
             raise InputError(
                 f"the law {kind.name!r} is defined in a script or notebook, where workers do not "
-                "find it: put it into a module, a file of its own"
+                "find it: put it into a module, a separate file"
             )
         file = Path(getattr(module, "__file__", None) or "")
         alone = "." not in kind.__module__ and file.suffix == ".py" and file.stem != "__init__"

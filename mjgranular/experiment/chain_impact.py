@@ -20,7 +20,7 @@ def chain_length(body: str) -> int | None:
     """N of "chain:N", None for other bodies.
 
     Raises:
-        InputError: what follows the colon is no number of links.
+        InputError: what follows the colon is not a number of links.
     """
     word, colon, count = body.partition(":")
     if word != "chain":

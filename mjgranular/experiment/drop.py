@@ -236,7 +236,7 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     Raises:
         InputError: the model cannot be read, or cannot be lifted or thrown.
         UnknownNameError: a name that the model does not have.
-        UnstableError: the state left reason.
+        UnstableError: the simulation diverged.
 
     Warns:
         FloorWarning: ground of the model's own has carried it, and `keep_floor` is not said.

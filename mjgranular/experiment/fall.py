@@ -43,7 +43,7 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
         a result too.
 
     Raises:
-        UnstableError: the state left reason, because the time step is too large for the scheme.
+        UnstableError: the simulation diverged, because the time step is too large for the scheme.
 
     Warns:
         GranularWarning: the time step is above the bound of the explicit scheme.
@@ -240,7 +240,7 @@ class _Run:
         return Rest(time=since - self.touchdown, depth=-float(ends[1::2].min()), angle=lean)
 
     def check_energy(self) -> None:
-        """Ends the run when the state has left reason."""
+        """End the run when the simulation has diverged."""
         energy = self.energy()
         if not energy <= self.most_energy:  # also when it is not a number
             raise UnstableError(

@@ -113,7 +113,7 @@ class ResultFolder:
         """Publishes what is written within at once, in place of the whole result that was there.
 
         Args:
-            keep: names of files that stay although they are not written anew.
+            keep: names of files to keep although they are not written again.
         """
         stale = [name for name in (*self._names, *self._names_before()) if name not in keep]
         with files.published(self.path, instead_of=stale) as waiting:

@@ -104,7 +104,7 @@ class PlainSand:
 
 
 def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
-    """Has viewers and films leave out what the sand replaces.
+    """Have viewers and films omit what the sand replaces.
 
     Raises:
         UnknownNameError: the model has no such geom; lists those there are.

@@ -132,7 +132,7 @@ def journal_of(study: Study, folder: Path | None) -> Journal:
 def _try(experiment: Experiment) -> None:
     """Sets the first experiment up and makes a step.
 
-    What is wrong with all of them is told before workers are started, and machine code that is not
+    What is wrong with all of them is reported before workers start, and machine code that is not
     there yet is compiled once, not by all of them.
 
     Raises:

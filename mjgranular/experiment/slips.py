@@ -1,4 +1,4 @@
-"""Slips of units in what an experiment is asked for: told, and done all the same."""
+"""Warnings of values of an experiment that look like a wrong unit."""
 
 from __future__ import annotations
 

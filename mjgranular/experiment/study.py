@@ -76,7 +76,7 @@ class Study:
             (`scipy.stats.qmc`). Of Sobol's, powers of two are balanced best.
 
     Raises:
-        InputError: nothing is varied, a value that the experiment refuses, or a range in a grid.
+        InputError: nothing is varied, an invalid value of the experiment, or a range in a grid.
         UnknownNameError: no such field; lists those there are.
         MissingExtraError: a sample is asked for, and SciPy is not installed.
     """
@@ -201,7 +201,7 @@ def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experime
 
     Raises:
         UnknownNameError: no such field, or no such parameter of the law; lists those there are.
-        InputError: a value that the experiment refuses.
+        InputError: an invalid value of the experiment.
     """
     hints = typing.get_type_hints(type(experiment))
     known = [f.name for f in fields(experiment) if f.name not in _NOT_VARIED]

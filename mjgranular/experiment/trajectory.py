@@ -40,7 +40,7 @@ class Recorder:
         self._skip = 0
 
     def due(self) -> bool:
-        """Tells whether the present step is one to take a sample of; to be asked once a step."""
+        """Return whether to take a sample in this step; call it once a step."""
         if self._skip:
             self._skip -= 1
             return False
@@ -180,7 +180,7 @@ class Trajectory:
         """Reads what `write_npz` wrote.
 
         Raises:
-            OutputError: there is no such file, or it holds no trajectory.
+            OutputError: the file is missing, or it holds no trajectory.
         """
         arrays = read_arrays(path, [field.name for field in fields(cls)])
         t = arrays["t"]

@@ -1,4 +1,4 @@
-"""Tells when points have stayed in one place for long enough to say that they rest."""
+"""When points have stayed in one place for long enough to count as at rest."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RestWatch:
         self._high = np.zeros(0)
 
     def still(self, time: float, points: np.ndarray) -> bool:
-        """Tells whether the points have stayed where they are for the window of rest.
+        """Return whether the points have stayed where they are for the window of rest.
 
         Args:
             time: now [s].

@@ -289,9 +289,7 @@ def _draw_model(
             lines = (
                 f"t = {time:.3f} s",
                 f"force of the sand = {np.linalg.norm(total):.0f} N",
-                "at the speed of life"
-                if slower < 1.05
-                else f"{_two_digits(slower)} times slower than life",
+                "real time" if slower < 1.05 else f"slowed down {_two_digits(slower)}x",
             )
             yield caption.put(picture, lines)
     finally:
@@ -448,7 +446,7 @@ class _Captions:
             f"t = {frame.time * 1e3:.2f} ms",
             f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
             f"force = {np.hypot(at['F_x'], at['F_y']):.0f} N",
-            f"{_two_digits(frame.slower)} times slower than life",
+            f"slowed down {_two_digits(frame.slower)}x",
         )
         return self.put(picture, lines)
 

@@ -241,7 +241,7 @@ def test_a_window_opens_on_a_display(block: Path, display: str) -> None:
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
-    assert "Space: hold" in done.stderr
+    assert "Space: pause" in done.stderr
 
 
 def test_passive_viewer_of_sand_in_a_model(display: str) -> None:
