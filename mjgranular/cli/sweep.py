@@ -23,8 +23,9 @@ from mjgranular.cli.numbers import number_rules, whole_number
 from mjgranular.cli.options import given_options, law_named, option
 from mjgranular.cli.results import FilmOptions, note
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
-from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
+from mjgranular.experiment import Between, Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
+from mjgranular.experiment.paper import cases_beside
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
 from mjgranular.experiment.table import need_parquet, write_csv, write_parquet
 from mjgranular.pool import UNFINISHED
@@ -177,10 +178,22 @@ def _draw(folder: ResultFolder, result: StudyResult) -> None:
     fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
     words = [text for name, text in fixed.items() if name not in study.vary]
     title = ", ".join([study.experiment.title, *words])
+    printed = None
+    if isinstance(study.experiment, Impact) and varied in (["speed"], ["angle_deg"]):
+        cases = cases_beside(study.experiment, varied[0].removesuffix("_deg"))
+        printed = (
+            {name: [getattr(case, name) for case in cases] for name in wanted} if cases else None
+        )
     folder.write(
         "sweep.png",
         lambda path: draw_study(
-            path, columns, varied, outcomes, joined=study.sample is None, title=title
+            path,
+            columns,
+            varied,
+            outcomes,
+            joined=study.sample is None,
+            printed=printed,
+            title=title,
         ),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from mjgranular._util.checks import check_kind
@@ -59,6 +59,21 @@ def reproduce(
         if progress is not None:
             progress(done)
     return results
+
+
+def cases_beside(impact: Impact, over: str) -> list[PaperCase]:
+    """Return the cases that differ from an impact only in `over`, "speed" or "angle"."""
+    free = {"speed", "angle", "timestep", "duration", "scheme", "until"}
+    paper, names = Impact(), {field.name for field in fields(Impact)} - free
+    if any(getattr(impact, name) != getattr(paper, name) for name in names):
+        return []
+    degrees = math.degrees(impact.angle)
+    return [
+        case
+        for case in CASES
+        if (over == "speed" or case.speed == impact.speed)
+        and (over == "angle" or math.isclose(case.angle_deg, degrees))
+    ]
 
 
 def comparison(case: PaperCase, result: ImpactResult) -> dict[str, Any]:

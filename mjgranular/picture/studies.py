@@ -12,7 +12,7 @@ import numpy as np
 from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
 from mjgranular.picture.plain import plain
 
-_BLUE = PALETTE[0]
+_BLUE, _, _RED = PALETTE
 _MOST_MARKERS = 60  # of a line; of more the line says it all. Chosen
 _MOST_TICKS = 8  # of a grid, each at a value of it; chosen
 
@@ -73,9 +73,10 @@ def draw_study(
     outcomes: Sequence[Axis],
     *,
     joined: bool,
+    printed: Mapping[str, Sequence[float]] | None = None,
     title: str = "",
 ) -> None:
-    """Draws two outcomes against one varied field, or over two.
+    """Draw two outcomes against one varied field, or over two.
 
     Args:
         path: of the picture.
@@ -83,6 +84,7 @@ def draw_study(
         varied: names of the one or two columns that were varied.
         outcomes: what is drawn.
         joined: whether they lie on a grid.
+        printed: the same columns with values of the paper, for one varied field.
         title: above the figure.
     """
     inputs = [axis_of(name) for name in varied]
@@ -91,6 +93,10 @@ def draw_study(
         axes = figure.subplots(2, 1, sharex=True)
         for axis, outcome in zip(axes, outcomes, strict=True):
             _draw_line(axis, columns, inputs[0], outcome, joined=joined)
+            if printed:
+                at, values = printed[varied[0]], np.array(printed[outcome.column]) * outcome.scale
+                axis.scatter(at, values, s=60, marker="x", color=_RED, zorder=3, label="paper")
+                axis.legend()
         axes[1].set_xlabel(inputs[0].label)
     else:
         figure, context = figure_of_size(9.6, 4.2)
