@@ -1,4 +1,4 @@
-"""Laws of one force on a body, by its depth and its velocity."""
+"""Laws with one force per body, from its depth and its velocity."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _KEYS = ("constant", "stiffness", "exponent", "linear", "quadratic")
 
 
 class Blob(NamedTuple):
-    """A body as a whole, body frame (`shape.blobs`)."""
+    """A whole body, body frame (`shape.blobs`)."""
 
     center: Vector
     axes: Matrix
@@ -45,7 +45,7 @@ class BlobSample(NamedTuple):
 
 @partial(compiled, inline=True)
 def depth_velocity_respond(blob, law, g, v, p, eps):
-    """Resistance and its derivatives (see `LawKernel.respond`)."""
+    """Return resistance and its derivatives (see `LawKernel.respond`)."""
     speed = norm(v)
     drag = law.linear + law.quadratic * speed
     # d(A |v| v)/dv = A (|v| + v v / |v|)
@@ -56,12 +56,12 @@ def depth_velocity_respond(blob, law, g, v, p, eps):
 
 @cache
 def depth_velocity_kernel(probe: Any) -> LawKernel:
-    """The law's kernels for surfaces with that `probe`."""
+    """Make the law's kernels for surfaces with that `probe`."""
 
     @partial(compiled, inline=True)
     def depth_velocity_sample(blob, pose, law, surface, g):
         center = pose.position + pose.rotation @ blob.center
-        # The normal above the centre says which point is deepest; its depth is what counts.
+        # The normal above the center determines the deepest point; its depth is used.
         _depth, normal = probe(surface, center)
         reach = support(blob, transposed(pose.rotation) @ normal)
         depth, _normal = probe(surface, center - reach * normal)
@@ -155,7 +155,7 @@ class DepthVelocityLaw(Law):
         """F = k z + m v^2 / d1: spheres.
 
         Args:
-            mass: of the sphere, m [kg].
+            mass: mass of the sphere, m [kg].
             stiffness: k [N/m].
             drag_length: d1 [m].
         """
