@@ -146,7 +146,7 @@ class Loader:
     def leave_empty(self, data: int, instance: int) -> None:
         """Assign a block that does nothing to an instance of the model that prepares the sand.
 
-        The thread that prepares it waits, and another one holds the lock.
+        No lock is taken: the thread that waits for the preparation holds it.
         """
         self._handles.clear(data, instance)
         self._handles.put(data, instance, np.zeros(1, HEADER_DTYPE))

@@ -66,26 +66,26 @@ def next_multiplier(v, p, c, eps):
 
 @partial(compiled, inline=True)
 def own(sample, v, eps):
-    """One limit: `Multiplier.own`."""
+    """Compute `Multiplier.own` for one limit."""
     return multiplier_of(v, eps)
 
 
 @partial(compiled, inline=True)
 def update(sample, v, p, c, eps):
-    """One limit: `Multiplier.update`."""
+    """Compute `Multiplier.update` for one limit."""
     return next_multiplier(v, p, c, eps)
 
 
 @partial(compiled, inline=True)
 def by_velocity(sample, v, p, eps):
-    """One limit: `Multiplier.by_velocity`."""
+    """Compute `Multiplier.by_velocity` for one limit."""
     scale = softened(dot(v, v), eps)
     return diagonal(scale) - outer(p, (scale * scale) * v)
 
 
 @partial(compiled, inline=True)
 def turn(sample, v, c, eps):
-    """One limit: `Multiplier.turn`."""
+    """Compute `Multiplier.turn` for one limit."""
     return dot(c, c) / (dot(v, v) + eps * eps)
 
 
@@ -95,7 +95,7 @@ ONE_LIMIT = Multiplier(own, update, by_velocity, turn)
 
 @partial(compiled, inline=True)
 def split_own(sample, v, eps):
-    """Two limits: `Multiplier.own`."""
+    """Compute `Multiplier.own` for two limits."""
     n = sample.normal
     v_n = dot(v, n) * n
     return multiplier_of(v_n, eps) + multiplier_of(v - v_n, eps)
@@ -103,7 +103,7 @@ def split_own(sample, v, eps):
 
 @partial(compiled, inline=True)
 def split_update(sample, v, p, c, eps):
-    """Two limits: `Multiplier.update`."""
+    """Compute `Multiplier.update` for two limits."""
     n = sample.normal
     v_n, p_n, c_n = dot(v, n) * n, dot(p, n) * n, dot(c, n) * n
     along = next_multiplier(v_n, p_n, c_n, eps)
@@ -112,7 +112,7 @@ def split_update(sample, v, p, c, eps):
 
 @partial(compiled, inline=True)
 def split_by_velocity(sample, v, p, eps):
-    """Two limits: `Multiplier.by_velocity`."""
+    """Compute `Multiplier.by_velocity` for two limits."""
     n = sample.normal
     v_n, p_n = dot(v, n) * n, dot(p, n) * n
     v_t, p_t = v - v_n, p - p_n
@@ -123,7 +123,7 @@ def split_by_velocity(sample, v, p, eps):
 
 @partial(compiled, inline=True)
 def split_turn(sample, v, c, eps):
-    """Two limits: `Multiplier.turn`."""
+    """Compute `Multiplier.turn` for two limits."""
     n = sample.normal
     v_n, c_n = dot(v, n) * n, dot(c, n) * n
     return max(turn(sample, v_n, c_n, eps), turn(sample, v - v_n, c - c_n, eps))

@@ -192,9 +192,9 @@ class Rft2dLaw(RftLaw):
         A00, A10, B11, B01, Bm11, C11, C01, Cm11, D10: Fourier coefficients [N/cm^3], as printed.
         density: bulk density, for the inertial term [kg/m^3].
         scale: factor zeta on the coefficients; for the generic set, the medium's.
-        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
-        added: kappa of the added mass, see `Rft3dLaw`; 0 leaves it out.
-        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
+        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 omits it.
+        added: kappa of the added mass, see `Rft3dLaw`; 0 omits it.
+        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 omits it.
         lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
@@ -243,7 +243,7 @@ class Rft2dLaw(RftLaw):
 
     @classmethod
     def generic(cls, scale: float, **options: Any) -> Self:
-        """The generic coefficients of Li et al., times `scale`."""
+        """Return the law with the generic coefficients of Li et al., times `scale`."""
         coefficients = dict(zip(FOURIER_KEYS, GENERIC_FOURIER, strict=True))
         return cls(**coefficients, scale=scale, **options)
 

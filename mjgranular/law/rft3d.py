@@ -181,14 +181,14 @@ class Rft3dLaw(RftLaw):
         density: critical bulk density rho_c [kg/m^3].
         internal_friction: mu, 0.3 to 0.9.
         surface_friction: mu_s between grains and the intruder.
-        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out. 1.1 is the value
+        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 omits it. 1.1 is the value
             of Agarwal et al. 2021 for horizontal plates.
-        added: kappa of the added mass: leading facets move along a layer of sand that is kappa
-            times as deep as their geom is wide; 0 leaves it out.
+        added: kappa of the added mass: leading facets move a layer of sand that is kappa
+            times as deep as their geom is wide; 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
         scale: factor on the stiffness, from a calibration; see `calibrated`.
-        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
-        rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 leaves it out.
+        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 omits it.
+        rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 omits it.
         grain: diameter of a grain [m], which `rate` needs.
         lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
 

@@ -37,7 +37,7 @@ class Memory:
         cell: side of a cell [m]; several to the width of a foot.
         extent: side of the stored square [m], rounded up to a multiple of 20 cells. The grid is
             wrapped around: a body that moves farther overwrites what is this far behind. None for 2
-            m or, where the model is known, as much more as its bodies need.
+            m, or more if the bodies of a model need it.
         surroundings: distance up to which sand counts for the level around a point [m]: the mean is
             that of a square of four times this. None for the width of the widest geom and four
             cells.

@@ -222,8 +222,7 @@ def turns(w, j):
 def begin(w):
     """Read v and h q; v' starts as v. `w.scale` is the size of both momenta.
 
-    It is a sum over joints. The three axes of a free joint along the world's axes count by their
-    norm.
+    It is a sum over joints. The three world-aligned axes of a free joint count by their norm.
     """
     scale, pushes, speeds = 0.0, 0.0, 0.0
     for j in range(w.nv):
@@ -248,7 +247,7 @@ def warm_start(w):
 
     From elsewhere it stops within about 1e-6 of the solution. That is little in motion, but at rest
     it disturbs the forces that the sand holds. From here it only confirms the solution. It solves
-    for the acceleration without the integrator's own damping C, which is (1 + M^-1 C) (v' - v) / h.
+    for the acceleration without the integrator's own damping C: (1 + M^-1 C) (v' - v) / h.
     """
     if w.nefc == 0:
         return

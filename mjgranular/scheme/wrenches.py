@@ -122,7 +122,7 @@ def write_wrenches(table):
 
 @compiled
 def take_back_wrenches(address):
-    """Restores `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
+    """Restore `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
     table = table_at(address)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])

@@ -21,8 +21,8 @@ mesh (tests/test_facets.py, docs/shapes.md)."""
 
 FACETS = 4000
 """Approximate default number of facets of all geoms together. Chosen: Gymnasium's robots have fewer
-at `RESOLUTION`, and with it a humanoid of forty meshes takes about three times as long as without
-sand."""
+at `RESOLUTION`, and with this number a humanoid of forty meshes takes about three times as long as
+without sand."""
 
 _ALIKE = 1.02  # sizes that differ by less count as equal; chosen
 _LEAST = 4  # a sphere of 24 facets; coarser ones are not spheres

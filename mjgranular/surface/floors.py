@@ -47,7 +47,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     if not meets.any():
         return []
     rays = copy.copy(model)
-    rays.geom_matid[:] = -1  # rays pass through invisible geoms
+    rays.geom_matid[:] = -1  # rays ignore invisible geoms
     rays.geom_rgba[:] = 1.0
     rays.geom_group[:] = 0
     rays.geom_group[list(sand)] = _SAND
@@ -59,7 +59,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
         if not against.any():
             continue
         rays.geom_group[fixed] = np.where(against, _FLOOR, 0)
-        # From above its lowest point: a geom may start inside its own floor.
+        # Start above the geom, which may be inside its own floor.
         start = data.geom_xpos[geom] - model.geom_rbound[geom] * down
         if plane is None:
             to_sand, _ = _cast(rays, data, start, down, _SAND)

@@ -7,6 +7,8 @@ times too stiff.
 """
 
 # Kernels annotate arrays in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false
+# pyright: reportGeneralTypeIssues=false, reportAssignmentType=false
 
 from typing import Any
 

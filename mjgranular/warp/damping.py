@@ -11,6 +11,9 @@ force, C is the secant of the element's total force and there is no constant for
 """
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
+# pyright: reportAssignmentType=false, reportAttributeAccessIssue=false
 
 # No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools

@@ -1,6 +1,9 @@
 """Flow of sand in each world where it is steeper than its angle of repose."""
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
+# pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
 # No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools

@@ -6,6 +6,9 @@ from other nodes stored in the same place.
 """
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
+# pyright: reportAttributeAccessIssue=false
 
 # No `from __future__ import annotations`: Warp reads the types of local structs in place.
 from typing import Any

@@ -1,6 +1,9 @@
 """Records of bodies in the sand, their motions, and their 6 x 6 damping matrices."""
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
+# pyright: reportAttributeAccessIssue=false
 
 # No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import numpy as np

@@ -1,6 +1,9 @@
 """Surface points of bodies press sand down in each world."""
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
+# pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
 # No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools

@@ -4,6 +4,8 @@ If v is the velocity at the end of the step, the force -C v is the law's own (`l
 """
 
 # Kernels are written in Warp's language, which Python type checkers do not understand.
+# pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
+# pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
 
 # No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
