@@ -76,9 +76,11 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
 @register_law
 @dataclass(frozen=True)
 class DepthVelocityLaw(Law):
-    """One force on each geom, at its center, against the velocity of the center.
+    r"""One force on each geom, at its center, against the velocity of the center.
 
-    $$ F_R(z, v) = C + k z^n + B v + A v^2 $$
+    $$
+    F_R(z, v) = C + k z^n + B v + A v^2
+    $$
 
     with z the depth of the geom's deepest point below the surface. The force acts while z > 0.
     Every model that the link paper surveys is a special case; each has a named constructor.
