@@ -1,11 +1,11 @@
 """The plugin: sand inside plain `mj_step`, declared in MJCF.
 
-`spec` writes the MJCF and `config` reads it; `plugin` registers with MuJoCo, by `trampolines` that
-stand before Python; `loader` prepares the sand when an `mjData` is made, `block` lays it out in
-memory, `handles` tells which block belongs to which simulation; `callbacks` is what runs at each
-step, `sensor`, `touch` and `draw` read its results, `external` shows them to MuJoCo's own sensors.
-`tuning` is sand with state of its own, `adjust` has a block follow it. `layout` and `library` know
-MuJoCo's memory and functions. `pickles` has models bring mjgranular along.
+`spec` writes the MJCF and `config` reads it; `plugin` registers with MuJoCo through `trampolines`,
+machine code in front of Python; `loader` prepares the sand when an `mjData` is made, `block` lays
+it out in memory, `handles` maps simulations to blocks; `callbacks` runs at each step; `sensor`,
+`touch` and `draw` read its results, `external` adds them to MuJoCo's own sensors. `tuning` is sand
+with its own state, `adjust` applies it to a block. `layout` and `library` know MuJoCo's memory and
+functions. With `pickles`, pickled models import mjgranular when they are loaded.
 """
 
 from mjgranular.engine.external import rne_post_constraint as rne_post_constraint

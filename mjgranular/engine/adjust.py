@@ -1,4 +1,4 @@
-"""Has a block follow the state of a tunable sand (`tuning`): compiled, at each step."""
+"""Apply the state of a tunable sand (`tuning`) to its block: compiled, at each step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptio
 
 @compiled
 def is_reasonable(state):
-    """Tells whether all numbers of a state are finite, and none but the height negative."""
+    """Return True if all numbers of a state are finite, and none but the height negative."""
     for k in range(STATE_SIZE):
         if not math.isfinite(state[k]) or (k != HEIGHT and state[k] < 0.0):
             return False
@@ -48,7 +48,7 @@ def is_reasonable(state):
 
 @compiled
 def invalidate_forces(header):
-    """Forces that are no numbers: MuJoCo finds them, warns and resets, as with any bad state."""
+    """Set forces to NaN: MuJoCo finds them, warns and resets, as with any bad state."""
     table = table_at(header.table)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     forces = floats(header.qfrc, table[NV])
@@ -58,7 +58,7 @@ def invalidate_forces(header):
 
 @compiled
 def clear_results(header):
-    """Leaves nothing behind for sensors and drawings."""
+    """Clear the results for sensors and drawings."""
     table = table_at(header.table)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     for slot in range(len(bodies)):
@@ -71,7 +71,7 @@ def clear_results(header):
 
 @compiled
 def rescale(header, state):
-    """Makes the block's own scene anew, from what it was: nothing adds up."""
+    """Scale the block's scene from its initial values, so that changes do not accumulate."""
     count = header.tuning_count
     tunings = _tunings(header.tunings, count)
     scene = table_at(header.table)[SCENE]
@@ -89,10 +89,10 @@ def rescale(header, state):
 
 @cache
 def adjuster(layout: Layout) -> Any:
-    """A compiled function `adjust(block, model, data, instance)` for tunable instances.
+    """Make a compiled function `adjust(block, model, data, instance)` for tunable instances.
 
-    It says whether forces are to be computed. One `mjData` may serve many simulations in turn, so
-    the state is compared with that last applied at each call, bit by bit.
+    It returns whether forces are to be computed. One `mjData` may serve many simulations in turn,
+    so each call compares the state with the one last applied, bit by bit.
     """
     plugin_state, stateadr = layout.plugin_state, layout.plugin_stateadr
 

@@ -1,14 +1,14 @@
-"""The memory of one sand in one `mjData`: an image made once a model, and a copy for each `mjData`.
+"""The memory of one sand in one `mjData`: an image per model, and a copy for each `mjData`.
 
-Compiled code gets nothing but `mjModel*`, `mjData*` and the number of the plugin instance. All else
-that it needs lies in one *block* for each `mjData`: a header, the table of addresses that programs
-read (`kernel.memory`), and the arrays that belong to one simulation. What all simulations of a
-model have in common, the elements above all, stays where it is.
+Compiled code gets only `mjModel*`, `mjData*` and the index of the plugin instance. Everything else
+that it needs is in one *block* per `mjData`: a header, the table of addresses that programs read
+(`kernel.memory`), and the arrays of one simulation. What all simulations of a model share, above
+all the elements, is not copied.
 
-Which address goes where is not written down a second time here. The sand is bound to a model and
-an `MjData` as `Sand` does it, and its tables are read as a linker reads an object file: the address
-of one of the arrays of the block becomes a place in the block, one in MuJoCo's structs or buffers
-is fetched from there in every other simulation, and all else is a number.
+The assignment of addresses is not repeated here. The sand is bound to a model and an `MjData` as by
+`Sand`, and its tables are relocated as a linker relocates an object file: the address of an array
+of the block becomes an offset in the block, an address in MuJoCo's structs or buffers is looked up
+again in every other simulation, and everything else is a number.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from mjgranular.scheme.status import REFUSED
 # What each step reads comes first, in two cache lines.
 HEADER_DTYPE = np.dtype(
     [
-        ("refused", np.int64),  # not 0: the sand does nothing, and behind the header stands why
-        ("refusals", np.int64),  # address: texts (`refusals`)
-        ("tuning_count", np.int64),  # 0 where it has none
+        ("refused", np.int64),  # not 0: the sand does nothing; the reason follows the header
+        ("refusals", np.int64),  # address: messages (`refusals`)
+        ("tuning_count", np.int64),  # 0 without tunings
         ("of_model", np.int64),  # address: relocations that read the model
         ("of_model_count", np.int64),
-        ("shape", np.int64),  # address: what a model has to have in common with that of the sand
+        ("shape", np.int64),  # address: sizes that a model must share with that of the sand
         ("shape_count", np.int64),
-        ("whole", np.int64),  # whether the scheme reads forces that are not there yet
-        ("lead", np.float64),  # how far velocities are taken ahead, in time steps
+        ("whole", np.int64),  # whether the scheme reads forces that are not yet computed
+        ("lead", np.float64),  # time by which velocities are ahead, in time steps
         ("program", np.int64),  # address of machine code
         ("table", np.int64),  # address
         ("qfrc", np.int64),  # address of qfrc_passive
@@ -50,35 +50,35 @@ HEADER_DTYPE = np.dtype(
         ("awake", np.int64),  # address of body_awake
         ("instances", np.int64),  # of all plugins in the model
         ("senses", np.int64),  # whether the model has sensors that may read forces on bodies
-        ("telling", np.int64),  # whether those are being computed again (`external`)
+        ("telling", np.int64),  # whether those are being recomputed (`external`)
         ("size", np.int64),  # of the block [bytes]
-        ("image", np.int64),  # number of the image that it is a copy of
-        ("results", np.int64),  # address of what a step leaves behind: bodies, contacts
+        ("image", np.int64),  # number of the image that it copies
+        ("results", np.int64),  # address of a step's results: bodies, contacts
         ("results_size", np.int64),  # [bytes]
         ("slots", np.int64),  # address: for each element its row in `bodies`
         ("geoms", np.int64),  # address: for each element its geom
         ("draw", np.int64),  # a bit for each of `config.DRAWINGS`
         ("arrow_scale", np.float64),  # length of an arrow [m/N]
         ("arrow_width", np.float64),  # [m]
-        ("ends", np.int64),  # address of room for the ends of an arrow
-        ("plane", np.int64),  # where in the scene the record of the surface begins [bytes]
-        ("frame", np.int64),  # where in that, of a relief, its axes begin [bytes]
+        ("ends", np.int64),  # address of memory for the ends of an arrow
+        ("plane", np.int64),  # offset of the surface's record in the scene [bytes]
+        ("frame", np.int64),  # offset of a relief's axes in that record [bytes]
         ("tiles", np.int64),  # address: rectangles that it is drawn with (`look.TILES`)
         ("tile_count", np.int64),
         ("material", np.int64),  # `look.PlaneLook`
         ("picture", np.int64),
         ("unit", np.float64),
         ("lowered", np.float64),
-        ("shape_program", np.int64),  # address of machine code that shapes a skin; 0 for no prints
-        ("canvas", np.int64),  # address: what that fills in (`prints.shape`)
+        ("shape_program", np.int64),  # address of machine code that shapes a skin; 0 without tracks
+        ("canvas", np.int64),  # address: what that fills (`prints.shape`)
         ("skin", np.int64),  # id of the skin
-        ("skin_pointer", np.int64),  # where in mjModel the pointer to vertices stands [bytes]
-        ("skin_offset", np.int64),  # of the skin's first vertex behind that [bytes]
+        ("skin_pointer", np.int64),  # offset in mjModel of the pointer to vertices [bytes]
+        ("skin_offset", np.int64),  # offset of the skin's first vertex from there [bytes]
         ("ground", np.int64),  # id of a height field that is drawn under it; -1 for none
         ("ground_data", np.int64),  # number of its data
-        ("rgb", np.float64, (3,)),  # colour that the picture is multiplied with
+        ("rgb", np.float64, (3,)),  # color that the picture is multiplied by
         ("tunings", np.int64),  # address: what the sand's state changes
-        ("tuned", np.int64),  # whether `applied` is what the block was last made to
+        ("tuned", np.int64),  # whether `applied` is the block's present state
         ("applied", np.float64, (STATE_SIZE,)),
     ]
 )
@@ -93,7 +93,7 @@ RELOCATION_DTYPE = np.dtype(
 NO_RELOCATIONS = np.zeros(0, RELOCATION_DTYPE)
 SHAPE_DTYPE = np.dtype([("address", np.int64), ("value", np.int64)])  # of an int32 in mjModel
 IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
-"""Kinds of relocation. Those that read the model are the last two."""
+"""Kinds of relocation. The last two read the model."""
 
 NOT_ASKED = (
     "with springs and dampers both disabled (opt.disableflags) MuJoCo computes no passive forces, "
@@ -101,7 +101,7 @@ NOT_ASKED = (
 )
 
 REFUSAL_SIZE = 480
-"""Bytes of a text, its end included: MuJoCo cuts at 500."""
+"""Bytes of a message, including its end: MuJoCo cuts at 500."""
 
 _WORD = 8  # bytes
 _numbers = itertools.count(1)
@@ -109,12 +109,12 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class Image:
-    """A block that belongs to no `mjData` yet.
+    """A block without an `mjData`.
 
     Attributes:
         content: its words.
-        relocations: rows of `RELOCATION_DTYPE` for what does not read the model.
-        shared: arrays that the content has addresses of.
+        relocations: rows of `RELOCATION_DTYPE` that do not read the model.
+        shared: arrays whose addresses are in the content.
     """
 
     content: np.ndarray
@@ -122,10 +122,10 @@ class Image:
     shared: tuple[np.ndarray, ...] = ()
 
     def copy_for(self, data: int) -> np.ndarray:
-        """Makes the block of the `mjData` at an address; what reads the model is linked later.
+        """Make the block of the `mjData` at an address; what reads the model is linked later.
 
         Returns:
-            Words, which must stay where they are as long as the `mjData` lives.
+            Words, which must not move as long as the `mjData` lives.
         """
         block = aligned(self.content)
         words = block.view(np.int64)
@@ -148,16 +148,16 @@ def make_image(
     drawing: dict[str, Any],
     canvas: Sequence[np.ndarray] = (),
 ) -> Image:
-    """Makes the image of a block.
+    """Make the image of a block.
 
     Args:
         model: the model.
         data: an `MjData` of it.
-        instance: of the plugin; what the sand remembers is its state.
-        sand: that was prepared for it.
+        instance: index of the plugin instance; its state is the sand's memory.
+        sand: the sand prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
         drawing: fields of the header that say what is drawn, and how.
-        canvas: for prints: their record (`prints.shape`), room for blocks and rectangles.
+        canvas: for tracks: their record (`prints.shape`), and arrays for blocks and rectangles.
 
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.
@@ -170,13 +170,13 @@ def make_image(
     binding = bind(model, data, sand, within=True, state=state)
     head = np.zeros(1, HEADER_DTYPE)
     table, workspace = binding.table, binding.workspace
-    # In the engine forces do not go by xfrc_applied, MuJoCo itself deals with a bad state, and
-    # nobody asks for the last good one.
+    # In the engine forces do not use xfrc_applied, MuJoCo itself handles a bad state, and the last
+    # good one is not needed.
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
     of_data, of_model = Struct.of_data(data), Struct.of_model(model)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
     linked = (head, table, binding.scene, workspace.record, shapes, *canvas[:1])
-    # Those that read the model are needed at each step, and so lie in the block.
+    # Those that read the model are needed at each step, and are part of the block.
     count = sum(of_model.holds(int(word)) for array in linked for word in _words(array))
     live = np.zeros(count, RELOCATION_DTYPE)
     own = [head, live, shapes, table, binding.bodies, binding.contacts, binding.scene]
@@ -236,7 +236,7 @@ def make_image(
 
 
 def senses_forces(model: mujoco.MjModel) -> bool:
-    """Tells whether a model has sensors that may read the external forces on bodies."""
+    """Return True if a model has sensors that may read the external forces on bodies."""
     kinds = mujoco.mjtSensor
     readers = (kinds.mjSENS_FORCE, kinds.mjSENS_TORQUE, kinds.mjSENS_USER, kinds.mjSENS_PLUGIN)
     late = model.sensor_needstage == int(mujoco.mjtStage.mjSTAGE_ACC)
@@ -244,10 +244,10 @@ def senses_forces(model: mujoco.MjModel) -> bool:
 
 
 def refusals(scheme: Scheme) -> np.ndarray:
-    """Messages for MuJoCo: for each of `REFUSED`, then where nobody asks for the sand's forces.
+    """Return messages for MuJoCo: one per status in `REFUSED`, one for disabled passive forces.
 
     Returns:
-        Texts of `REFUSAL_SIZE` bytes.
+        Messages of `REFUSAL_SIZE` bytes.
     """
     texts = [*(scheme.refusal(status) for status in REFUSED), NOT_ASKED]
     return np.array([f"mjgranular: {text}".encode() for text in texts], f"S{REFUSAL_SIZE}")
@@ -260,9 +260,9 @@ def _words(array: np.ndarray) -> np.ndarray:
 def _resolve(
     word: int, places: dict[int, int], of_data: Struct, of_model: Struct
 ) -> tuple[int, int, int] | None:
-    """Kind, offset and delta of the place that a word is the address of; None for a number.
+    """Return kind, offset and delta of the place that a word points to; None for a number.
 
-    No number that stands among addresses is as large as an address.
+    Numbers among addresses are always smaller than any address.
     """
     if word in places:
         return IN_BLOCK, places[word], 0
@@ -280,7 +280,7 @@ def _padded(array: np.ndarray) -> int:
 
 
 def _places(arrays: Sequence[np.ndarray]) -> list[int]:
-    """Offsets of arrays that lie one behind the other [bytes]."""
+    """Return the offsets of arrays stored one after the other [bytes]."""
     return [sum(map(_padded, arrays[:index])) for index in range(len(arrays))]
 
 

@@ -1,4 +1,4 @@
-"""Callbacks of the engine: compiled, without Python, without the GIL, without allocating."""
+"""Callbacks of the engine: compiled, without Python, without the GIL, without allocation."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ from mjgranular.kernel.records import body_records
 from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
 FUNCTIONS = ("mjv_initGeom", "mjv_connector")
-"""Functions of MuJoCo's that compiled code calls."""
+"""MuJoCo functions that compiled code calls."""
 
 Callbacks = dict[str, tuple[Any, str]]
 """Compiled functions by their fields in `mjpPlugin`, and their signatures."""
@@ -85,12 +85,12 @@ other_shape = address_of(_OTHER_SHAPE)
 
 @partial(compiled, inline=True)
 def link_model(block, model, header):
-    """Fills in the addresses of a block that lie in the model.
+    """Fill in the addresses of a block that point into the model.
 
     Args:
         block: address.
         model: mjModel*.
-        header: of the block.
+        header: header of the block.
     """
     relocations = _relocations(header.of_model, header.of_model_count)
     for i in range(len(relocations)):
@@ -103,7 +103,7 @@ def link_model(block, model, header):
 
 @partial(compiled, inline=True)
 def is_of_that_shape(header):
-    """Tells whether the arrays of the model are as long as the sand takes them."""
+    """Return True if the arrays of the model have the sizes that the sand assumes."""
     shapes = _shapes(header.shape, header.shape_count)
     alike = True
     for i in range(len(shapes)):
@@ -113,13 +113,13 @@ def is_of_that_shape(header):
 
 @partial(compiled, inline=True)
 def add_wrenches(table, qfrc, awake):
-    """Adds the bodies' wrenches to generalized forces: their power along each degree of freedom.
+    """Add the bodies' wrenches to generalized forces: their power along each degree of freedom.
 
-    Columns of `cdof` are velocities (angular, linear) about the centre of mass of the tree, so the
-    moment is taken there. Trees that sleep are left alone, as MuJoCo leaves them.
+    Columns of `cdof` are velocities (angular, linear) about the center of mass of the tree, so the
+    moment is taken there. Sleeping trees are skipped, as MuJoCo does.
 
     Args:
-        table: the simulation's (`kernel.memory`).
+        table: table of the simulation (`kernel.memory`).
         qfrc: address of nv forces.
         awake: address of `body_awake`.
     """
@@ -145,7 +145,7 @@ def add_wrenches(table, qfrc, awake):
         dof = body.last_dof
         while dof >= 0:
             axis = row_of(table[CDOF], dof, 6)
-            # In pairs: a chain of sums, each waiting for the last, takes twice as long.
+            # In pairs: a chain of dependent sums takes twice as long.
             row_of(qfrc, dof, 1)[0] += (
                 (axis[0] * mx + axis[1] * my)
                 + (axis[2] * mz + axis[3] * fx)
@@ -156,7 +156,7 @@ def add_wrenches(table, qfrc, awake):
 
 @cache
 def life(layout: Layout) -> Callbacks:
-    """Callbacks for simulations that are made, copied and freed, the same for all plugins."""
+    """Make the callbacks that create, copy and free simulations, the same for all plugins."""
     find_row, find_block = row_finder(layout), block_finder(layout)
     statenum, stateadr = layout.plugin_statenum, layout.plugin_stateadr
     plugin_state = layout.plugin_state
@@ -192,12 +192,12 @@ def life(layout: Layout) -> Callbacks:
             numbers = floats(state, STATE_SIZE)
             for k in range(STATE_SIZE):
                 numbers[k] = INITIAL[k]
-        else:  # what sand remembers: nothing
+        else:  # the sand's memory: empty
             numbers = floats(state, sizes[instance])
             for k in range(len(numbers)):
                 numbers[k] = 0.0
-        # What the last step has left is not there any more. A handle may be another's (`handles`),
-        # so the row is to be of the `mjData` whose state this is.
+        # The results of the last step are no longer valid. A handle may be another's (`handles`),
+        # so the row must belong to the `mjData` with this state.
         if handle <= 0 or handle >= ROW_COUNT:
             return
         row = row_records(rows_address(), ROW_COUNT)[handle]
@@ -218,7 +218,7 @@ def life(layout: Layout) -> Callbacks:
 
 @cache
 def sand_callbacks(layout: Layout) -> Callbacks:
-    """The compiled functions of `mjgranular.sand`."""
+    """Make the compiled functions of `mjgranular.sand`."""
     find_block, adjust, tell = block_finder(layout), adjuster(layout), sensor_teller(layout)
     timestep, integrator = layout.timestep, layout.integrator
     flags = integrator + DISABLEFLAGS_BEHIND_INTEGRATOR
@@ -239,7 +239,7 @@ def sand_callbacks(layout: Layout) -> Callbacks:
         if capability == _SENSOR:
             tell(model, data, instance, block)
             return
-        header.telling = 0  # it stays where a callback of the user's has raised
+        header.telling = 0  # it is still set if a user's callback raised
         if header.tuning_count != 0 and not adjust(block, model, data, instance):
             return
         # A batch may run this mjData on another model, or move arrays of the same.
@@ -258,9 +258,9 @@ def sand_callbacks(layout: Layout) -> Callbacks:
 
     @compiled
     def advance(model, data, instance):
-        """Updates what the sand remembers, at the end of a step.
+        """Update the sand's memory at the end of a step.
 
-        It refuses to go on where MuJoCo computes no passive forces: it does not ask for ours.
+        Raise an error if MuJoCo computes no passive forces, since it then omits the sand's.
         """
         block = find_block(data, instance)
         if block == 0:
@@ -284,7 +284,7 @@ def sand_callbacks(layout: Layout) -> Callbacks:
 
 @cache
 def drawing_callbacks(layout: Layout) -> Callbacks:
-    """Callbacks that `mjgranular.sand` gets when something is to be drawn."""
+    """Make the drawing callbacks of `mjgranular.sand`, added once something is drawn."""
     from mjgranular.engine.draw import draw
 
     find_block = block_finder(layout)
@@ -306,6 +306,6 @@ def drawing_callbacks(layout: Layout) -> Callbacks:
 
 @cache
 def sensor_callbacks(layout: Layout) -> Callbacks:
-    """The compiled functions of `mjgranular.sensor`."""
+    """Make the compiled functions of `mjgranular.sensor`."""
     compute = sensor_compute(layout)
     return {**life(layout), "compute": (compute, "void(int64, int64, int32, int32)")}

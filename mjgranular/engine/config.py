@@ -2,7 +2,7 @@
 
 Each `<config>` has a key that is a field of `SandSpec`, or of `Config`. Law, surface and scheme are
 a name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`. Numbers are written so
-that they are read as the same numbers.
+that they are read back exactly.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ KEYS = (*SAND_FIELDS, "draw", "tunable")
 """Keys of `mjgranular.sand`, in the order in which they are written."""
 
 STATE_KEYS = ("memory", "tunable")
-"""Keys that say how many numbers an instance has in MuJoCo's state."""
+"""Keys that determine the size of an instance's state in MuJoCo."""
 
 _CHOICES = ("bodies", "geoms", "groups")  # of what meets the sand
 
 LONGEST = 100_000
-"""Characters of a text that is read; chosen: the names of some thousand bodies."""
+"""Maximum length of a value in characters; chosen: the names of some thousand bodies."""
 
 DRAWINGS = ("forces", "depth", "surface")
-"""Drawings of the plugin: arrows of force, dots coloured by depth, an endless plane of sand."""
+"""Drawings of the plugin: arrows of force, dots colored by depth, an infinite plane of sand."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Configuration of an instance, read.
+    """Configuration of an instance, parsed.
 
     Attributes:
         sand: the sand.
-        draw: names out of `DRAWINGS`.
-        tunable: whether the sand has state of its own (`engine.tuning`).
+        draw: names from `DRAWINGS`.
+        tunable: whether the sand has its own state (`engine.tuning`).
     """
 
     sand: SandSpec
@@ -60,10 +60,10 @@ class Config:
 
 
 def read_config(texts: Mapping[str, str]) -> Config:
-    """Reads the texts of an instance by their keys; an empty text is one that was not given.
+    """Parse the strings of an instance by key; an empty string counts as missing.
 
     Raises:
-        InputError: a text cannot be read; names the key and what would be valid.
+        InputError: a string cannot be parsed; names the key and what would be valid.
     """
     given = {key: text for key, text in texts.items() if text}
     for key, text in given.items():
@@ -105,7 +105,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
 def write_config(
     sand: SandSpec, *, draw: Sequence[str] | str = (), tunable: bool = False
 ) -> dict[str, str]:
-    """The texts, by their keys, that `read_config` reads as this sand.
+    """Return the strings, by key, that `read_config` parses as this sand.
 
     Args:
         sand: the sand.
@@ -113,7 +113,7 @@ def write_config(
         tunable: as in `Config`.
 
     Raises:
-        InputError: an object that has no name to be written by, or a choice of nothing.
+        InputError: an object has no name to be written by, or nothing is selected.
     """
     writers = {
         "medium": _write_medium,
@@ -142,7 +142,7 @@ def write_config(
 
 @contextmanager
 def named(key: str) -> Iterator[None]:
-    """Tells errors together with the key they belong to."""
+    """Add the key to errors raised in the context."""
     try:
         yield
     except GranularError as error:
@@ -188,7 +188,7 @@ def _write_words(names: Sequence[Any] | str | int) -> str:
 
 
 def _write_part(part: Any, register: Registry[Any], kind: str, how: str | None) -> str:
-    """A name as it is; an object as its name and all of its fields."""
+    """Write a name as it is, and an object as its name and all of its fields."""
     if isinstance(part, str):
         return part
     for name, cls in register.items():

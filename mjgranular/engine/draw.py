@@ -1,4 +1,4 @@
-"""Arrows, dots and sand with its prints, that the plugin adds to scenes of MuJoCo's visualiser."""
+"""Arrows, dots and sand with tracks that the plugin adds to scenes of MuJoCo's visualizer."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _KINDS = {"int": np.int32, "float": np.float32, "mjtByte": np.uint8, "char": np.
 
 
 def _geom_dtype() -> np.dtype:
-    """`mjvGeom` as a record, as MuJoCo describes it."""
+    """Return `mjvGeom` as a record, from MuJoCo's own description."""
     fields = []
     for field in described_fields("mjvGeom"):
         kind, shape = field.type, ()
@@ -49,7 +49,7 @@ def _geom_dtype() -> np.dtype:
 
 GEOM_DTYPE = _geom_dtype()
 _SIZE = GEOM_DTYPE.itemsize
-# Of mjvScene: maxgeom and ngeom are its first two integers, behind them the pointer to the geoms.
+# Of mjvScene: maxgeom and ngeom are its first two integers, followed by the pointer to the geoms.
 _MOST, _COUNT, _GEOMS = 0, 1, 1
 
 _ARROW, _SPHERE = int(mujoco.mjtGeom.mjGEOM_ARROW), int(mujoco.mjtGeom.mjGEOM_SPHERE)
@@ -68,10 +68,10 @@ _connect = c_function("mjv_connector", "void", "int64", "int32", "float64", "int
 
 
 def check_scene(model: mujoco.MjModel) -> None:
-    """Makes sure that scenes look as they are described.
+    """Check that the layout of scenes is as described.
 
     Raises:
-        LayoutError: they do not.
+        LayoutError: it is not.
     """
     scene = mujoco.MjvScene(model, 2)
     first, second = (scene.geoms[i] for i in range(2))
@@ -89,7 +89,7 @@ def check_scene(model: mujoco.MjModel) -> None:
 
 @compiled
 def add_geom(scene, kind):
-    """Adds a geom to a scene; its address, 0 if there is no room."""
+    """Add a geom to a scene; return its address, 0 if the scene is full."""
     counts = ints(scene, 2)
     if counts[_COUNT] >= counts[_MOST]:
         return 0
@@ -107,7 +107,7 @@ def add_geom(scene, kind):
 
 @compiled
 def add_arrow(scene, header, bodies, contacts, slots, slot):
-    """Adds an arrow for the force on a body, from the middle of where it acts."""
+    """Add an arrow for the force on a body, from the mean of its points of action."""
     ends = floats(header.ends, 6)
     force = bodies[slot].wrench
     ends[:] = 0.0
@@ -139,7 +139,7 @@ def add_arrow(scene, header, bodies, contacts, slots, slot):
 
 @compiled
 def add_dot(scene, contact, width, share):
-    """Adds a dot where an element is, yellow at the surface, blue at the greatest depth."""
+    """Add a dot at an element, yellow at the surface, blue at the greatest depth."""
     address = add_geom(scene, _SPHERE)
     if address != 0:
         geom = _geoms(address, 1)[0]
@@ -152,7 +152,7 @@ def add_dot(scene, contact, width, share):
 
 @compiled
 def look_like_sand(geom, header):
-    """Gives a geom the material of sand."""
+    """Give a geom the material of sand."""
     geom.matid, geom.texid, geom.texuniform = header.material, header.picture, 1
     geom.texrepeat[0] = geom.texrepeat[1] = 2.0 / header.unit
     geom.specular, geom.shininess, geom.reflectance = 0.0, 0.0, 0.0
@@ -162,7 +162,7 @@ def look_like_sand(geom, header):
 
 @compiled
 def turn(geom, along, across, normal):
-    """Turns a geom to axes of the world."""
+    """Align a geom with the given axes in the world."""
     axes = geom.mat
     axes[0], axes[1], axes[2] = along.x, across.x, normal.x
     axes[3], axes[4], axes[5] = along.y, across.y, normal.y
@@ -171,7 +171,7 @@ def turn(geom, along, across, normal):
 
 @compiled
 def add_surface(scene, header, table, bodies):
-    """Adds the plane of sand, where it now is, about the first body; as `look.PlaneLook.add`."""
+    """Add the plane of sand at its height, around the first body, as `look.PlaneLook.add`."""
     plane = _planes(table[SCENE] + header.plane, 1)[0]
     normal = read_vector(plane.normal, 0)
     length = math.sqrt(normal.x * normal.x + normal.z * normal.z)
@@ -199,7 +199,7 @@ def add_surface(scene, header, table, bodies):
 
 @compiled
 def add_prints(scene, header, table, bodies, model):
-    """Adds sand with prints, as `prints.Cover` does: skin, rectangles, or a field beyond it."""
+    """Add sand with tracks, as `prints.Cover` does: skin, rectangles, or a field beyond it."""
     canvas = canvases(header.canvas, 1)[0]
     canvas.surface = table[SCENE] + header.plane
     frame = _frames(canvas.surface + header.frame, 1)[0]
@@ -241,13 +241,13 @@ def add_prints(scene, header, table, bodies, model):
 
 @compiled
 def draw(block, scene, model, prints):
-    """Adds what a block asks for: sand, an arrow for each body, a dot for each element in it.
+    """Add what a block draws: sand, an arrow for each body, a dot for each element in it.
 
     Args:
         block: address.
         scene: mjvScene*.
         model: mjModel*.
-        prints: whether the sand is drawn with prints.
+        prints: whether the sand is drawn with tracks.
     """
     header = _header(block, 1)[0]
     if header.draw == 0:

@@ -1,12 +1,12 @@
-"""The sand among the external forces on bodies: in `cfrc_ext`, and so in sensors of force.
+"""The sand's forces among the external forces on bodies: in `cfrc_ext` and in force sensors.
 
-MuJoCo works these out (`mj_rnePostConstraint`) from contacts, constraints and `xfrc_applied`. Of
-passive forces it knows only what they do along joints. So for the time of one call the sand's
-wrenches are in `xfrc_applied`: none of the user's code runs meanwhile, and the rows are put back to
-the last bit. Everywhere else the sand stays a passive force, as `mj_inverse` takes it.
+MuJoCo computes these (`mj_rnePostConstraint`) from contacts, constraints and `xfrc_applied`. Of
+passive forces it only has the components along joints. So during one call the sand's wrenches are
+in `xfrc_applied`: no user code runs meanwhile, and the rows are restored to the last bit.
+Everywhere else the sand is a passive force, as `mj_inverse` expects.
 
-MuJoCo asks plugins after its own sensors of the acceleration stage, which have then read what is
-without sand. Where there are such, they are computed again.
+MuJoCo calls plugins after its own sensors of the acceleration stage, whose values then lack the
+sand. If there are such sensors, they are computed again.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE
 from mjgranular.kernel.records import body_records
 
 ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
-"""Value of `body_awake` for bodies that MuJoCo leaves alone."""
+"""Value of `body_awake` for bodies that MuJoCo skips."""
 
 _header = records(HEADER_DTYPE)
 
 
 @compiled
 def lay_wrenches(header):
-    """Adds the wrenches of a sand to `xfrc_applied`, and keeps what was there.
+    """Add the wrenches of a sand to `xfrc_applied`, and save what was there.
 
     Returns:
         Whether there are any.
@@ -68,7 +68,7 @@ def lay_wrenches(header):
 
 @compiled
 def lift_wrenches(header):
-    """Puts back what `lay_wrenches` has kept."""
+    """Restore what `lay_wrenches` saved."""
     table = table_at(header.table)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     for slot in range(len(bodies)):
@@ -80,9 +80,9 @@ def lift_wrenches(header):
 
 @cache
 def external_forces(layout: Layout) -> Any:
-    """A compiled function `include(model, data, first)`: forces on bodies with the sands in them.
+    """Make a compiled function `include(model, data, first)`: forces on bodies with sand.
 
-    It takes the number of the first instance of sand, and says whether there are any of its forces.
+    It takes the index of the first instance of sand, and returns whether any of its forces exist.
     """
     find_block = block_finder(layout)
     plugin, flags = layout.plugin, layout.integrator + DISABLEFLAGS_BEHIND_INTEGRATOR
@@ -103,7 +103,7 @@ def external_forces(layout: Layout) -> Any:
                 some = lay_wrenches(_header(block, 1)[0]) or some
         if some:
             forces_on_bodies(model, data)
-        for instance in range(count - 1, first - 1, -1):  # of two on one body the last goes first
+        for instance in range(count - 1, first - 1, -1):  # the last of two on a body goes first
             block = find_block(data, instance) if kinds[instance] == kinds[first] else 0
             if block != 0 and _header(block, 1)[0].program != 0:
                 lift_wrenches(_header(block, 1)[0])
@@ -114,9 +114,9 @@ def external_forces(layout: Layout) -> Any:
 
 @cache
 def sensor_teller(layout: Layout) -> Any:
-    """A compiled function `tell(model, data, instance, block)`: sensors get to know of the sand.
+    """Make a compiled function `tell(model, data, instance, block)` that updates force sensors.
 
-    MuJoCo calls it for each sand, after its own sensors; the first serves all.
+    MuJoCo calls it for each sand, after its own sensors; the first call handles all sands.
     """
     include, plugin = external_forces(layout), layout.plugin
 
@@ -127,9 +127,9 @@ def sensor_teller(layout: Layout) -> Any:
             if kinds[other] == kinds[instance]:
                 return
         header = _header(block, 1)[0]
-        if header.senses == 0:  # nobody asks, and it takes a tenth of a small robot's step
+        if header.senses == 0:  # not needed, and it takes a tenth of a small robot's step
             return
-        if header.telling != 0:  # it is the call below that has led here
+        if header.telling != 0:  # called from the call below
             header.telling = 0
             return
         if include(model, data, instance):
@@ -141,17 +141,17 @@ def sensor_teller(layout: Layout) -> Any:
 
 
 def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Does what `mujoco.mj_rnePostConstraint` does, with the forces of the sand in it.
+    """Do what `mujoco.mj_rnePostConstraint` does, including the forces of the sand.
 
-    They are those of the last `mj_forward` or `mj_step`, which leave them in `cfrc_int` and
-    `cfrc_ext` by themselves where a sensor reads forces. MuJoCo's own function leaves the sand out.
+    They are those of the last `mj_forward` or `mj_step`, which write them to `cfrc_int` and
+    `cfrc_ext` themselves if a sensor reads forces. MuJoCo's own function omits the sand.
 
     Args:
         model: with or without sand in it.
         data: the simulation.
 
     Raises:
-        InputError: something else than a model and its data.
+        InputError: an argument is not a model or not its data.
     """
     check_model(model, "rne_post_constraint")
     check_data(data, "rne_post_constraint")
@@ -163,7 +163,7 @@ def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
 @cache
 def _includer() -> Callable[..., int]:
-    """The compiled function that includes the forces of the sand."""
+    """Return the compiled function that includes the forces of the sand."""
     include = external_forces(find_layout(NAME))
 
     @compiled

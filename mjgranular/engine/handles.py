@@ -1,10 +1,10 @@
 """Handles: one table of all blocks of the process.
 
-`mjData.plugin_data` holds a *handle* for each instance: the number of a row here. A handle and not
-an address, because it cannot be trusted: an `MjData` that is unpickled gets the words of the one
-that was pickled, in another process perhaps. A row is taken only if it says that it belongs to this
-`mjData`; else the right one is looked for. Rows are written under a lock when simulations are made,
-and read without one: a row that names an `mjData` changes only together with it.
+`mjData.plugin_data` holds a *handle* for each instance: the index of a row here. It is a handle and
+not an address, because it cannot be trusted: an `MjData` that is unpickled gets the words of the
+one that was pickled, perhaps in another process. A row is used only if it belongs to this `mjData`;
+else the right one is searched. Rows are written under a lock when simulations are made, and read
+without one: a row that names an `mjData` changes only together with it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from mjgranular.kernel.memory import longs, records
 
 ROW_DTYPE = np.dtype(
     [
-        ("data", np.int64),  # mjData*, 0 in a row that is free
+        ("data", np.int64),  # mjData*, 0 in a free row
         ("instance", np.int64),
         ("block", np.int64),  # address
-        ("used", np.int64),  # in row 0, which has no block: rows that were ever used
+        ("used", np.int64),  # in row 0, which has no block: number of rows ever used
     ]
 )
 ROW_COUNT = 1 << 18
@@ -40,7 +40,7 @@ rows_address = address_of(_SYMBOL)
 
 @cache
 def _table() -> np.ndarray:
-    """The table, made once: compiled code that was loaded knows where it is."""
+    """Return the table, made once: loaded machine code holds its address."""
     size = ROW_COUNT * ROW_DTYPE.itemsize
     address = library().mju_malloc(size)
     ctypes.memset(address, 0, size)
@@ -51,11 +51,11 @@ def _table() -> np.ndarray:
 
 
 class HandleTable:
-    """The table, as Python writes it, and the blocks that its rows are of.
+    """The table, as Python writes it, and the blocks of its rows.
 
-    An `mjData` is freed on any thread, with or without Python's lock, so its rows are only marked
-    then: what they held goes when the next one is made. Nothing is freed when Python ends, since
-    simulations may outlive it.
+    An `mjData` may be freed on any thread, with or without Python's lock, so its rows are only
+    flagged then; their blocks are released when the next one is made. Nothing is freed when Python
+    ends, since simulations may outlive it.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -65,26 +65,26 @@ class HandleTable:
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._held))
 
     def clear(self, data: int, instance: int) -> None:
-        """Takes the block of an instance away, if there is one.
+        """Remove the block of an instance, if there is one.
 
-        It was left behind where MuJoCo has freed an `mjData` without a word, and made a new one
-        there.
+        It remains if MuJoCo frees an `mjData` without a callback, and makes a new one at its
+        address.
         """
         self._set_handle(data, instance, 0)
         self._mark(self._of(data, instance))
 
     def vacate(self, data: int) -> None:
-        """Takes all blocks of an `mjData` away."""
+        """Remove all blocks of an `mjData`."""
         self._mark(self._of(data))
 
     def put(self, data: int, instance: int, block: np.ndarray, *shared: Any) -> None:
-        """Gives an instance in an `mjData`, which has none, its block.
+        """Assign a block to an instance in an `mjData` that has none.
 
         Args:
             data: address of the `mjData`.
-            instance: of the plugin.
+            instance: index of the plugin instance.
             block: its words.
-            shared: what is to live as long as the block.
+            shared: objects that must live as long as the block.
         """
         number = self._free()
         self._held[number] = (block, *shared)
@@ -94,7 +94,7 @@ class HandleTable:
         self._set_handle(data, instance, number)
 
     def __len__(self) -> int:
-        """The number of blocks."""
+        """Return the number of blocks."""
         self._purge()
         return len(self._held)
 
@@ -108,7 +108,7 @@ class HandleTable:
         ctypes.c_int64.from_address(handles + 8 * instance).value = number
 
     def _of(self, data: int, instance: int | None = None) -> list[int]:
-        """The rows of an `mjData`."""
+        """Return the rows of an `mjData`."""
         rows = self._rows[: int(self._rows["used"][0])]
         found = rows["data"] == data
         if instance is not None:
@@ -120,7 +120,7 @@ class HandleTable:
         self._rows["data"][numbers] = 0
 
     def _free(self) -> int:
-        """Finds a row that is free."""
+        """Find a free row."""
         self._purge()
         used = int(self._rows["used"][0])
         free = np.flatnonzero(self._rows["data"][1:used] == 0)
@@ -134,7 +134,7 @@ class HandleTable:
 
 @cache
 def row_finder(layout: Layout) -> Any:
-    """A compiled function `find_row(data, instance)`: the number of a row, 0 for none."""
+    """Make a compiled function `find_row(data, instance)`: the index of a row, 0 for none."""
     plugin_data = layout.plugin_data
 
     @compiled
@@ -160,7 +160,7 @@ def row_finder(layout: Layout) -> Any:
 
 @cache
 def block_finder(layout: Layout) -> Any:
-    """A compiled function `find_block(data, instance)`: the address of a block, 0 for none."""
+    """Make a compiled function `find_block(data, instance)`: the address of a block, 0 for none."""
     find_row = row_finder(layout)
 
     @compiled

@@ -1,4 +1,4 @@
-"""The sands that a model has, and the bodies they act on, read from the model."""
+"""The sands in a model, and the bodies they act on, read from the model."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of
 
 NAME = "mjgranular.sand"
-"""Of the plugin."""
+"""Name of the plugin."""
 
 
 def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of the instances of sand that a model has, which act inside `mj_step`."""
+    """Return the names of a model's instances of sand, which act inside `mj_step`."""
     if model.nplugin == 0:
         return ()
     try:
-        slot = plugin_slot(NAME)  # -1 where it could not be registered
-    except ImportError:  # nor could it without MuJoCo's library
+        slot = plugin_slot(NAME)  # -1 if it could not be registered
+    except ImportError:  # MuJoCo's library was not found
         return ()
     ours = np.flatnonzero((model.plugin == slot) & (slot >= 0))
     return tuple(instance_name(model._address, int(instance)) for instance in ours)
 
 
 def instance_of(model: mujoco.MjModel, name: str) -> int:
-    """The number of the instance of sand of that name.
+    """Return the index of the instance of sand of that name.
 
     Raises:
-        UnknownNameError: the model has none; lists those it has.
+        UnknownNameError: the model has no such sand; lists those it has.
     """
     names = sands_in(model)
     if name not in names:
@@ -52,10 +52,10 @@ def instance_of(model: mujoco.MjModel, name: str) -> int:
 
 
 def bodies_of_sands(model: mujoco.MjModel) -> Iterator[tuple[str, set[int]]]:
-    """The names of a model's instances of sand, and the ids of the bodies that each acts on.
+    """Yield the names of a model's instances of sand, and the ids of the bodies that each acts on.
 
     Raises:
-        InputError: what is written for one cannot be read, or does not fit the model.
+        InputError: the configuration of one cannot be parsed, or does not fit the model.
     """
     for name in sands_in(model):
         geoms = geoms_in_sand(model, _spec_of(model, instance_of(model, name)))
@@ -65,18 +65,18 @@ def bodies_of_sands(model: mujoco.MjModel) -> Iterator[tuple[str, set[int]]]:
 def material_in(
     model: mujoco.MjModel, name: str = "sand"
 ) -> tuple[Medium, Law, Surface, Memory | None]:
-    """The sand that a model has inside `mj_step`, with what follows from its defaults.
+    """Return the sand that a model has inside `mj_step`, with its defaults resolved.
 
     Args:
         model: the model.
-        name: of the instance.
+        name: name of the instance.
 
     Returns:
         Its medium, law with its constants, surface without memory, and memory.
 
     Raises:
         UnknownNameError: the model has no such sand; lists those it has.
-        InputError: what is written for it cannot be read, or does not fit the model.
+        InputError: its configuration cannot be parsed, or does not fit the model.
     """
     sand = _spec_of(model, instance_of(model, name))
     medium, law = material_of(model, sand)
@@ -89,14 +89,14 @@ def relief_of(
     name: str = "sand",
     middle: tuple[float, float] | None = None,
 ) -> Heights:
-    """What a sand inside `mj_step` remembers, as `Sand.relief` has it.
+    """Return the stored heights of a sand inside `mj_step`, as `Sand.relief` does.
 
     Args:
         model: the model.
         data: the simulation.
-        name: of the instance.
-        middle: of the square that is asked for, along the axes of the surface's plane [m]; None for
-            the middle of the bodies that meet the sand.
+        name: name of the instance.
+        middle: center of the returned square, along the axes of the surface's plane [m]; None for
+            the center of the bodies that meet the sand.
 
     Raises:
         UnknownNameError: the model has no such sand; lists those it has.
@@ -120,5 +120,5 @@ def relief_of(
 
 
 def _spec_of(model: mujoco.MjModel, instance: int) -> SandSpec:
-    """The sand as it is written in a model."""
+    """Return the sand as it is configured in a model."""
     return read_config(config_texts(model._address, instance, KEYS)).sand

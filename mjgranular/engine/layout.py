@@ -1,9 +1,9 @@
-"""Layout of MuJoCo's structs, found by looking.
+"""Layout of MuJoCo's structs, found by inspection.
 
-A plugin is handed `mjModel*` and `mjData*`. What is behind them is laid out by headers that differ
-from version to version, and there is no compiler here to read them. But Python shows the same
-memory as arrays: the word of the struct that holds an array's address is that array's field. A
-number without an array of its own is found by planting values that are unlike all others.
+A plugin gets `mjModel*` and `mjData*`. Their layout is defined by headers that differ between
+versions, and no compiler is available here to read them. But Python shows the same memory as
+arrays: the word of the struct that holds an array's address is that array's field. A number that
+Python does not expose as an array is found by writing distinctive values.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from mujoco.introspect.structs import STRUCTS
 from mjgranular.errors import GranularError
 
 TESTED = ("3.17.0", "4.0.0")
-"""Versions of MuJoCo that the tests have been run with."""
+"""Versions of MuJoCo that the tests were run with."""
 
 _WORD = 8  # bytes
 
 
 class LayoutError(GranularError, RuntimeError):
-    """This version of MuJoCo keeps its fields where they could not be found."""
+    """The fields of this version of MuJoCo could not be located."""
 
     def __init__(self, what: str) -> None:
         super().__init__(
@@ -41,13 +41,13 @@ class LayoutError(GranularError, RuntimeError):
 
 @contextmanager
 def laid_out(what: str) -> Iterator[None]:
-    """Says of what goes wrong with MuJoCo's memory that it is not as it is known.
+    """Turn unexpected errors into a `LayoutError` about MuJoCo's memory.
 
     Args:
-        what: was looked for.
+        what: what was searched.
 
     Raises:
-        LayoutError: something went wrong that this package does not know.
+        LayoutError: an error occurred that is not one of this package.
     """
     try:
         yield
@@ -58,35 +58,35 @@ def laid_out(what: str) -> Iterator[None]:
 
 
 def described_fields(struct: str) -> Sequence[Any]:
-    """The fields of a struct, as MuJoCo describes them."""
+    """Return the fields of a struct from MuJoCo's description."""
     return STRUCTS[struct].fields
 
 
 @dataclass(frozen=True)
 class Struct:
-    """The memory of one `mjModel` or `mjData`: the struct, and the buffer its arrays lie in."""
+    """The memory of one `mjModel` or `mjData`: the struct, and the buffer that holds its arrays."""
 
     address: int
-    pointers: int  # where its pointers to arrays begin, in bytes from its address
+    pointers: int  # offset of its first pointer to an array, in bytes
     words: np.ndarray  # the pointers
     buffer: range  # addresses
 
     @classmethod
     def of_model(cls, model: mujoco.MjModel) -> Struct:
-        """The memory of a model; what stands before the pointers ends with `stat`."""
+        """Return the memory of a model; what precedes the pointers ends with `stat`."""
         return cls._behind(model, model.stat.center, model.qpos0)
 
     @classmethod
     def of_data(cls, data: mujoco.MjData) -> Struct:
-        """The memory of a simulation; what stands before the pointers ends with `energy`."""
+        """Return the memory of a simulation; what precedes the pointers ends with `energy`."""
         return cls._behind(data, data.energy, data.qpos)
 
     @classmethod
     def _behind(cls, owner: Any, last: np.ndarray, first: np.ndarray) -> Struct:
-        """The struct whose pointers begin behind an array in it, the first of them to `first`.
+        """Return the struct whose pointers follow an array in it, the first of them to `first`.
 
         Raises:
-            LayoutError: they do not begin there.
+            LayoutError: the pointers do not start there.
         """
         begin = last.ctypes.data + last.nbytes
         fields = described_fields(type(owner).__name__.replace("Mj", "mj"))
@@ -94,25 +94,25 @@ class Struct:
         words = np.frombuffer(ctypes.string_at(begin, _WORD * count), np.int64)
         if not count or (first.size and words[0] != first.ctypes.data):
             raise LayoutError("the first pointer to an array")
-        start = int(words[0])  # NumPy knows no address of an array without numbers
+        start = int(words[0])  # NumPy has no address of an empty array
         return cls(
             owner._address, begin - owner._address, words, range(start, start + owner.nbuffer)
         )
 
     def encloses(self, address: int) -> bool:
-        """Tells whether an address lies in the struct itself, before its pointers."""
+        """Return True if an address is in the struct itself, before its pointers."""
         return self.address <= address < self.address + self.pointers
 
     def holds(self, address: int) -> bool:
-        """Tells whether an address lies in the struct, before its pointers, or in the buffer."""
+        """Return True if an address is in the struct, before its pointers, or in the buffer."""
         return self.encloses(address) or address in self.buffer
 
     def pointer(self, address: int, what: str) -> tuple[int, int]:
-        """The pointer to the array that an address lies in.
+        """Find the pointer to the array that contains an address.
 
         Args:
             address: in the buffer.
-            what: lies there, for the message.
+            what: name of the array, for the message.
 
         Returns:
             Offset of the pointer [bytes], and that of the address in the array [bytes].
@@ -124,12 +124,12 @@ class Struct:
         if address not in self.buffer or not before.any():
             raise LayoutError(what)
         begin = int(self.words[before].max())
-        # Empty arrays have the address of the next that is not: of those there it is the last.
+        # Empty arrays have the address of the next nonempty one, which is the last of them.
         place = self.pointers + _WORD * int(np.flatnonzero(self.words == begin)[-1])
         return place, address - begin
 
     def field(self, array: np.ndarray, what: str) -> int:
-        """Offset of the pointer to an array [bytes].
+        """Return the offset of the pointer to an array [bytes].
 
         Raises:
             LayoutError: there is none.
@@ -145,7 +145,7 @@ class Layout:
     """Offsets in the structs that compiled code needs [bytes].
 
     Attributes:
-        timestep: of `opt.timestep` in mjModel; all before it are sizes.
+        timestep: of `opt.timestep` in mjModel; everything before it is a size.
         integrator: of `opt.integrator` in mjModel.
         plugin: of the pointer `plugin` in mjModel.
         plugin_data: of the pointer `plugin_data` in mjData.
@@ -171,10 +171,10 @@ class Layout:
 
 @cache
 def find_layout(plugin: str) -> Layout:
-    """Looks the layout up in a small model with that plugin.
+    """Find the layout in a small model with that plugin.
 
     Raises:
-        LayoutError: something is not where it can be told from all else.
+        LayoutError: a field cannot be identified.
     """
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><extension><plugin plugin="{plugin}"><instance name="probe">'
@@ -216,10 +216,10 @@ def _planted(
     plant: Callable[[Any], None],
     begin: int = 0,
 ) -> int:
-    """Offset in mjModel of the one number that follows what is planted.
+    """Return the offset in mjModel of the one number that takes the written values.
 
     Raises:
-        LayoutError: none does, or several.
+        LayoutError: there is none, or several.
     """
     size = Struct.of_model(model).pointers - begin
     size -= size % np.dtype(kind).itemsize

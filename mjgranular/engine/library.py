@@ -1,4 +1,4 @@
-"""Functions of MuJoCo's library that the plugin calls from Python, past the Python bindings."""
+"""Functions of MuJoCo's library that the plugin calls from Python without the Python bindings."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _FUNCTIONS = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """MuJoCo's library, with the types of the functions above.
+    """Return MuJoCo's library, with the types of the functions above.
 
     Raises:
-        ImportError: it does not lie beside the Python package `mujoco`.
+        ImportError: it is not in the directory of the Python package `mujoco`.
     """
     handle = ctypes.CDLL(loaded_library()._name)
     for name, (result, *arguments) in _FUNCTIONS.items():
@@ -38,33 +38,34 @@ def library() -> ctypes.CDLL:
 
 
 def plugin_slot(name: str) -> int:
-    """The number by which models refer to a plugin; -1 if MuJoCo knows none of that name."""
+    """Return the index by which models refer to a plugin; -1 if MuJoCo has none of that name."""
     slot = ctypes.c_int(-1)
     library().mjp_getPlugin(name.encode(), ctypes.addressof(slot))
     return slot.value
 
 
 def instance_name(model: int, instance: int) -> str:
-    """The name of an instance, or its number."""
+    """Return the name of an instance, or its index if it has no name."""
     name = library().mj_id2name(model, int(mujoco.mjtObj.mjOBJ_PLUGIN), instance)
     return text_of(name) or str(instance)
 
 
 def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
-    """Texts of the configuration of an instance by key, "" for none."""
+    """Return the configuration strings of an instance by key, "" for missing ones."""
     read = library().mj_getPluginConfig
     texts = {key: read(model, instance, key.encode()) for key in keys}
     return {key: text_of(text) for key, text in texts.items()}
 
 
 def text_of(raw: bytes | None) -> str:
-    """A text of MuJoCo's, "" for none. A model file may hold any bytes: what is no UTF-8 is shown.
+    """Decode a string of MuJoCo, "" for none, with escapes for bytes that are not UTF-8.
 
-    Where MuJoCo's Python bindings read it they raise `UnicodeDecodeError`.
+    A model file may contain any bytes; MuJoCo's Python bindings raise `UnicodeDecodeError` for
+    them.
     """
     return (raw or b"").decode(errors="backslashreplace")
 
 
 def memory_at(address: int, size: int) -> np.ndarray:
-    """Bytes of memory that is not Python's, not copied."""
+    """Return a view of memory outside Python, without a copy."""
     return np.ctypeslib.as_array((ctypes.c_ubyte * size).from_address(address))

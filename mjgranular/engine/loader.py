@@ -1,9 +1,9 @@
-"""From the words in MJCF to a block in memory: what Python does when an `mjData` is made.
+"""From the configuration in MJCF to a block in memory: what Python does when an `mjData` is made.
 
 MuJoCo calls `init` for each plugin instance of each new `mjData`, with two C pointers. The sand is
-prepared by the same Python code as for `Sand`, on a copy of the model, and kept by what it was
-made of: the next `mjData` of the model, or of another that is the same where it matters, costs a
-hash and a copy of a block.
+prepared by the same Python code as for `Sand`, on a copy of the model, and cached by its inputs:
+the next `mjData` of the model, or of another that is the same in these inputs, costs a hash and a
+copy of a block.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from mjgranular.scheme import Auto
 from mjgranular.shape.select import names_in
 from mjgranular.surface import HeightField, Plane, Surface
 
-_KEPT = 32  # images of models of the past: they cost memory, and save preparing them again
-# What elements, selection and surfaces are made of. Heights of a height field are read live.
+_KEPT = 32  # images of past models: they cost memory, and save another preparation
+# Inputs of elements, selection and surfaces. Heights of a height field are read live.
 _PREFIXES = (
     "body_", "geom_", "jnt_", "dof_", "hfield_", "mesh_vert", "mesh_face", "mesh_pos", "mesh_quat",
 )  # fmt: skip
@@ -61,7 +61,7 @@ _NO_MATTER = (
     *_SITES,
 )  # fmt: skip
 
-# Which key named what a model does not have, by a word of what it was to name.
+# The key that named something missing in a model, by the kind of thing.
 _KEYS_OF_KINDS = {
     "group": "groups",
     "body of": "bodies",
@@ -76,14 +76,15 @@ class Prepared:
     """The sand of one instance in a model.
 
     Attributes:
-        image: of its block.
+        image: image of its block.
         bodies: names of the bodies that meet it by their ids, in its order.
         geoms: names of the geoms that have elements, by their ids.
         disabled: geoms whose contacts are off (`sand.prepare`).
-        hidden: geoms that are sand, and are drawn with its prints in their place.
-        place: where it always is, in words; None for sand that can be switched off (`tunable`).
-        draws: whether something is to be drawn.
-        origin: the medium; kept because the key of this is made with its identity.
+        hidden: geoms that are sand and are replaced by its tracks in drawings.
+        place: its place in words, if that is fixed; None for sand that can be switched off
+            (`tunable`).
+        draws: whether anything is drawn.
+        origin: the medium; kept alive because the cache key contains its identity.
     """
 
     image: Image
@@ -97,11 +98,11 @@ class Prepared:
 
 
 class Loader:
-    """Makes blocks for new `mjData`.
+    """Make blocks for each new `mjData`.
 
     Args:
-        layout: of MuJoCo's structs.
-        draw: called once, before the first sand that is to be drawn is there.
+        layout: layout of MuJoCo's structs.
+        draw: called once, before the first sand that is drawn exists.
     """
 
     def __init__(self, layout: Layout, draw: Callable[[], None]) -> None:
@@ -113,10 +114,10 @@ class Loader:
         self._draws = False
 
     def load(self, model: int, data: int, instance: int) -> None:
-        """Gives an instance in a new `mjData` its block.
+        """Assign a block to an instance in a new `mjData`.
 
         Raises:
-            InputError: what was written cannot be read, or does not fit the model.
+            InputError: the configuration cannot be parsed, or does not fit the model.
         """
         with LOADER:
             self._handles.clear(data, instance)
@@ -134,7 +135,7 @@ class Loader:
             self._handles.put(data, instance, content.copy_for(data), content)
 
     def refuse(self, model: int, data: int, instance: int, text: bytes) -> None:
-        """Gives an instance a block that is an error of MuJoCo's as soon as it is used."""
+        """Assign a block that raises an error of MuJoCo at its first use."""
         head = np.zeros(1, HEADER_DTYPE)
         head["refused"] = 1
         with LOADER:
@@ -143,23 +144,23 @@ class Loader:
             self._handles.put(data, instance, np.concatenate([head.view(np.float64), message]))
 
     def leave_empty(self, data: int, instance: int) -> None:
-        """Gives an instance that sand is prepared with a block that does nothing.
+        """Assign a block that does nothing to an instance of the model that prepares the sand.
 
-        Whoever prepares it has another thread hold the lock, and wait.
+        No lock is taken: the thread that waits for the preparation holds it.
         """
         self._handles.clear(data, instance)
         self._handles.put(data, instance, np.zeros(1, HEADER_DTYPE))
 
     def abandon(self, data: int) -> None:
-        """Drops all blocks of an `mjData` that MuJoCo is about to give up."""
+        """Drop all blocks of an `mjData` that MuJoCo is about to discard."""
         with LOADER:
             self._handles.vacate(data)
 
     def _refuse_twice(self, model: int, instance: int, sands: dict[str, int]) -> None:
-        """Refuses two sands in one place that act on the same body.
+        """Check that two sands in one place do not act on the same body.
 
         Raises:
-            InputError: names both, and the body.
+            InputError: they do; names both, and the body.
         """
         if len(sands) < 2:
             return
@@ -200,13 +201,13 @@ class Loader:
         return Image(content, NO_RELOCATIONS)
 
     def _sands(self, model: int) -> dict[str, int]:
-        """Instances of sand in a model by their names."""
+        """Return the instances of sand in a model by name."""
         slots = self._array(model, "plugin")
         ours = np.flatnonzero(slots == plugin_slot(NAME))
         return {instance_name(model, int(i)): int(i) for i in ours}
 
     def _array(self, model: int, name: str) -> np.ndarray:
-        """A copy of an array of integers of a model."""
+        """Return a copy of an array of integers of a model."""
         known = self._fields_of(model)
         if name not in known:
             return np.zeros(0, np.int32)
@@ -253,11 +254,11 @@ class Loader:
             self._prepared.popitem(last=False)
 
     def _key(self, model: int, instance: int, texts: dict[str, str]) -> bytes:
-        """Digest of all that the sand is made of."""
+        """Return a digest of everything that the sand is made of."""
         digest = hashlib.blake2b(self._sizes(model), digest_size=16)
         digest.update(self._switches(model))
         digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
-        if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it chooses by the time step
+        if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it depends on the time step
             digest.update(ctypes.string_at(model + self._layout.timestep, 8))
         for name, (offset, size) in self._fields_of(model).items():
             if not name.startswith(_NO_MATTER):
@@ -265,10 +266,10 @@ class Loader:
         return digest.digest()
 
     def _switches(self, model: int) -> bytes:
-        """The options from the integrator on, without the flag that disables contacts.
+        """Return the options from the integrator on, without the flag that disables contacts.
 
-        Sand does not look at contacts when it is prepared, and MuJoCo's compiler makes an `mjData`
-        with that flag set before there is one for the user.
+        Preparing sand does not use contacts, and MuJoCo's compiler makes an `mjData` with that flag
+        set before the user's first one.
         """
         text = ctypes.string_at(model + self._layout.integrator, _SWITCHES)
         switches = np.frombuffer(text, np.int32).copy()
@@ -276,7 +277,7 @@ class Loader:
         return switches.tobytes()
 
     def _hide(self, model: int, geoms: tuple[int, ...]) -> bool:
-        """Hides geoms that are drawn otherwise; says whether any were to be seen."""
+        """Hide geoms that are drawn in another way; return whether any was visible."""
         changed = False
         for geom in geoms:
             group = _pointer(model + self._fields_of(model)["geom_group"][0]) + 4 * geom
@@ -286,7 +287,7 @@ class Loader:
         return changed
 
     def _disable_contacts(self, model: int, geoms: tuple[int, ...]) -> bool:
-        """Switches contacts of geoms off; says whether any were on."""
+        """Disable contacts of geoms; return whether any were enabled."""
         changed = False
         for name in ("geom_contype", "geom_conaffinity"):
             for geom in geoms:
@@ -302,12 +303,12 @@ def _pointer(address: int) -> int:
 
 
 def _copy(model: int) -> mujoco.MjModel:
-    """A model of Python's own, from a pointer to one that is not."""
+    """Return a Python model from a pointer to an engine model."""
     return mujoco.MjModel._from_model_ptr(library().mj_copyModel(None, model))
 
 
 def _medium_now(text: str) -> object:
-    """Identifies the medium that a name or file stands for now."""
+    """Return an identity of the medium that a name or file means at present."""
     if text.endswith((".yaml", ".yml")):
         try:
             found = Path(text).stat()
@@ -320,7 +321,7 @@ def _medium_now(text: str) -> object:
 
 
 def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
-    """Finds the arrays of a model that sand is made of: offset of the pointer, size [bytes].
+    """Find the arrays of a model that sand is made of: offset of the pointer, size [bytes].
 
     Raises:
         LayoutError: a field is not found.
@@ -332,7 +333,7 @@ def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
         array = getattr(model, name)
         if isinstance(array, np.ndarray) and array.nbytes:
             found[name] = struct.field(array, name), array.nbytes
-    # Python shows no address of the names: in mjmodel.h they stand before the map of their hashes.
+    # Python has no address of the names: in mjmodel.h they precede the map of their hashes.
     before = struct.field(model.names_map, "names_map") - 8
     text = bytes(model.names)
     if ctypes.string_at(_pointer(model._address + before), len(text)) != text:
@@ -342,10 +343,10 @@ def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
 
 
 def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Prepared:
-    """Prepares the sand of an instance, written in those texts, for a model, which is changed.
+    """Prepare the sand of an instance from its configuration, for a model, which is modified.
 
     Raises:
-        InputError: a text cannot be read, or does not fit the model.
+        InputError: a string cannot be parsed, or does not fit the model.
     """
     if model.opt.disableflags & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
         raise InputError(NOT_ASKED)
@@ -387,7 +388,7 @@ def _name_of_instance(model: mujoco.MjModel, instance: int) -> str:
 
 
 def _place_of(surface: Surface) -> str:
-    """The same words for surfaces under which a body would always meet both sands."""
+    """Return the same words for surfaces under which a body would always meet both sands."""
     if isinstance(surface, Relief):
         surface = surface.base
     return "an endless plane" if isinstance(surface, Plane) else repr(surface)
@@ -396,9 +397,9 @@ def _place_of(surface: Surface) -> str:
 def _drawing(
     model: mujoco.MjModel, drawings: Sequence[str], sand: PreparedSand, name: str
 ) -> tuple[dict[str, Any], tuple[np.ndarray, ...]]:
-    """What is drawn, and how: fields of the header of a block, and what prints are drawn in.
+    """Return what is drawn, and how: fields of a block's header, and arrays for tracks.
 
-    Without memory a bed is drawn as the geom it is.
+    Without memory a bed is drawn as its geom.
     """
     look, chosen, skin = None, set(drawings), -1
     surface = sand.surface.base if isinstance(sand.surface, Relief) else sand.surface

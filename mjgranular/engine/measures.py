@@ -1,10 +1,10 @@
-"""The plugin `mjgranular.sensor` by its words: its name, its keys, what it can measure."""
+"""Names of the plugin `mjgranular.sensor`: its name, its keys, and its measures."""
 
 SENSOR = "mjgranular.sensor"
-"""Of the plugin."""
+"""Name of the plugin."""
 
 SENSOR_KEYS = ("measure", "sand")
-"""Of its configuration."""
+"""Keys of its configuration."""
 
 MEASURES = {"force": 3, "moment": 3, "depth": 1, "power": 1, "speed": 1, "touch": 1}
 """The measures, with the number of their values."""

@@ -1,8 +1,8 @@
-"""Pickles of models with sand in them, which bring mjgranular along.
+"""Pickles of models with sand, which import mjgranular when they are loaded.
 
-MuJoCo looks a plugin up by its number, without asking whether anybody has registered it: a model
-from a pickle ends a process that has not imported mjgranular. So a model with sand is pickled as a
-call of a function of this module, which cannot be found without the import.
+MuJoCo looks up a plugin by its index without checking that it is registered: a model from a pickle
+would end a process that has not imported mjgranular. So a model with sand is pickled as a call of a
+function of this module, which cannot be found without the import.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ PROTOCOL = 4  # of `__reduce_ex__`
 
 
 def register() -> None:
-    """Has `pickle`, and what is built on it, ask this module about MuJoCo's models and data."""
+    """Have `pickle`, and what is built on it, use this module for MuJoCo's models and data."""
     copyreg.pickle(mujoco.MjModel, _reduce_model)
     copyreg.pickle(mujoco.MjData, _reduce_data)
 
 
 def restore(make: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """Makes what was pickled, now that the plugins are registered."""
+    """Restore what was pickled, after the plugins are registered."""
     return make(*arguments)
 
 

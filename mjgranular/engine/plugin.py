@@ -1,9 +1,9 @@
 """The plugins, `mjgranular.sand` and `mjgranular.sensor`: registered on import, compiled when used.
 
-MuJoCo copies the struct of function pointers when it is registered, and looks into its copy at each
-call. What is registered are a few instructions (`trampolines`), the way into Python among them; the
-first model with sand in it has compiled functions put beside them. A program that imports
-mjgranular and uses no plugin pays next to nothing.
+MuJoCo copies the struct of function pointers at registration, and reads its copy at each call.
+Registered are a few machine instructions (`trampolines`), including the entry into Python; the
+first model with sand adds compiled functions. A program that imports mjgranular without using a
+plugin pays almost nothing.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _logger = logging.getLogger(__name__)
 
 _SENSOR, _PASSIVE = 1 << 1, 1 << 2  # mjPLUGIN_SENSOR, mjPLUGIN_PASSIVE
 _VELOCITY, _ACCELERATION = int(mujoco.mjtStage.mjSTAGE_VEL), int(mujoco.mjtStage.mjSTAGE_ACC)
-_LONGEST = 440  # bytes of a message: MuJoCo cuts at 500, its own words included
+_LONGEST = 440  # bytes of a message: MuJoCo cuts at 500, including its own words
 
 _CALLBACKS = (
     "nstate", "nsensordata", "init", "destroy", "copy", "reset", "compute", "advance", "visualize",
@@ -85,7 +85,7 @@ class Plugin:
 
 
 class Engine:
-    """State that the plugins share: nothing is compiled until the first model needs one of them."""
+    """State that the plugins share; nothing is compiled until the first model needs one of them."""
 
     def __init__(self) -> None:
         self._active: set[str] = set()
@@ -94,10 +94,10 @@ class Engine:
         self._message = threading.local()
 
     def register(self, plugin: Plugin) -> None:
-        """Makes a plugin known to MuJoCo.
+        """Register a plugin with MuJoCo.
 
         Raises:
-            LayoutError: plugins of this version of MuJoCo are of another make.
+            LayoutError: plugins of this version of MuJoCo have a different struct.
         """
         lib = library()
         _check_struct(lib)
@@ -117,9 +117,9 @@ class Engine:
         lib.mjp_registerPlugin(ctypes.addressof(struct))
 
     def _init(self, plugin: Plugin, model: int, data: int, instance: int, place: int) -> None:
-        """Prepares the sand of an instance in a new `mjData`; says how that went.
+        """Prepare the sand of an instance in a new `mjData`; write the result.
 
-        Nothing is raised from here but what interrupts it, and then there is no answer.
+        Only interrupts are raised from here, and then there is no result.
         """
         answer = Answer.from_address(place)
         try:
@@ -148,9 +148,9 @@ class Engine:
     def _refuse(
         self, error: BaseException, model: int, data: int, instance: int, answer: ctypes.Array[Any]
     ) -> None:
-        """Has MuJoCo raise an error: now, or where it would end the process, at the first step."""
+        """Have MuJoCo raise an error: now, or at the first step if it would end the process now."""
         now = _errors_are_caught()
-        # For the case that telling more fails too.
+        # In case the steps below fail too.
         answer[1], answer[0] = ctypes.addressof(_FAILED), ERROR if now else FINE
         try:
             if not isinstance(error, GranularError):
@@ -172,16 +172,16 @@ class Engine:
             _logger.debug("telling why failed", exc_info=True)
 
     def _activate(self, plugin: Plugin) -> None:
-        """Compiles what MuJoCo is to call, and has it called from now on.
+        """Compile the functions that MuJoCo calls, and activate them.
 
         Raises:
-            GranularError: that cannot be, now or ever.
+            GranularError: that is not possible, now or ever.
         """
         with ENGINE:
             if self._failure is None and plugin.name not in self._active:
                 try:
                     self._compile(plugin)
-                except (MemoryError, OSError):  # another time perhaps
+                except (MemoryError, OSError):  # may succeed another time
                     raise
                 except Exception as error:
                     _logger.debug("the plugin cannot be used", exc_info=True)
@@ -207,13 +207,13 @@ class Engine:
         self._put(plugin.name, made(layout))
 
     def _draw(self) -> None:
-        """Has MuJoCo draw from now on."""
+        """Activate drawing."""
         from mjgranular.engine import callbacks
 
         self._put(NAME, callbacks.drawing_callbacks(find_layout(NAME)))
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, str]]) -> None:
-        """Compiles functions and has MuJoCo call them."""
+        """Compile functions and have MuJoCo call them."""
         registered = PluginStruct.from_address(library().mjp_getPlugin(plugin.encode(), None))
         addresses = {
             name: program_address(function, signature)
@@ -224,7 +224,7 @@ class Engine:
 
 
 def _cut(text: str) -> bytes:
-    """A text as MuJoCo takes it: one that ends in the middle of a letter could not be read."""
+    """Encode a message for MuJoCo, cut between characters so that it can be decoded."""
     whole = text.replace("\0", "\\0").encode(errors="backslashreplace")
     if len(whole) <= _LONGEST:
         return whole
@@ -232,9 +232,9 @@ def _cut(text: str) -> bytes:
 
 
 def _errors_are_caught() -> bool:
-    """Tells whether an error of MuJoCo's would come back to Python now, and not end the process.
+    """Return True if an error of MuJoCo would reach Python now, and not end the process.
 
-    One place of the bindings lets it through: where an `MjData` is unpickled.
+    It would end the process at one place of the bindings: where an `MjData` is unpickled.
     """
     lib = library()
     swap = getattr(lib, "_mjPRIVATE_setTlsLogHandler", None)
@@ -247,10 +247,10 @@ def _errors_are_caught() -> bool:
 
 
 def _check_struct(lib: ctypes.CDLL) -> None:
-    """Has MuJoCo clear a struct, to see how large it is.
+    """Have MuJoCo clear a struct, to measure its size.
 
     Raises:
-        LayoutError: another size.
+        LayoutError: the size differs.
     """
     room = (ctypes.c_ubyte * 1024)(*([0xFF] * 1024))
     lib.mjp_defaultPlugin(ctypes.addressof(room))
@@ -259,9 +259,9 @@ def _check_struct(lib: ctypes.CDLL) -> None:
 
 
 def _count_state(model: int, instance: int, place: int) -> None:
-    """Writes how many numbers an instance of sand has in MuJoCo's state.
+    """Write the number of values of an instance of sand in MuJoCo's state.
 
-    Of what cannot be read there are none; it is said when the sand is prepared.
+    It is 0 for a configuration that cannot be parsed; preparing the sand reports the error.
     """
     try:
         config = read_config(config_texts(model, instance, STATE_KEYS))
@@ -273,11 +273,11 @@ def _count_state(model: int, instance: int, place: int) -> None:
 
 
 _PLUGINS = (
-    # What is neither true nor false is an error when the sand is prepared.
+    # Preparing the sand reports values that are neither true nor false.
     Plugin(
         NAME,
         KEYS,
-        _PASSIVE | _SENSOR,  # it measures nothing, but is asked when MuJoCo's sensors are through
+        _PASSIVE | _SENSOR,  # it measures nothing, but is called after MuJoCo's sensors
         _ACCELERATION,
         count_state=_count_state,
     ),
@@ -290,7 +290,7 @@ _refused: list[Exception] = []
 
 
 def register() -> None:
-    """Registers the plugins, once a process; where that cannot be, `check_registered` says why."""
+    """Register the plugins, once per process; `check_registered` raises if that has failed."""
     try:
         for plugin in _PLUGINS:
             if library().mjp_getPlugin(plugin.name.encode(), None) is None:
@@ -301,7 +301,7 @@ def register() -> None:
 
 
 def check_registered() -> None:
-    """Makes sure that MuJoCo knows the plugins.
+    """Check that the plugins are registered.
 
     Raises:
         LayoutError: this version of MuJoCo cannot be used with them.

@@ -14,16 +14,16 @@ _here = threading.local()
 
 
 def is_preparing() -> bool:
-    """Tells whether this thread prepares sand: what it makes on the way gets none."""
+    """Return True if this thread prepares sand: models and data it makes get none."""
     return getattr(_here, "preparing", False)
 
 
 def prepare_in_worker(work: Callable[[], T]) -> T:
-    """Does something in a thread of its own, and waits for it, whatever happens (`run_in_worker`).
+    """Run a function in a separate thread, and wait until it ends (`run_in_worker`).
 
-    MuJoCo turns its errors into exceptions by a jump to a place that it keeps one of per thread.
-    While it waits in a callback of ours, nothing on its thread may call it again through Python:
-    the place would be overwritten, and the next error would jump into nowhere.
+    MuJoCo turns its errors into exceptions by a jump to a target stored per thread. While it waits
+    in a callback, nothing on its thread may call it again through Python: the target would be
+    overwritten, and the next error would jump to an invalid address.
     """
 
     def run() -> T:

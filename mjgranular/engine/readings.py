@@ -1,4 +1,4 @@
-"""Readings of a sand inside `mj_step`, for Python: what sensors measure, in a model without any."""
+"""Readings of a sand inside `mj_step`, for Python: sensor values in a model without sensors."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.memory import floats, records
 
 COUNT = 6
-"""Numbers of a sand: force [N], depth [m], power [W], speed [m/s]."""
+"""Numbers per sand: force [N], depth [m], power [W], speed [m/s]."""
 
 _header = records(HEADER_DTYPE)
 assert tuple(MEASURES) == ("force", "moment", "depth", "power", "speed", "touch")
 
 
 class SandReadings:
-    """Reads what the last step of each sand has done to all bodies together, into one array.
+    """Read the last step's results of each sand for all bodies together, into one array.
 
-    The numbers lie as the sensors of `mjgranular.sensor` lay them: `COUNT` for each sand.
+    The numbers are in the order of `mjgranular.sensor`: `COUNT` for each sand.
 
     Args:
         model: with sand in it.
@@ -35,7 +35,7 @@ class SandReadings:
 
     Attributes:
         values: the array, shape (1, n).
-        together: where the numbers of each sand begin.
+        together: index of the first number of each sand.
     """
 
     def __init__(self, model: mujoco.MjModel, sands: tuple[str, ...]) -> None:
@@ -45,7 +45,7 @@ class SandReadings:
         self._read = _reader()
 
     def read(self, data: mujoco.MjData) -> np.ndarray:
-        """Reads a simulation; zeros before its first step, and after a reset."""
+        """Read a simulation; zeros before its first step, and after a reset."""
         begin = self.values.ctypes.data
         address = data._address
         for instance, together in zip(self._instances, self.together, strict=True):
@@ -55,7 +55,7 @@ class SandReadings:
 
 @cache
 def _reader() -> Callable[..., int]:
-    """The compiled function that reads one sand."""
+    """Return the compiled function that reads one sand."""
     find_block = block_finder(find_layout(NAME))
 
     @compiled

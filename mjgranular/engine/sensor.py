@@ -1,7 +1,7 @@
-"""The plugin `mjgranular.sensor`: what the sand does to a body, among MuJoCo's own sensors.
+"""The plugin `mjgranular.sensor`: effects of the sand on a body, among MuJoCo's own sensors.
 
-It reads what the sand of the same `mjData` has left behind, and is a plugin of its own so that a
-model without such sensors does not pay for them.
+It reads the results of the sand in the same `mjData`. It is a separate plugin so that a model
+without such sensors does not pay for them.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ READING_DTYPE = np.dtype(
         ("sand", np.int64),  # instance whose results are read
         ("measure", np.int64),
         ("slot", np.int64),  # row of the body in the sand, -1 for all bodies together
-        ("at", np.int64),  # first of its values in `sensordata`
-        ("geom", np.int64),  # whose elements are meant, -1 for all
-        ("site", np.int64),  # in whose volume they are, -1 for anywhere
+        ("at", np.int64),  # index of its first value in `sensordata`
+        ("geom", np.int64),  # only elements of this geom count, -1 for all
+        ("site", np.int64),  # only elements inside this site count, -1 for anywhere
         ("kind", np.int64),  # of that site
         ("size", np.float64, (3,)),  # of that site [m]
     ]
@@ -62,7 +62,7 @@ _GEOM, _SITE = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_SITE)
 
 @dataclass(frozen=True)
 class Sensors:
-    """The sensors of a model, as far as they are needed: arrays of `mjModel` without `sensor_`."""
+    """The sensors of a model, as far as needed: arrays of `mjModel` without `sensor_`."""
 
     plugin: np.ndarray
     objtype: np.ndarray
@@ -72,7 +72,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Sites:
-    """The sites of a model, likewise without `site_`."""
+    """The sites of a model: arrays of `mjModel` without `site_`."""
 
     bodyid: np.ndarray
     type: np.ndarray
@@ -80,14 +80,14 @@ class Sites:
 
 
 def find_sand(name: str, sands: Mapping[str, int]) -> int:
-    """The number of the instance that a sensor reads.
+    """Return the index of the instance that a sensor reads.
 
     Args:
-        name: of the instance; "" for the only one.
-        sands: instances of `mjgranular.sand` by their names.
+        name: name of the instance; "" for the only one.
+        sands: instances of `mjgranular.sand` by name.
 
     Raises:
-        InputError: no such instance, or none was named where there are several.
+        InputError: no such instance, or no name although there are several.
     """
     if not name and len(sands) == 1:
         (only,) = sands.values()
@@ -110,14 +110,14 @@ def make_readings(
     bodies: Mapping[int, str],
     geoms: Mapping[int, str],
 ) -> np.ndarray:
-    """Makes the list of what one instance measures: rows of `READING_DTYPE`.
+    """Make the list of what one instance measures: rows of `READING_DTYPE`.
 
     Args:
-        instance: of this plugin.
-        sand: instance of the sand.
-        measure: what.
-        sensors: of the model.
-        sites: of the model.
+        instance: index of the instance of this plugin.
+        sand: index of the instance of the sand.
+        measure: name of the measure.
+        sensors: sensors of the model.
+        sites: sites of the model.
         bodies: names of the sand's bodies by their ids, in its order.
         geoms: names of the geoms that have its elements, by their ids.
 
@@ -153,10 +153,10 @@ def make_readings(
 
 
 def _place(kind: str, number: int, names: Mapping[int, str]) -> int:
-    """Place of a body or geom among those that meet a sand.
+    """Return the index of a body or geom among those that meet a sand.
 
     Raises:
-        InputError: it is none of them; lists those.
+        InputError: it does not meet the sand; lists those that do.
     """
     if number not in names:
         raise InputError(
@@ -168,13 +168,13 @@ def _place(kind: str, number: int, names: Mapping[int, str]) -> int:
 
 @compiled
 def measure_sand(block, measure, slot, values):
-    """Measures what the last step of a sand has left behind.
+    """Compute a measure from the results of a sand's last step.
 
     Args:
-        block: of the sand.
-        measure: what.
+        block: block of the sand.
+        measure: index of the measure.
         slot: row of the body, -1 for all.
-        values: room for the result.
+        values: array for the result.
     """
     header = _header(block, 1)[0]
     table = table_at(header.table)
@@ -209,7 +209,7 @@ def measure_sand(block, measure, slot, values):
 
 @cache
 def sensor_compute(layout: Layout) -> Any:
-    """The compiled `compute` of the plugin."""
+    """Make the compiled `compute` of the plugin."""
     find_block, touch = block_finder(layout), touch_sensor(layout)
     sensordata = layout.sensordata
     begin, stride = HEADER_DTYPE.itemsize, READING_DTYPE.itemsize

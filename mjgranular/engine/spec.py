@@ -1,4 +1,4 @@
-"""Sand written into an `MjSpec`."""
+"""Write sand into an `MjSpec`."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ def add_sand(
     name: str | None = None,
     **fields: Unpack[SandFields],
 ) -> mujoco.MjsPlugin:
-    """Adds sand to a model: from then on it acts inside `mj_step`.
+    """Add sand to a model: from then on it acts inside `mj_step`.
 
-    What is added is an instance of the plugin `mjgranular.sand`, which stays through XML. Called
-    twice, it adds two: two media in two beds, for example. Where the surface is to be seen, a
-    material and its texture come with it, a bed or height field that nobody has coloured gets that
-    material, and what the sand replaces is put into geom group 5, which is not shown.
+    It adds an instance of the plugin `mjgranular.sand`, which is preserved in XML. Called twice, it
+    adds two: two media in two beds, for example. If the surface is drawn, a material and its
+    texture are added, a bed or height field without a color gets that material, and geoms that the
+    sand replaces are moved to geom group 5, which is hidden.
 
     Args:
         spec: the model to be.
-        sand: the sand, of things that are known by their names; None for one of defaults.
-        draw: what viewers and renderers are to show: "surface", "forces", "depth"; () for nothing.
+        sand: the sand, made of named parts; None for the defaults.
+        draw: what viewers and renderers show: "surface", "forces", "depth"; () for nothing.
         tunable: let each simulation have its own strength, density and height of the sand, as a
             part of MuJoCo's state (`tune`).
-        name: of the instance; None for "sand", "sand_2", ...
-        **fields: of `SandSpec`, which says what they mean; they replace those of `sand`.
+        name: name of the instance; None for "sand", "sand_2", ...
+        **fields: fields of `SandSpec`, which documents them; they replace those of `sand`.
 
     Returns:
         The instance.
 
     Raises:
-        InputError: an object that has no name to be written by, or a name that is taken. What does
-            not fit the model is found when it is compiled.
+        InputError: an object has no name to be written by, or the name is taken. What does not fit
+            the model is found when it is compiled.
         LayoutError: this version of MuJoCo cannot be used with the plugin.
     """
     check_spec(spec, "add_sand")
@@ -79,11 +79,11 @@ def add_sand(
 
 
 def show_surface(spec: mujoco.MjSpec, sand: SandSpec) -> None:
-    """Has the geoms of a model look as the sand asks for: what is sand, and what it replaces."""
+    """Set the appearance of a model's geoms: those that are sand, and those that it replaces."""
     material = add_material(spec)
     if isinstance(sand.surface, Bed | HeightField) and (bed := spec.geom(sand.surface.geom)):
         paint(bed, material)
-    of_world = spec.worldbody.geoms  # which have the first numbers
+    of_world = spec.worldbody.geoms  # these have the lowest ids
     for name in names_in(sand.instead_of):
         replaced = spec.geom(str(name))
         if replaced is None and str(name).isdecimal() and int(name) < len(of_world):
@@ -93,12 +93,12 @@ def show_surface(spec: mujoco.MjSpec, sand: SandSpec) -> None:
 
 
 def show_prints(spec: mujoco.MjSpec, sand: SandSpec, name: str = "sand") -> None:
-    """Adds what prints are drawn with, for sand that remembers; nothing for sand that does not.
+    """Add the geometry that draws tracks for a sand with memory; nothing without memory.
 
     Args:
         spec: the model to be.
         sand: the sand.
-        name: of its instance.
+        name: name of its instance.
     """
     memory = as_memory(sand.memory)
     if memory is None:
@@ -108,16 +108,16 @@ def show_prints(spec: mujoco.MjSpec, sand: SandSpec, name: str = "sand") -> None
     if isinstance(surface, Bed | HeightField):
         bed = spec.geom(surface.geom)
         if bed is None:
-            return  # which is told when the model is compiled
+            return  # compiling the model reports the error
         material, rgb, thickness = bed.material, tuple(bed.rgba[:3]), 2 * float(bed.size[2])
     add_skin(spec, memory, material, sand=name, rgb=rgb, thickness=thickness)
 
 
 def _attach(spec: mujoco.MjSpec, name: str) -> None:
-    """Has a body refer to the instance.
+    """Have a body refer to the instance.
 
-    It means nothing to the physics. But `MjSpec.copy` and `MjSpec.attach` drop instances that
-    nothing refers to, without a word. A body can refer to one.
+    It does not affect the physics. But `MjSpec.copy` and `MjSpec.attach` silently drop instances
+    that nothing refers to. A body can refer to one.
     """
     for body in spec.bodies[1:]:
         if not body.plugin.active:

@@ -1,7 +1,7 @@
-"""What a sensor of touch would read, if sand made contacts: sizes of forces, summed up.
+"""Touch sensor for sand: the sum of the magnitudes of forces on elements.
 
-MuJoCo's touch sensor adds up the normal forces of contacts within a site's volume. Sand makes no
-contacts. Here the sizes of the forces on elements are added up, those of a geom or within a site:
+MuJoCo's touch sensor sums the normal forces of contacts within a site's volume. Sand makes no
+contacts. Instead the magnitudes of the forces on elements are summed, for a geom or within a site:
 forces that press on two sides of a body do not cancel.
 """
 
@@ -29,14 +29,14 @@ _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 @compiled
 def is_inside(kind, size, x, y, z):
-    """Tells whether a point in the frame of a site lies in its volume.
+    """Return True if a point in the frame of a site is inside its volume.
 
     Args:
-        kind: of the site: sphere, capsule, ellipsoid, cylinder, else box.
-        size: of the site, 3 numbers.
-        x: of the point [m].
-        y: likewise.
-        z: likewise.
+        kind: type of the site: sphere, capsule, ellipsoid, cylinder, else box.
+        size: size of the site, 3 numbers.
+        x: coordinate of the point [m].
+        y: coordinate of the point [m].
+        z: coordinate of the point [m].
     """
     if kind == _SPHERE:
         return x * x + y * y + z * z <= size[0] * size[0]
@@ -52,7 +52,7 @@ def is_inside(kind, size, x, y, z):
 
 @cache
 def touch_sensor(layout: Layout) -> Any:
-    """A compiled function `touch(data, block, row)`: the sum [N] for a row of `READING_DTYPE`."""
+    """Make a compiled function `touch(data, block, row)`: the sum [N] for a `READING_DTYPE` row."""
     site_xpos, site_xmat = layout.site_xpos, layout.site_xmat
 
     @compiled

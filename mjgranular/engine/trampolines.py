@@ -1,15 +1,15 @@
-"""Trampolines: a few machine instructions each, which stand between MuJoCo and Python.
+"""Trampolines: a few machine instructions each, between MuJoCo and Python.
 
-A function of Python's that MuJoCo called by itself could fail before its first line, where a signal
-has come in; what MuJoCo then takes for its answer is what happened to lie in memory. These ask
-Python for an answer in memory of their own. Where there is none the sand is not prepared, and a
-step is an error of MuJoCo's. They take texts as texts, never as formats. What needs no Python, how
-many numbers an instance has, is found without.
+A Python function that MuJoCo called directly could fail before its first line, if a signal has
+arrived; MuJoCo would then read a random result. Trampolines have Python write its answer to
+separate memory. Without an answer the sand is not prepared, and a step is an error of MuJoCo.
+Messages are passed as strings, never as formats. What needs no Python, such as the number of values
+of an instance, is computed without it.
 
-An interrupt is no error of MuJoCo's: Python would raise that one, and the interrupt somewhere in
-what handles it. So `init` returns as if all were well, what MuJoCo still does in the same call goes
-without sand, and the interrupt is raised as soon as it returns. From then on that `mjData`, if
-anybody has it, is one whose sand is not prepared.
+An interrupt is not an error of MuJoCo: Python would raise that error first, and the interrupt
+somewhere in its handler. So `init` returns success, the rest of MuJoCo's call runs without sand,
+and the interrupt is raised as soon as it returns. From then on that `mjData`, if it is still used,
+counts as one whose sand is not prepared.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from mjgranular.engine.library import library
 from mjgranular.kernel.machine import load_functions, publish, publish_functions
 
 FAIL = "mjgranular_fail"
-"""Name of `fail(text)`: an error of MuJoCo's; does not return."""
+"""Name of `fail(text)`: raise an error of MuJoCo; does not return."""
 
 UNPREPARED = "mjgranular_unprepared"
-"""Name of `unprepared(data)`: an error of MuJoCo's that says that there is no sand; returns only
-where `pausing` says that this is meant."""
+"""Name of `unprepared(data)`: raise an error of MuJoCo that the sand is not prepared; returns only
+if `pausing` allows it."""
 
 FORGET = "mjgranular_forget"
-"""Name of `forget(data)`, for an `mjData` that is freed: another may lie at its address then."""
+"""Name of `forget(data)`, called when an `mjData` is freed: another may get its address."""
 
 pausing = ctypes.c_int64(0)
-"""Address of the `mjData` that goes without sand, 0 for none: while an interrupt is due, and while
-the layout of MuJoCo's memory is found."""
+"""Address of the `mjData` that runs without sand, 0 for none: while an interrupt is pending, and
+while the layout of MuJoCo's memory is determined."""
 
 _PYTHON = (
     "PyGILState_Ensure",
@@ -49,10 +49,10 @@ _PYTHON = (
 )
 
 FINE, ERROR, INTERRUPT = 1, 2, 3
-"""Answers of Python's: with an error comes the address of a text. 0 is none."""
+"""Answers of Python: an error comes with the address of a message. 0 is no answer."""
 
 Answer = ctypes.c_int64 * 2
-"""Answer of Python at the address that it is given: one of these, and what comes with it."""
+"""Answer of Python at the address that it gets: one of these, and its message."""
 
 _COMMON = r"""
 @says = private constant [3 x i8] c"%s\00"
@@ -246,12 +246,12 @@ _WHY = (
 
 @dataclass(frozen=True)
 class Size:
-    """Number of numbers of an instance, by its configuration.
+    """Number of values of an instance, by its configuration.
 
     Attributes:
-        key: of the configuration.
-        sizes: by its values.
-        otherwise: for all other values, and for none.
+        key: key of the configuration.
+        sizes: number by its value.
+        otherwise: number for all other values, and for none.
     """
 
     key: str
@@ -260,18 +260,18 @@ class Size:
 
 
 NONE = Size("", {}, 0)
-"""No numbers, however it is configured."""
+"""No values, for any configuration."""
 
 
 def raise_later(error: BaseException) -> None:
-    """Has Python raise this at the next SIGINT, in the main thread, once.
+    """Have Python raise this at the next SIGINT, in the main thread, once.
 
-    What MuJoCo calls brings that about when it returns (`PyErr_SetInterrupt`).
+    The trampoline triggers that when MuJoCo returns (`PyErr_SetInterrupt`).
     """
     previous = signal.getsignal(signal.SIGINT)
 
     def deliver(number: int, frame: object) -> None:
-        # None: of a handler that is not Python's.
+        # None for a handler that is not Python's.
         signal.signal(signal.SIGINT, previous or signal.default_int_handler)
         pausing.value = 0  # MuJoCo has returned
         raise error
@@ -280,7 +280,7 @@ def raise_later(error: BaseException) -> None:
 
 
 def _notice(place: int) -> None:
-    """Sees to an interrupt for which Python gave no answer: a signal had come in before."""
+    """Handle an interrupt because of which Python gave no answer: a signal had arrived before."""
     ctypes.c_int64.from_address(place).value = INTERRUPT
     raise_later(KeyboardInterrupt())
 
@@ -291,14 +291,14 @@ def make_trampolines(
     count_state: Callable[[int, int, int], object] | None,
     nsensordata: Size,
 ) -> dict[str, int]:
-    """Makes the functions of a plugin of which nothing is compiled yet.
+    """Make the functions of a plugin before any of it is compiled.
 
     Args:
-        name: of the plugin.
+        name: name of the plugin.
         init: `init(model, data, instance, answer)` writes at the address `answer` (`Answer`).
-        count_state: `count_state(model, instance, place)` writes at an address how many numbers its
-            state has; None for none.
-        nsensordata: of its readings.
+        count_state: `count_state(model, instance, place)` writes the size of its state at an
+            address; None for no state.
+        nsensordata: number of its readings.
 
     Returns:
         Addresses by the names of the fields of `mjpPlugin`.
@@ -329,7 +329,7 @@ def make_trampolines(
 
 @cache
 def _common() -> dict[str, int]:
-    """Functions that all plugins share, published to compiled code."""
+    """Make the functions that all plugins share, registered for compiled code."""
     publish_functions(library(), ("mju_error", "mj_getPluginConfig"))
     publish_functions(ctypes.pythonapi, _PYTHON)
     code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))
@@ -342,7 +342,7 @@ def _common() -> dict[str, int]:
 
 
 def _size(name: str, field: str, size: Size, more: str) -> str:
-    """The code of a function that gives a number."""
+    """Return the code of a function that returns a number."""
     cases = texts = ""
     for i, (value, number) in enumerate(size.sizes.items()):
         texts += f"@{field}_{i} = private constant {_text(value)}\n"
@@ -374,7 +374,7 @@ def _filled(code: str, **words: object) -> str:
 
 
 def _text(text: str) -> str:
-    """A text of C's, as LLVM writes it."""
+    """Return a C string in LLVM syntax."""
     raw = text.encode() + b"\0"
     letters = "".join(f"\\{byte:02X}" for byte in raw)
     return f'[{len(raw)} x i8] c"{letters}"'

@@ -1,9 +1,9 @@
-"""Sand that every simulation may have in its own way: what its state is, and what that changes.
+"""Sand that each simulation can tune: its state, and what that changes.
 
-A tunable instance has four numbers in `mjData.plugin_state`: whether it is there, two factors on
-its resistance, and how far its surface is raised. They are MuJoCo's state: saved, restored, copied
-and batched with it. What they change is a list of numbers in the record that kernels read of law
-and surface, made from each law's own word on what its fields are; `adjust` applies it.
+A tunable instance has four numbers in `mjData.plugin_state`: whether it is active, two factors on
+its resistance, and how far its surface is raised. They are part of MuJoCo's state: saved, restored,
+copied and batched with it. They change a list of numbers in the record that kernels read of law and
+surface, made from each law's own description of its fields; `adjust` applies it.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ TUNING_DTYPE = np.dtype(
     [
         ("word", np.int64),  # of the scene
         ("number", np.int64),  # of the state: STRENGTH, DENSITY or HEIGHT
-        ("base", np.float64),  # its value where the state is INITIAL
-        ("rate", np.float64),  # its change for each metre of height
+        ("base", np.float64),  # its value in the state INITIAL
+        ("rate", np.float64),  # its change per meter of height
     ]
 )
 NO_TUNINGS = np.zeros(0, TUNING_DTYPE)
 
 
 def make_tunings(sand: PreparedSand, model: mujoco.MjModel) -> np.ndarray:
-    """Makes the list of what the state changes in a scene: rows of `TUNING_DTYPE`.
+    """Make the list of what the state changes in a scene: rows of `TUNING_DTYPE`.
 
     Args:
-        sand: its law says which of its fields are meant (`strength_keys`, `density_keys`), its
-            surface what changes where it rises (`lift`).
+        sand: its law names the scaled fields (`strength_keys`, `density_keys`), its surface what
+            changes when it rises (`lift`).
         model: the model.
 
     Raises:
-        InputError: a law that does not say so, or a surface that cannot rise.
+        InputError: a law without these names, or a surface that cannot rise.
     """
     law, scene = sand.law, sand.scene
     if not (law.strength_keys or law.density_keys):
@@ -67,7 +67,7 @@ def make_tunings(sand: PreparedSand, model: mujoco.MjModel) -> np.ndarray:
 
 
 def _words(scene: np.ndarray, part: str, key: str) -> list[tuple[int, float]]:
-    """Places of the numbers of a field in the scene [words of 8 bytes], and the numbers."""
+    """Return the indices of a field's numbers in the scene [words of 8 bytes], and the numbers."""
     fields: Any = scene.dtype.fields
     inner: Any = fields[part][0].fields
     first = (fields[part][1] + inner[key][1]) // 8
@@ -84,22 +84,22 @@ def tune(
     density: Any = None,
     height: Any = None,
 ) -> None:
-    """Sets the state of a tunable sand, made with `tunable="true"`; what is not given stays.
+    """Set the state of a tunable sand, made with `tunable="true"`; omitted values are unchanged.
 
     Args:
         model: the model.
         state: `data.plugin_state`, or a row or all rows of `batch.bind("plugin_state")`, shape
             (..., npluginstate); written to. Other values may be arrays of the shape before the
             last.
-        name: of the instance.
-        active: whether the sand is there.
+        name: name of the instance.
+        active: whether the sand is active.
         strength: factor on static resistance.
         density: factor on resistance by velocity.
-        height: of the surface above where it was, along its normal [m].
+        height: height of the surface above its original place, along its normal [m].
 
     Raises:
         UnknownNameError: the model has no such sand; lists those it has.
-        InputError: it is not tunable, `state` is not the model's, or a value that is no number,
+        InputError: it is not tunable, `state` does not fit the model, or a value is not a number,
             negative or not finite. Then nothing is written.
     """
     check_model(model, "tune")
@@ -127,10 +127,10 @@ def tune(
 
 
 def _check_state(state: Any) -> None:
-    """Refuses what is no array of numbers.
+    """Check that a state is an array of numbers.
 
     Raises:
-        InputError: says what would be right.
+        InputError: it is not; says what would be right.
     """
     if not isinstance(state, np.ndarray):
         meant = "; use data.plugin_state" if isinstance(state, mujoco.MjData) else ""
@@ -141,13 +141,13 @@ def _check_state(state: Any) -> None:
 
 
 def _number(key: str, value: Any, rows: tuple[int, ...]) -> np.ndarray:
-    """A value of the state as an array that fits its rows.
+    """Return a value of the state as an array that fits its rows.
 
     Raises:
-        InputError: it is no number that the state may have, or there are not as many as rows.
+        InputError: the value is not valid for the state, or its length differs from the rows.
     """
     array = np.asarray(value)
-    if array.dtype.kind not in "biuf":  # a text of digits would be read as a number
+    if array.dtype.kind not in "biuf":  # a string of digits would be read as a number
         raise InputError(f"{key} must be a number, or one for each simulation, not {shown(value)}")
     array = array.astype(float)
     if not np.isfinite(array).all() or (key != "height" and (array < 0).any()):

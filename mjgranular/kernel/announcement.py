@@ -1,4 +1,4 @@
-"""Announces that kernels are being compiled."""
+"""Report that kernels are being compiled."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ ALWAYS = "in every process, as no folder to keep them in can be written (see NUM
 
 
 def log(function: Callable[..., Any]) -> None:
-    """Notes in the log that a kernel is compiled."""
+    """Log that a kernel is compiled."""
     _logger.info("compiling %s", function.__qualname__)
 
 
 class _Announcement:
-    """Announces that kernels are being compiled: each program of a sand, and the rest once.
+    """Report that kernels are being compiled: each program of a sand, and the rest once.
 
-    Who waits looks at a terminal. Where the log is read, and the command line reads it, that is
-    enough.
+    The report goes to a terminal. If the log is shown, as the command line does, nothing is
+    printed.
     """
 
     def __init__(self) -> None:
@@ -32,10 +32,10 @@ class _Announcement:
         self._shown = False
 
     def show(self, how_often: str, what: str) -> None:
-        """Announces that kernels are compiled now.
+        """Report that kernels are compiled now.
 
         Args:
-            how_often: that will happen, in words.
+            how_often: how often this will happen, in words.
             what: sand they are for, in words; "" for what every sand needs.
         """
         if what:
@@ -43,7 +43,7 @@ class _Announcement:
         with self._lock:
             new, self._shown = bool(what) or not self._shown, True
         if new and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
-            # There is no stderr in a program without a console, and a closed one cannot be asked.
+            # A program without a console has no stderr, and a closed one cannot be queried.
             with suppress(AttributeError, OSError, ValueError):
                 if sys.stderr.isatty():
                     kernels = f"for {what}" if what else "kernels"

@@ -1,11 +1,11 @@
-"""Compiled programs on disk: numba's own cache, one folder for each program of each build.
+"""Compiled programs on disk: numba's own cache, one directory per program and build.
 
-numba serves a cached function as long as the file that defines it is as it was, whatever becomes of
-the files of the functions that it calls; it takes any file that lies in its folder; and it cannot
-tell apart what one factory has made of different parts. So a program's folder is named by all that
-went into it (`identity`); it is filled elsewhere and then renamed, so that it is there as a whole
-or not at all, also where two processes compile at once; and it is handed to numba only if each file
-is as it was written, by this user or the administrator (`folder`).
+numba serves a cached function as long as the file that defines it is unchanged, even if files of
+functions that it calls have changed; it accepts any file in its directory; and it cannot
+distinguish functions that one factory made from different parts. So a program's directory is named
+by everything that went into it (`identity`). It is written elsewhere and then renamed, so that it
+exists completely or not at all, even if two processes compile at once. It is passed to numba only
+if each file is as it was written, by this user or the administrator (`folder`).
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ _OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; c
 
 
 def load(build: str, name: str, make: Callable[[], T]) -> T | None:
-    """Has numba load a program.
+    """Have numba load a program.
 
     Args:
-        build: of the sources (`identity.build`).
-        name: of the program.
+        build: digest of the sources (`identity.build`).
+        name: name of the program.
         make: decorates it, with `cache=True`.
 
     Returns:
-        What `make` gives, None where no whole program of that name is kept.
+        The result of `make`; None if no complete program of that name is cached.
     """
     for root in folders_to_read():
         folder = root / build / name
@@ -54,15 +54,15 @@ def load(build: str, name: str, make: Callable[[], T]) -> T | None:
 
 
 def save(build: str, name: str, make: Callable[[], T]) -> T | None:
-    """Has numba compile a program, and keeps it.
+    """Have numba compile a program, and cache it.
 
     Args:
-        build: of the sources.
-        name: of the program.
+        build: digest of the sources.
+        name: name of the program.
         make: decorates it, with `cache=True`.
 
     Returns:
-        What `make` gives, None where nothing can be kept.
+        The result of `make`; None if nothing can be cached.
     """
     for root in folders_to_write():
         try:
@@ -87,13 +87,13 @@ def save(build: str, name: str, make: Callable[[], T]) -> T | None:
 
 
 def can_save() -> bool:
-    """Tells whether there is a folder to write to."""
+    """Return True if there is a writable cache directory."""
     return any(True for _ in folders_to_write())
 
 
 @contextmanager
 def _caching(folder: Path) -> Iterator[None]:
-    """Has numba read and write its cache there; it looks when a function is decorated."""
+    """Have numba use this cache directory; numba reads it when a function is decorated."""
     before = _settings.CACHE_DIR
     _settings.CACHE_DIR = str(folder)
     try:
@@ -110,13 +110,13 @@ def _publish(staging: Path, folder: Path) -> None:
     restrict(staging)
     try:
         staging.rename(folder)
-    except OSError:  # there is one, of a process that was quicker, or damaged
+    except OSError:  # it exists, from a faster process, or damaged
         shutil.rmtree(folder, ignore_errors=True)
         staging.rename(folder)
 
 
 def _sums(folder: Path) -> bytes:
-    """Lists all files of a program with their checksums; one that is not trusted has none."""
+    """List all files of a program with their checksums; an untrusted file has none."""
     lines = []
     for base, _, names in os.walk(folder):
         for name in names:

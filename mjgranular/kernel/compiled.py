@@ -1,4 +1,4 @@
-"""Compiles kernels with numba, and keeps the programs that they make up."""
+"""Compile kernels with numba, and cache the programs made of them."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ _OPTIONS: dict[str, Any] = {
 
 
 def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
-    """Compiles `function` in nopython mode when it is used: a kernel.
+    """Compile `function` in nopython mode at first use: a kernel.
 
     Args:
-        function: scalar arithmetic and loops over arrays, without Python objects, exceptions or
-            arrays of its own. It may be made by a factory, with other kernels in its closure.
-        inline: put its code where it is called. For small functions in loops over elements, and for
-            those that hand on many numbers; more of it costs compile time.
+        function: scalar arithmetic and loops over arrays, without Python objects, exceptions or new
+            arrays. It may be made by a factory, with other kernels in its closure.
+        inline: inline it where it is called. For small functions in loops over elements, and for
+            those that pass on many numbers; more of it costs compile time.
 
     Returns:
-        numba's dispatcher, called like `function`. What is kept on disk are whole programs
-        (`entry`, `program_address`).
+        numba's dispatcher, called like `function`. Only whole programs are cached on disk (`entry`,
+            `program_address`).
     """
     made_of = closure_of(function)
-    # numba names machine code by this and by a counter that begins anew in every process: code
-    # of two kernels from one factory, loaded from the cache, would be taken for the same.
+    # numba names machine code by this and by a counter that starts over in every process: without
+    # it, code of two kernels from one factory, loaded from the cache, would count as the same.
     name = f"{function.__module__}.{function.__qualname__}"
     bare = FunctionType(
         function.__code__,
@@ -52,19 +52,19 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
     )
     bare.__qualname__ = f"{name}_{digest(made_of)}" if made_of else name
     bare.__doc__ = function.__doc__
-    # numba imports the module of a kernel: for ever, where the main thread is importing it, and
-    # waits for the thread that compiles.
+    # numba imports the module of a kernel; if the main thread is importing that module while it
+    # waits for the compiling thread, neither would end.
     bare.__module__ = __name__
     return njit(bare, forceinline=inline, **_OPTIONS)
 
 
 def entry(kernel: Any, signature: str) -> Callable[..., Any]:
-    """Compiles a kernel for Python, for exactly these types, if that was not done yet.
+    """Compile a kernel for calls from Python, for exactly these types, unless already compiled.
 
-    Calling it skips numba's choice among signatures, half of what a call from Python costs.
+    Calling the result skips numba's choice among signatures, half the cost of a call from Python.
 
     Args:
-        kernel: of numbers.
+        kernel: kernel with numbers as arguments.
         signature: numba's, such as `int64(int64, float64)`.
 
     Raises:
@@ -75,12 +75,12 @@ def entry(kernel: Any, signature: str) -> Callable[..., Any]:
 
 
 def program_address(kernel: Any, signature: str, what: str = "") -> int:
-    """Compiles a kernel for calls from C, if that was not done yet, and gives its address.
+    """Compile a kernel for calls from C, unless already compiled, and return its address.
 
     Args:
-        kernel: of numbers.
+        kernel: kernel with numbers as arguments.
         signature: numba's, such as `int64(int64, float64)`.
-        what: sand it is for, in words, for those who wait.
+        what: sand it is for, in words, for the progress message.
 
     Raises:
         CompilerError: numba cannot be used.
@@ -131,8 +131,8 @@ def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any], what
     return decorate(keep=False) if found is None else found
 
 
-# numba's cache names a function by its closure, which it names anew in every process, and by its
-# file, which a function of a notebook does not have.
+# numba's cache names a function by its closure, whose name differs in every process, and by its
+# file, which a function in a notebook does not have.
 kernel: Any = None
 _CALLS: Any = (
     lambda a: kernel(a),
@@ -144,7 +144,7 @@ _CALLS: Any = (
 
 
 def _call_of(kernel: Any) -> Any:
-    """Makes a function that calls a kernel, and is named as it is."""
+    """Make a function that calls a kernel and has its name."""
     function = kernel.py_func
     call = _CALLS[function.__code__.co_argcount - 1]
     made = FunctionType(call.__code__, {"kernel": kernel}, function.__name__)
@@ -154,7 +154,7 @@ def _call_of(kernel: Any) -> Any:
 
 
 class _Progress(event.Listener):
-    """Notes what is compiled; between two kernels the compiler can be left."""
+    """Report what is compiled; between two kernels compilation can be cancelled."""
 
     def on_start(self, event: Any) -> None:
         cancellation_point()

@@ -1,4 +1,4 @@
-"""Versions of numba that are known to work, and the error where another one does not."""
+"""Supported versions of numba, and the error for others."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from mjgranular.errors import GranularError
 
 TESTED = ("0.62", "0.68")
-"""The first and the last version of numba that the tests have been run with."""
+"""The first and the last version of numba that the tests were run with."""
 
 
 class CompilerError(GranularError, RuntimeError):
@@ -27,13 +27,13 @@ class CompilerError(GranularError, RuntimeError):
 
 
 class KernelError(GranularError, TypeError):
-    """A kernel cannot be compiled: in a law or a surface of somebody's own, most likely.
+    """A kernel cannot be compiled, most likely one of a custom law or surface.
 
-    What numba has said, which is long, is its cause.
+    numba's long message is its cause.
 
     Args:
-        error: numba's.
-        what: the sand that it is for, in words.
+        error: numba's error.
+        what: sand that the kernel is for, in words.
     """
 
     def __init__(self, error: BaseException, what: str) -> None:
@@ -55,14 +55,14 @@ _PLACE = re.compile(r'File "([^"]+)", line (\d+)')
 
 @contextmanager
 def compiling(what: str = "") -> Iterator[None]:
-    """Says of what goes wrong with numba that it is numba's, or in one sentence what and where.
+    """Turn errors of numba into a short one that says what failed and where.
 
     Args:
-        what: the sand that is compiled for, in words.
+        what: sand that is compiled for, in words.
 
     Raises:
-        CompilerError: numba is missing, not one that was tested, or cannot be imported.
-        KernelError: a kernel cannot be compiled by one that was tested.
+        CompilerError: numba is missing, not a tested version, or cannot be imported.
+        KernelError: a tested version cannot compile a kernel.
     """
     try:
         yield

@@ -1,7 +1,7 @@
-"""Exponential and logarithm in arithmetic alone: of several numbers at once, in a vector unit.
+"""Exponential and logarithm in plain arithmetic, which vectorizes.
 
-The mathematical library's take one number at a time, and a loop over facets spends most of its time
-in them. These are within a few units of the last place of the true values, and the same on every
+Those of the math library take one number at a time, and a loop over facets spends most of its time
+in them. These are within a few units in the last place of the true values, and the same on every
 processor.
 """
 
@@ -15,10 +15,10 @@ from numba import types
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.machine import intrinsic
 
-# ln 2 in two parts, the first with zeros at its end: times a small integer it is exact.
+# ln 2 in two parts, the first with trailing zeros: times a small integer it is exact.
 _LN2, _LN2_REST = 0.693147180369123816490, 1.90821492927058770002e-10
 _LOG2_E = 1.44269504088896340736
-_ROUND = 6755399441055744.0  # 1.5 * 2^52: a sum with it has no digits behind the point
+_ROUND = 6755399441055744.0  # 1.5 * 2^52: a sum with it has no fraction
 _EXPONENT_BITS, _ONE_BITS = 0x4330000000000000, 0x3FF0000000000000  # of 2^52 and of 1
 _MANTISSA = 0x000FFFFFFFFFFFFF
 _LEAST, _MOST = -700.0, 700.0
@@ -26,7 +26,7 @@ _LEAST, _MOST = -700.0, 700.0
 
 @intrinsic
 def bits_of(typingctx: Any, number: Any) -> Any:
-    """The 64 bits of a number."""
+    """Return the 64 bits of a number."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], context.get_value_type(types.int64))
@@ -36,7 +36,7 @@ def bits_of(typingctx: Any, number: Any) -> Any:
 
 @intrinsic
 def number_of(typingctx: Any, bits: Any) -> Any:
-    """The number with these 64 bits."""
+    """Return the number with these 64 bits."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.bitcast(args[0], context.get_value_type(types.float64))
@@ -46,15 +46,15 @@ def number_of(typingctx: Any, bits: Any) -> Any:
 
 @partial(compiled, inline=True)
 def exponential(x):
-    """exp(x), for x from -700 to 700; at these ends where x is beyond them.
+    """Return exp(x), for x clipped to -700 to 700.
 
-    2^n exp(r) with x = n ln 2 + r; of exp(r), |r| <= 0.35, Taylor's first 14 terms.
+    2^n exp(r) with x = n ln 2 + r; of exp(r), |r| <= 0.35, the first 14 terms of the Taylor series.
     """
     x = min(max(x, _LEAST), _MOST)
     rounded = x * _LOG2_E + _ROUND
     n = rounded - _ROUND
     r = (x - n * _LN2) - n * _LN2_REST
-    # In pairs and pairs of pairs, so that most of it need not wait for the rest.
+    # In pairs and pairs of pairs, which shortens the chain of dependent operations.
     r2 = r * r
     r4 = r2 * r2
     a = (1.0 + r) + r2 * (0.5 + r * (1.0 / 6.0))
@@ -68,7 +68,7 @@ def exponential(x):
 
 @partial(compiled, inline=True)
 def logarithm(x):
-    """ln(x), for normal x > 0.
+    """Return ln(x), for normal x > 0.
 
     n ln 2 + 2 artanh(z) with x = 2^n m, z = (m - 1) / (m + 1); of artanh(z), |z| <= 0.18, the first
     11 terms of its series.

@@ -1,8 +1,8 @@
-"""MuJoCo's own functions and constraint rows, for kernels that ask the engine while it steps.
+"""MuJoCo's own functions and constraint rows, for kernels that call the engine during a step.
 
-Machine code that is kept on disk must not hold addresses: functions go by their names, which are
-looked up when the code is loaded, and fields of `mjData` by their offsets, which are measured on a
-small model and compared with what MuJoCo's Python arrays say.
+Cached machine code must not contain addresses. Functions are called by name, resolved when the code
+is loaded, and fields of `mjData` by their offsets, which are measured on a small model and compared
+with MuJoCo's Python arrays.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _PATTERN = {"win32": "mujoco.dll", "darwin": "libmujoco*.dylib"}.get(sys.platfor
 
 @cache
 def library() -> ctypes.CDLL:
-    """The library that `import mujoco` has loaded.
+    """Return the library that `import mujoco` has loaded.
 
     Raises:
-        ImportError: it does not lie beside the Python package `mujoco`.
+        ImportError: it is not in the directory of the Python package `mujoco`.
     """
     folder = Path(str(mujoco.__file__)).parent
     found = sorted(folder.glob(_PATTERN))
@@ -38,7 +38,7 @@ def library() -> ctypes.CDLL:
 
 
 def _function(name: str, *arguments: str, result: str = "void") -> Any:
-    """A function of the engine; pointers are passed as integers."""
+    """Return a function of the engine; pointers are passed as integers."""
     publish_functions(library(), [name])
     return c_function(name, result, *arguments)
 
@@ -56,8 +56,8 @@ solve_inertia = _function("mj_solveM", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _
 smooth_derivative = _function("mjd_smooth_vel", _ADDRESS, _ADDRESS, _INT)
 is_sparse = _function("mj_isSparse", _ADDRESS, result=_INT)
 actuator_damping = _function("mj_actuatorDamping", _ADDRESS, _INT, _INT, _ADDRESS, result="float64")
-# Of the integrator `discrete`. Inverse dynamics makes metric and constraint rows without a call of
-# the user's controller.
+# For the integrator `discrete`. Inverse dynamics computes metric and constraint rows without
+# calling the user's controller.
 inverse_dynamics = _function("mj_inverseSkip", _ADDRESS, _ADDRESS, _INT, _INT)
 metric_shift = _function("mj_effShift", _ADDRESS, _ADDRESS)
 add_metric_product = _function("mj_effMulAdd", _ADDRESS, _ADDRESS, _ADDRESS, _ADDRESS, _INT)
@@ -66,8 +66,8 @@ turns_freely = _function("mjd_freeGyroPossible", _ADDRESS, _ADDRESS, _INT, resul
 free_bias_derivative = _function("mjd_freeBias_vel", _ADDRESS, _ADDRESS, _INT, _ADDRESS)
 
 
-# Offsets in `mjData` of what describes its constraint rows [bytes], and the size of a contact. The
-# rows lie in an arena that is laid out anew at every step: their pointers are read at every step.
+# Offsets in `mjData` of the pointers to its constraint rows [bytes], and the size of a contact. The
+# rows are in an arena whose layout changes at every step, so the pointers are read at every step.
 _POINTERS = {
     "contact": "contact",
     "kind": "efc_type",
@@ -79,14 +79,14 @@ _POINTERS = {
     "loss": "efc_frictionloss",
     "mass": "efc_D",
     "reference": "efc_aref",
-    "diagonal": "efm_diag",  # this and what follows: of the effective metric
+    "diagonal": "efm_diag",  # from here on: of the effective metric
     "shift": "efm_c",
     "actuation_shift": "efm_ca",
 }
 ROWS_DTYPE = np.dtype([(name, np.int64) for name in ("count", "contacts", *_POINTERS)])
 
 # A ball pressed into a plane and a hinge beyond its range: contacts and limits at the first step.
-# The hinge's servo is in the effective metric.
+# The hinge's servo is part of the effective metric.
 _PROBE = """
 <mujoco>
   <option integrator="discrete"/>
@@ -105,26 +105,26 @@ _PROBE = """
 
 @cache
 def constraint_rows() -> tuple[int, ...]:
-    """Offsets of the constraint rows in `mjData`: a record of `ROWS_DTYPE`.
+    """Return the offsets of the constraint rows in `mjData`: a record of `ROWS_DTYPE`.
 
     Raises:
-        ImportError: this MuJoCo lays `mjData` out in another way than its own description says.
+        ImportError: the layout of `mjData` differs from MuJoCo's own description.
     """
     model = mujoco.MjModel.from_xml_string(_PROBE)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     described: Any = STRUCTS["mjData"].fields
     names = [field.name for field in described]
-    # Pointers lie one after the other, in the order of the description, behind one that is known.
+    # Pointers are stored one after the other, in the order of the description, after a known one.
     known = names.index("cfrc_ext")
-    begin = (data.energy.ctypes.data - data._address) // 8  # in front of all pointers
+    begin = (data.energy.ctypes.data - data._address) // 8  # before all pointers
     words = (ctypes.c_uint64 * (begin + known)).from_address(data._address)
     try:
         anchor = words[begin:].index(data.cfrc_ext.ctypes.data) + begin
     except ValueError:
         raise _unknown_layout() from None
     pointers = [8 * (anchor + names.index(name) - known) for name in _POINTERS.values()]
-    # Integers of sizes lie behind the timers: {double, int}, padded to 16 bytes, one each.
+    # Size integers follow the timers: {double, int}, padded to 16 bytes, one each.
     first = data.warning.number.ctypes.data - data._address - 4
     timers = int(mujoco.mjtTimer.mjNTIMER)
     sizes = first + 8 * int(mujoco.mjtWarning.mjNWARNING)

@@ -1,9 +1,9 @@
 """Named tuples of numbers, vectors and matrices, in kernels and in arrays of numbers.
 
-What they are made of is declared once, as the fields of a `typing.NamedTuple`: `float`, `Vector`,
-`Matrix`, or a tuple of these. How they are read and written follows from that. In an array, each
-number of a value lies so many places behind the one before it: several values can lie side by side,
-one in each *lane*, and be read one by one (`column`) or all at once, as `Lanes` (`rows`).
+Their parts are declared once, as the fields of a `typing.NamedTuple`: `float`, `Vector`, `Matrix`,
+or a tuple of these. Reading and writing follow from that. In an array, the numbers of one value are
+a fixed stride apart: several values can be stored side by side, one in each *lane*, and be read one
+by one (`column`) or all at once, as `Lanes` (`rows`).
 """
 
 from __future__ import annotations
@@ -39,28 +39,28 @@ class Access:
 
 @cache
 def column(kind: Any, lanes: int) -> Access:
-    """Makes the kernels for one value of an array of so many lanes.
+    """Make the kernels for one value in an array of `lanes` lanes.
 
     Args:
-        kind: `float`, `Vector`, `Matrix`, a named tuple of these, or a count of numbers.
-        lanes: how far apart the value's numbers are.
+        kind: `float`, `Vector`, `Matrix`, a named tuple of these, or a number of floats.
+        lanes: distance between the value's numbers in the array.
     """
     return _access(kind, lanes, types.float64)
 
 
 @cache
 def rows(kind: Any, lanes: int) -> Access:
-    """Makes the kernels for the values in all lanes as one, of `Lanes`; of one lane, of numbers."""
+    """Make the kernels for the values in all lanes as one, of `Lanes` (floats for one lane)."""
     return _access(kind, lanes, types.float64 if lanes == 1 else Lanes(lanes))
 
 
 def size_of(kind: Any) -> int:
-    """Counts the numbers of a value."""
+    """Return the number of floats in a value."""
     return len(list(_leaves_of_type(_type_of(kind, types.float64))))
 
 
 def packed(records: np.ndarray, kind: Any) -> np.ndarray:
-    """The fields of records that a named tuple has, as numbers, shape (n, `size_of(kind)`)."""
+    """Return the fields of a named tuple from records, as floats, shape (n, `size_of(kind)`)."""
     names = get_type_hints(kind)
     columns = [np.zeros((len(records), 0))]
     columns += [records[name].reshape(len(records), -1) for name in names]
@@ -68,7 +68,7 @@ def packed(records: np.ndarray, kind: Any) -> np.ndarray:
 
 
 def _type_of(kind: Any, number: Any) -> Any:
-    """The numba type of a value of a kind, with numbers of a type."""
+    """Return the numba type of a value of a kind, with numbers of a type."""
     if isinstance(kind, int):
         return types.UniTuple(number, kind)
     if kind is float:
@@ -85,7 +85,7 @@ def _type_of(kind: Any, number: Any) -> Any:
 
 
 def _parts(kind: Any) -> list[Any] | None:
-    """The types of what a value consists of; None for a number."""
+    """Return the types of a value's parts; None for a number."""
     if isinstance(kind, VectorType):
         return [kind.component] * 3
     parts: Any = kind
@@ -101,7 +101,7 @@ def _leaves_of_type(kind: Any) -> Iterator[Any]:
 
 
 def _leaves(builder: Any, kind: Any, value: Any) -> Iterator[Any]:
-    """The numbers of a value, in order."""
+    """Yield the numbers of a value, in order."""
     parts = _parts(kind)
     if parts is None:
         yield value
@@ -110,7 +110,7 @@ def _leaves(builder: Any, kind: Any, value: Any) -> Iterator[Any]:
 
 
 def _built(context: Any, builder: Any, kind: Any, numbers: Iterator[Any]) -> Any:
-    """A value of its numbers."""
+    """Build a value from its numbers."""
     parts = _parts(kind)
     if parts is None:
         return next(numbers)
@@ -125,7 +125,7 @@ def _built(context: Any, builder: Any, kind: Any, numbers: Iterator[Any]) -> Any
 def _access(kind: Any, stride: int, number: Any) -> Access:
     result = _type_of(kind, number)
     count, lanes = size_of(kind), getattr(number, "count", 1)
-    # Also part of the names that kept machine code has: of a class in a notebook there is no other.
+    # Also part of the name of cached machine code: a class in a notebook has no other name.
     fields = str(get_type_hints(kind)) if hasattr(kind, "_fields") else str(kind)
 
     def places(context: Any, builder: Any, array: Any, args: Any) -> list[Any]:

@@ -1,8 +1,8 @@
-"""Folders for machine code, in which nobody else may write.
+"""Cache directories for machine code that no other user can write to.
 
-What is kept is executed by who loads it. So each user has a folder of his own, and reads what he
-has written there himself, or the administrator, whom he trusts with Python as well. What belongs to
-anybody else, or others may write to, is neither read nor written to.
+Cached machine code runs when it is loaded. So each user has a private directory, and reads only
+what they or the administrator have written. Files and directories of other users, or that others
+can write to, are neither read nor written.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mjgranular.errors import warn_user
 
 _ROOT = 0
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-_MOST = 1 << 28  # bytes of a file: that of a program has some hundred thousand
+_MOST = 1 << 28  # maximum bytes of a file; that of a program has some hundred thousand
 _READ = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")
 )
@@ -28,7 +28,7 @@ _reported: set[Path] = set()
 
 
 def folders_to_read() -> Iterator[Path]:
-    """Finds what this user or the administrator has kept, the best place first."""
+    """Yield the directories that this user or the administrator has written, the best first."""
     for base in _bases():
         for user in dict.fromkeys((_user(), None if _user() is None else _ROOT)):
             folder = base / _name(user)
@@ -38,7 +38,7 @@ def folders_to_read() -> Iterator[Path]:
 
 
 def folders_to_write() -> Iterator[Path]:
-    """Finds or makes folders in which this user can keep something, the best place first."""
+    """Find or make directories that this user can write to, the best first."""
     for base in _bases():
         folder = base / _name(_user())
         with suppress(OSError):
@@ -53,12 +53,12 @@ def folders_to_write() -> Iterator[Path]:
 
 
 def read(path: Path) -> bytes | None:
-    """The content of a file, None if it is not one that may be trusted.
+    """Return the content of a file; None if the file is not trusted.
 
     Raises:
-        OSError: it is not there, or cannot be read.
+        OSError: it does not exist, or cannot be read.
     """
-    file = os.open(path, _READ)  # neither follows a link nor waits for the other end of a pipe
+    file = os.open(path, _READ)  # neither follows a link nor blocks on a pipe
     with os.fdopen(file, "rb") as opened:
         found = os.fstat(file)
         if stat.S_ISREG(found.st_mode) and found.st_size <= _MOST and _is_trusted(path, found):
@@ -67,10 +67,10 @@ def read(path: Path) -> bytes | None:
 
 
 def restrict(path: Path) -> None:
-    """Lets nobody else write to a file or folder of this user; what is root's is for all to read.
+    """Remove other users' write access to a file or directory of this user; root's stay readable.
 
     Raises:
-        OSError: it is not ours.
+        OSError: it belongs to another user.
     """
     for_all = _user() == _ROOT
     if path.is_dir():
@@ -80,13 +80,13 @@ def restrict(path: Path) -> None:
 
 
 def _bases() -> Iterator[Path]:
-    """Folders in which every user may have one."""
+    """Yield directories in which every user may have a subdirectory."""
     told = os.environ.get("NUMBA_CACHE_DIR")
     if told:
         yield Path(told)
         return
     yield Path(__file__).resolve().parents[1] / "__pycache__"
-    with suppress(RuntimeError):  # who has no home
+    with suppress(RuntimeError):  # a user without a home directory
         home = Path.home()
         caches = {"win32": "AppData/Local", "darwin": "Library/Caches"}.get(sys.platform, ".cache")
         yield Path(os.environ.get("XDG_CACHE_HOME") or home / caches) / "mjgranular"
@@ -97,12 +97,12 @@ def _name(user: int | None) -> str:
 
 
 def _user() -> int | None:
-    """The number of this user, None where files do not say whose they are."""
+    """Return the id of this user; None on systems where files have no owner."""
     return os.geteuid() if hasattr(os, "geteuid") else None
 
 
 def _is_trusted(path: Path, found: os.stat_result) -> bool:
-    """Tells whether only this user or the administrator can have written it; warns if not."""
+    """Return True if only this user or the administrator can have written it; warn if not."""
     user = _user()
     if user is None:
         return True

@@ -1,8 +1,8 @@
 """The locks of this package, which a fork waits for.
 
-A forked process has one thread: a lock that another one held is never released there, and what it
-guarded is half made. So all of them are taken before a fork, which waits for work that is under
-way, and released after it on both sides.
+A forked process has one thread: a lock held by another thread is never released there, and the
+state that it protects is incomplete. So all locks are taken before a fork, which waits for work in
+progress, and released after it on both sides.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ import sys
 import threading
 from typing import Any
 
-# Outer ones first: who holds one takes none of those before it.
+# Outer ones first: a thread that holds one takes none of those before it.
 ENGINE = threading.RLock()
-"""Of the plugins' functions."""
+"""Lock of the plugins' functions."""
 LOADER = threading.RLock()
-"""Of the sands that are kept, and of whose block is where."""
+"""Lock of the cached sands and of the table of blocks."""
 PROGRAMS = threading.RLock()
-"""Of compiling, and of what was compiled."""
+"""Lock of compilation and of compiled programs."""
 MEMORY = threading.RLock()
-"""Of the memory that programs lie in."""
+"""Lock of the memory that holds programs."""
 
 _held: list[Any] = []
 
 
 def _hold() -> None:
-    # numba's own belongs to all that compiles; where numba is not loaded nothing does.
+    # numba's own lock guards all compilation; if numba is not loaded, nothing compiles.
     numba = getattr(sys.modules.get("numba.core.compiler_lock"), "global_compiler_lock", None)
     for lock in (ENGINE, LOADER, PROGRAMS, numba, MEMORY):
         if lock is not None:

@@ -1,4 +1,4 @@
-"""Names for kernels that are the same in every process, and change with what they name."""
+"""Digests of kernels that are the same in every process, and change with the kernel."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from mjgranular.kernel.machine import processor
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
-_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")  # in what objects are called that have no name
+_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")  # in the repr of objects that have no name
 
-# Settings of numba's that change what it compiles, as variables of the environment.
+# Environment variables of numba that change what it compiles.
 _SETTINGS = (
     "BOUNDSCHECK", "CPU_NAME", "CPU_FEATURES", "ENABLE_AVX", "OPT", "LOOP_VECTORIZE",
     "SLP_VECTORIZE",
 )  # fmt: skip
 
-# Where kernels are written, and what they read while they are compiled.
+# Modules that contain kernels, or that kernels read while they are compiled.
 _OF_KERNELS = (
     "engine", "kernel", "law", "prints", "relief", "sand", "scheme", "shape", "surface",
 )  # fmt: skip
 
 
 def digest(value: object) -> str:
-    """Gives a short name for a value, the same in every process."""
+    """Return a short name for a value, the same in every process."""
     return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
 
 
@@ -45,7 +45,7 @@ def _of_files(paths: Iterable[Path]) -> str:
     return found.hexdigest()
 
 
-# Of what was imported: files may be edited before the first program is compiled.
+# Of the imported sources: files may be edited before the first program is compiled.
 _SOURCES = _of_files(
     path for name in _OF_KERNELS for path in sorted(_PACKAGE.joinpath(name).glob("*.py"))
 )
@@ -53,7 +53,7 @@ _SOURCES = _of_files(
 
 @cache
 def build() -> str:
-    """Names this version of the sources, with all else that compiled code depends on."""
+    """Return a digest of the sources, and of all else that compiled code depends on."""
     return digest((
         _SOURCES,
         processor(),
@@ -66,7 +66,7 @@ def build() -> str:
 
 
 def identity(value: Any) -> tuple[object, ...]:
-    """Names a kernel, or a constant in one, in a way that is the same in every process.
+    """Return a name of a kernel, or of a constant in one, that is the same in every process.
 
     Raises:
         TypeError: it has no such name.
@@ -77,7 +77,7 @@ def identity(value: Any) -> tuple[object, ...]:
         name = (function.__module__, function.__qualname__)
         path = Path(function.__code__.co_filename)
         content = () if path.is_relative_to(_PACKAGE) else _content(function, path)  # or in `build`
-        # What a kernel is made of is in its name (`compiled`).
+        # A kernel's name contains what it is made of (`compiled`).
         return (*name, *content, *(() if kernel else closure_of(function)))
     name = repr(value)
     if _ADDRESS.search(name):
@@ -86,10 +86,10 @@ def identity(value: Any) -> tuple[object, ...]:
 
 
 def _content(function: FunctionType, path: Path) -> tuple[str, str]:
-    """Digests of a function of somebody's own: of its code with what it names, and of its file.
+    """Return digests of a function outside this package: of its code and names, and of its file.
 
-    Its code, since a notebook has no file, and since a file may have been edited after it was
-    imported; its file, since code may name more than numbers and kernels.
+    The code, since a notebook has no file, and since a file may have been edited after import; the
+    file, since code may name more than numbers and kernels.
     """
     code = function.__code__
     consts = [const for const in code.co_consts if not isinstance(const, CodeType)]
@@ -104,5 +104,5 @@ def _content(function: FunctionType, path: Path) -> tuple[str, str]:
 
 
 def closure_of(function: Any) -> tuple[object, ...]:
-    """Names what a function made by a factory was made of: the identities of its closure."""
+    """Return the identities of the closure of a function made by a factory."""
     return tuple(identity(cell.cell_contents) for cell in function.__closure__ or ())

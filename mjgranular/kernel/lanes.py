@@ -1,11 +1,10 @@
-"""Several numbers as one, in kernels: a value of the processor's vector unit.
+"""Several numbers as one value of the processor's vector unit, in kernels.
 
-A loop over lanes becomes vector instructions only if the compiler finds it worth its while, and
-short ones it does not. What is plain arithmetic is therefore written with values of the type
-`Lanes`: `+`, `-`, `*`, `/`, `abs` and comparisons of them, and with numbers, which stand for as
-many alike. Where a branch would be there is `choose`; `all_of` makes one branch for all lanes. A
-function of these serves numbers and lanes. Each lane is IEEE arithmetic, the same on every
-processor.
+A loop over lanes is vectorized only if the compiler expects a gain, which it does not for short
+loops. Plain arithmetic is therefore written with values of the type `Lanes`: `+`, `-`, `*`, `/`,
+`abs` and comparisons, among lanes and with numbers, which are broadcast. `choose` replaces a
+branch; `all_of` makes one branch for all lanes. A function of these works on numbers and on lanes.
+Each lane is IEEE arithmetic, the same on every processor.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ from numba.extending import lower_builtin, models, register_model, type_callable
 from mjgranular.kernel.machine import intrinsic
 
 LINE = 64
-"""Bytes in a line of the cache, and in the widest vector. Rows that lie across two lines take up to
-twice as long to read."""
+"""Bytes in a cache line, and in the widest vector. Rows that span two lines take up to twice as
+long to read."""
 
 _DOUBLE, _INT = ir.DoubleType(), ir.IntType(64)
 
 
 class Lanes(types.Type):
-    """So many numbers as one."""
+    """A fixed number of floats as one value."""
 
     def __init__(self, count: int) -> None:
         super().__init__(name=f"Lanes({count})")
@@ -39,7 +38,7 @@ class Lanes(types.Type):
 
 
 class Mask(types.Type):
-    """So many yes or no."""
+    """A fixed number of booleans as one value."""
 
     def __init__(self, count: int) -> None:
         super().__init__(name=f"Mask({count})")
@@ -59,7 +58,7 @@ class _LanesModel(models.PrimitiveModel):
 
 
 def lanes_among(args: Any) -> Lanes | None:
-    """Finds the type of the result of arithmetic, None if that is no business of ours."""
+    """Return the type of the result of arithmetic; None if no argument has lanes."""
     found = next((arg for arg in args if isinstance(arg, Lanes)), None)
     others = (arg for arg in args if arg != found)
     if found is None or not all(isinstance(arg, (types.Float, types.Integer)) for arg in others):
@@ -68,7 +67,7 @@ def lanes_among(args: Any) -> Lanes | None:
 
 
 def spread(context: Any, builder: Any, kind: Any, value: Any, lanes: Lanes) -> Any:
-    """Turns a value into lanes: a number stands for as many alike."""
+    """Broadcast a value to lanes."""
     if isinstance(kind, Lanes):
         return value
     number = context.cast(builder, value, kind, types.float64)
@@ -79,7 +78,7 @@ def spread(context: Any, builder: Any, kind: Any, value: Any, lanes: Lanes) -> A
 
 
 def _define(function: Any, emit: Callable[..., Any], result: type, arguments: int) -> None:
-    """Makes an operator known for lanes."""
+    """Define an operator for lanes."""
 
     def result_of(args: Any) -> Any:
         lanes = lanes_among(args)
@@ -137,7 +136,7 @@ for _operator, _sign in (
 
 @intrinsic
 def choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
-    """`yes if condition else no`, in each lane; both are worked out. Of numbers, too."""
+    """Return `yes if condition else no` in each lane; both are evaluated. Also for numbers."""
     result = lanes_among((yes, no))
     if isinstance(condition, Mask):
         result = Lanes(condition.count)
@@ -158,7 +157,7 @@ def choose(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
 
 @intrinsic
 def root(typingctx: Any, value: Any) -> Any:
-    """The square root, in each lane. Of numbers, too."""
+    """Return the square root in each lane. Also for numbers."""
     if not isinstance(value, (Lanes, types.Float)):
         return None
 
@@ -173,7 +172,7 @@ def root(typingctx: Any, value: Any) -> Any:
 
 @intrinsic
 def count_of(typingctx: Any, mask: Any) -> Any:
-    """Counts the lanes in which it is so."""
+    """Count the lanes in which a mask is true."""
     if not isinstance(mask, Mask):
         return None
 
@@ -186,7 +185,7 @@ def count_of(typingctx: Any, mask: Any) -> Any:
 
 @intrinsic
 def total_of(typingctx: Any, numbers: Any) -> Any:
-    """Adds up lanes: the first half and the second, and so on. A number is its own sum."""
+    """Sum over lanes, halving pairwise; a number is its own sum."""
     if isinstance(numbers, types.Float):
         return numbers(numbers), lambda context, builder, sig, args: args[0]
     if not isinstance(numbers, Lanes):
@@ -208,7 +207,7 @@ def total_of(typingctx: Any, numbers: Any) -> Any:
 
 @intrinsic
 def all_of(typingctx: Any, condition: Any) -> Any:
-    """Tells whether it is so in all lanes."""
+    """Return True if a condition holds in all lanes."""
     if isinstance(condition, types.Boolean):
         return types.boolean(condition), lambda context, builder, sig, args: args[0]
     if not isinstance(condition, Mask):
@@ -222,7 +221,7 @@ def all_of(typingctx: Any, condition: Any) -> Any:
 
 
 def aligned(numbers: np.ndarray) -> np.ndarray:
-    """Copies an array of floats to where a line of the cache begins."""
+    """Copy an array of floats to the start of a cache line."""
     room = np.empty(numbers.size + LINE // 8)
     first = -(room.ctypes.data // 8) % (LINE // 8)
     copy = room[first : first + numbers.size].reshape(numbers.shape)

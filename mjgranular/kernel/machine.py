@@ -1,8 +1,7 @@
-"""Machine code beside numba's: C functions that kernels call, and functions written for LLVM.
+"""Machine code in addition to numba's: C functions that kernels call, and LLVM functions.
 
-Compiled code that is kept on disk must not hold addresses, which differ in every process: it holds
-names, which LLVM looks up when the code is loaded. This is the one module that uses llvmlite by
-itself.
+Cached code must not contain addresses, which differ in every process. It contains names, which LLVM
+resolves when the code is loaded. Only this module uses llvmlite directly.
 """
 
 from __future__ import annotations
@@ -16,36 +15,36 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 from numba import extending, types
 
-# numba's types for these are those of Python functions that would be called as they are written.
+# numba annotates these as the Python functions that they are written as.
 intrinsic: Any = extending.intrinsic
 overload: Any = extending.overload
 
 
 def publish(name: str, address: int) -> None:
-    """Makes an address known to compiled code under a name."""
+    """Register an address under a name for compiled code."""
     llvm.add_symbol(name, address)
 
 
 def publish_functions(library: ctypes.CDLL, names: Iterable[str]) -> None:
-    """Makes functions of a library known to compiled code under their own names."""
+    """Register functions of a library under their own names for compiled code."""
     for name in names:
         publish(name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
 
 
 def c_function(name: str, result: str, *arguments: str) -> Any:
-    """Declares a published C function for kernels.
+    """Declare a registered C function for kernels.
 
     Args:
-        name: that it is published under.
-        result: numba's name of the type of its result, `void` for none.
-        arguments: the same of its arguments; a pointer is an `int64`.
+        name: name it is registered under.
+        result: numba's name of its result type, `void` for none.
+        arguments: numba's names of its argument types; a pointer is an `int64`.
     """
     returned, *taken = (getattr(types, name) for name in (result, *arguments))
     return types.ExternalFunction(name, returned(*taken))
 
 
 def address_of(name: str) -> Any:
-    """Makes a kernel `address()` of what is published under that name."""
+    """Make a kernel `address()` that returns what is registered under that name."""
 
     @intrinsic
     def address(typingctx: Any) -> Any:
@@ -63,7 +62,7 @@ def address_of(name: str) -> Any:
 
 @intrinsic
 def call_step(typingctx: Any, function: Any, table: Any, lead: Any) -> Any:
-    """Calls the program at an address, which takes a table's address and a time [s]."""
+    """Call the program at an address, with a table's address and a time [s]."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         long, double = ir.IntType(64), ir.DoubleType()
@@ -74,11 +73,11 @@ def call_step(typingctx: Any, function: Any, table: Any, lead: Any) -> Any:
 
 
 def load_functions(code: str, names: Iterable[str]) -> dict[str, int]:
-    """Compiles functions written in LLVM's language, which live as long as the process.
+    """Compile functions written in LLVM IR; they live as long as the process.
 
     Args:
-        code: a module.
-        names: of the functions that are asked for.
+        code: an LLVM module.
+        names: functions to return.
 
     Returns:
         Their addresses.
@@ -99,9 +98,9 @@ def _engine() -> Any:
 
 @cache
 def processor() -> tuple[str, str, str]:
-    """System, name and features of the processor that code is compiled for."""
+    """Return system, name and features of the processor that code is compiled for."""
     try:
         features = llvm.get_host_cpu_features().flatten()
-    except RuntimeError:  # not known for this kind of processor
+    except RuntimeError:  # unknown for this kind of processor
         features = ""
     return llvm.get_process_triple(), llvm.get_host_cpu_name(), features

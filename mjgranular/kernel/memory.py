@@ -1,9 +1,9 @@
-"""One table of integers through which kernels read and write a simulation.
+"""A table of integers through which kernels read and write a simulation.
 
-Handing numba a NumPy array costs about 80 ns each, and a kernel needs a dozen arrays of `mjData`
-and four of ours: more than the time of a bare `mj_step` on a one-link model. Their addresses do not
-change while the `MjData` lives, so one table of addresses stands for them all. An engine plugin,
-which gets no NumPy arrays but only the `mjData*`, fills the same table.
+Passing a NumPy array to numba costs about 80 ns, and a kernel needs a dozen arrays of `mjData` and
+four of the sand: more than the time of a bare `mj_step` on a one-link model. Their addresses are
+fixed while the `MjData` lives, so one table of addresses replaces them. An engine plugin, which
+gets only the `mjData*` and no NumPy arrays, fills the same table.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from mjgranular.kernel.machine import intrinsic
 
 # The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
-# Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there they are MuJoCo's own
-# business. The last three are those of a surface that remembers: the address of its state, how many
-# numbers that has, and the address of the program that updates it after a step; 0 without memory.
+# Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there MuJoCo handles them.
+# The last three belong to a surface with memory: the address of its state, the number of values in
+# it, and the address of the program that updates it after a step; 0 without memory.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
@@ -50,27 +50,27 @@ def simulation_table(
     state: np.ndarray,
     update: int,
 ) -> np.ndarray:
-    """Makes the table of sizes and addresses.
+    """Make the table of sizes and addresses.
 
     Args:
         model: the model.
         data: its data.
         packed: the law's elements as the program reads them.
-        count: of the elements, n.
+        count: number of elements, n.
         bodies: rows of `sand.binding.BODY_DTYPE`, shape (m,).
         scene: parameters of law, medium and surface, shape (1,).
         contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
-        spans: what is kept of the state (`kernel.snapshot`).
-        workspace: record of the scheme's (`Scheme.workspace`).
+        spans: copied parts of the state (`kernel.snapshot`).
+        workspace: record of the scheme's workspace (`Scheme.workspace`).
         options: address of the model's options (`kernel.options`).
-        integrators: that can be stepped, a bit each.
+        integrators: integrators that can be stepped, one bit each.
         longest_step: the longest time step that can be taken [ns].
-        state: of the surface (`relief.grid`), empty without memory.
+        state: state of the surface (`relief.grid`), empty without memory.
         update: address of the program that updates it, 0 without memory.
 
     Returns:
-        The table, shape (26,), int64. It keeps nothing alive: all of the arguments must outlive
-        every use of it.
+        The table, shape (26,), int64. It keeps nothing alive: all arguments must outlive every use
+            of it.
     """
     arrays = (
         model.dof_parentid,
@@ -97,7 +97,7 @@ def simulation_table(
 
 
 def records(dtype: np.dtype) -> Any:
-    """Makes a kernel `read(address, size)` that gives the array of such records at an address."""
+    """Make a kernel `read(address, size)` that returns the array of such records at an address."""
 
     @intrinsic
     def read(typingctx: Any, address: Any, size: Any) -> Any:
@@ -120,16 +120,16 @@ def records(dtype: np.dtype) -> Any:
 
 
 def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> Any:
-    """For what reads an array of itself: where its numbers are, once indices are checked.
+    """Return the address of an array's numbers after a check of the indices.
 
-    They are in builds with bounds checks, as numba checks its own indexing.
+    The check is only in builds with bounds checks, as for numba's own indexing.
 
     Args:
         context: numba's.
         builder: numba's.
-        array: its type.
-        args: the array, and the first index that will be read or written.
-        last: how far behind that the last one is.
+        array: type of the array.
+        args: the array, and the first index that is read or written.
+        last: offset of the last index from the first.
     """
     opened = context.make_array(array)(context, builder, args[0])
     if context.enable_boundscheck:
@@ -141,16 +141,16 @@ def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> 
 
 @cache
 def scratch(count: int) -> Any:
-    """Makes a kernel `scratch()`: an array of so many numbers in the frame of the function.
+    """Make a kernel `scratch()`: an uninitialized array of `count` numbers on the stack.
 
-    It lasts as long as the call. What is in it at first is anything.
+    It is valid until the calling function returns.
     """
 
     @intrinsic
     def make(typingctx: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
-            room.align = 64  # a line of the cache, and of the widest vectors
+            room.align = 64  # a cache line, and the widest vector
             array = context.make_array(signature.return_type)(context, builder)
             populate_array(
                 array,
@@ -169,10 +169,10 @@ def scratch(count: int) -> Any:
 
 @intrinsic
 def held(typingctx: Any, record: Any) -> Any:
-    """Copies a record to where nothing else can change it.
+    """Copy a record to the stack, where nothing else can change it.
 
-    A loop that writes elsewhere would read a record's fields again each time around, and could not
-    be vectorized: for all that the compiler knows it writes to them.
+    A loop that writes elsewhere would read a record's fields again in each iteration, and could not
+    be vectorized: the compiler must assume that it writes to them.
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -191,15 +191,15 @@ longs = records(np.dtype(np.int64))
 
 @compiled
 def row_of(address, number, width):
-    """A row of a matrix of floats at an address.
+    """Return a row of a matrix of floats at an address.
 
-    Numba asks of each index whether it is negative, and counts from the end then; not of constants,
-    which indices into a row are.
+    numba checks every index for a negative value, which counts from the end, except constants, such
+    as indices into a row.
     """
     return floats(address + 8 * width * number, width)
 
 
 @compiled
 def table_at(address):
-    """The table at an address."""
+    """Return the table at an address."""
     return longs(address, TABLE_SIZE)

@@ -1,6 +1,6 @@
-"""Motion of a body: its velocity, and the change within the time that a scheme looks ahead.
+"""Motion of a body: its velocity, and its change over the time that a scheme looks ahead.
 
-MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) about the centre of
+MuJoCo's `cvel` and the columns of `cdof` are spatial vectors (angular, linear) about the center of
 mass of the kinematic tree, world axes; sums of them need no Jacobian.
 """
 
@@ -24,13 +24,13 @@ Attributes:
 
 @compiled
 def velocity_change(table, last_dof, lead):
-    """Change of a body's spatial velocity within `lead` at the acceleration of the last step.
+    """Return the change of a body's spatial velocity within `lead` at the last acceleration.
 
     That acceleration is `qacc_warmstart`: zero after a reset, and part of MuJoCo's own integration
-    state, so that a copied simulation goes on as the original does.
+    state, so that a copied simulation continues as the original does.
 
     Args:
-        table: the simulation's.
+        table: table of the simulation.
         last_dof: the last degree of freedom in the body's chain, -1 if it has none.
         lead: time [s].
     """
@@ -39,13 +39,13 @@ def velocity_change(table, last_dof, lead):
 
 @partial(compiled, inline=True)
 def motion_along(table, last_dof, rates, scale):
-    """The spatial velocity that rates of the degrees of freedom give a body.
+    """Return the spatial velocity of a body from rates of its degrees of freedom.
 
     Args:
-        table: the simulation's.
+        table: table of the simulation.
         last_dof: the last degree of freedom in the body's chain, -1 if it has none.
         rates: address of nv numbers.
-        scale: what they are multiplied by.
+        scale: factor on the rates.
     """
     parent = ints(table[DOF_PARENT], table[NV])
     angular, linear = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)
@@ -61,24 +61,24 @@ def motion_along(table, last_dof, rates, scale):
 
 @partial(compiled, inline=True)
 def velocity_at(motion, arm):
-    """Linear velocity [m/s] at a point, from its place relative to the centre [m]."""
+    """Return the linear velocity [m/s] of a point, from its position relative to the center [m]."""
     return motion.linear + cross(motion.angular, arm)
 
 
 @partial(compiled, inline=True)
 def read_motion(array, first):
-    """The spatial velocity of six numbers of an array, from index `first` on."""
+    """Return the spatial velocity in six numbers of an array, from index `first` on."""
     return Motion(read_vector(array, first), read_vector(array, first + 3))
 
 
 @partial(compiled, inline=True)
 def write_motion(array, first, motion):
-    """Writes a spatial velocity, or a force and a moment, to an array, from index `first` on."""
+    """Write a spatial velocity, or a force and a moment, to an array, from index `first` on."""
     write_vector(array, first, motion.angular)
     write_vector(array, first + 3, motion.linear)
 
 
 @partial(compiled, inline=True)
 def still():
-    """No motion."""
+    """Return zero motion."""
     return Motion(vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))

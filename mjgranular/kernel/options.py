@@ -1,6 +1,6 @@
 """The options of a model, which a user may change between any two steps.
 
-Nothing that depends on them is kept: compiled code reads `mjOption` where it lies in `mjModel`.
+Nothing that depends on them is stored: compiled code reads `mjOption` in place in `mjModel`.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ _OFFSETS = {name: int(field[1]) for name, field in (OPTION_DTYPE.fields or {}).i
 
 NO_GRAVITY = int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 NO_PASSIVE_FORCES = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
-"""With both of these disabled `mj_passive` computes nothing, the forces of plugins included."""
+"""With both of these disabled `mj_passive` computes nothing, not even the forces of plugins."""
 
 DISABLEFLAGS_BEHIND_INTEGRATOR = int(_OFFSETS["disableflags"] - _OFFSETS["integrator"])  # [bytes]
 
 
 def options_address(model: mujoco.MjModel) -> int:
-    """The address of a model's `mjOption`.
+    """Return the address of a model's `mjOption`.
 
     Raises:
-        ImportError: this MuJoCo lays it out in another way than its own description says.
+        ImportError: the layout differs from MuJoCo's own description.
     """
     _verify()
     return _address_of(model)
@@ -38,7 +38,7 @@ def options_address(model: mujoco.MjModel) -> int:
 
 @partial(compiled, inline=True)
 def options_at(table):
-    """The options of the model as they are now, a record of `OPTION_DTYPE`."""
+    """Return the present options of the model, a record of `OPTION_DTYPE`."""
     return option_records(table[OPTIONS], 1)[0]
 
 
@@ -48,10 +48,10 @@ def _address_of(model: mujoco.MjModel) -> int:
 
 @cache
 def _verify() -> None:
-    """Plants numbers in the options of a small model, and looks for them in the record.
+    """Check the layout by writing numbers to the options of a small model and reading the record.
 
     Raises:
-        ImportError: they are not there.
+        ImportError: the record does not contain them.
     """
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     names = OPTION_DTYPE.names or ()

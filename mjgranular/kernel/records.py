@@ -1,4 +1,4 @@
-"""The records that kernels fill: one for each body in the sand, one for each element."""
+"""Records that kernels fill: one for each body in the sand, and one for each element."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BODY_DTYPE = np.dtype(
         ("root", np.int64),  # root of the body's kinematic tree
         ("last_dof", np.int64),
         ("end", np.int64),  # one past its last element: elements come body by body
-        ("wrench", np.float64, (6,)),  # force [N], moment about the centre of mass [N m], world
+        ("wrench", np.float64, (6,)),  # force [N], moment about the center of mass [N m], world
         ("change", np.float64, (6,)),  # of its spatial velocity within a scheme's lead
         ("own", np.float64, (6,)),  # the user's row of xfrc_applied
         ("written", np.float64, (6,)),  # that row as last written by the sand
@@ -23,7 +23,7 @@ CONTACT_DTYPE = np.dtype(
     [
         ("depth", np.float64),  # of the element's deepest point [m], negative above the sand
         ("length", np.float64),  # immersed length of a rod [m], 0 for other elements
-        ("point", np.float64, (3,)),  # where the force acts [m], world
+        ("point", np.float64, (3,)),  # point of action of the force [m], world
         ("velocity", np.float64, (3,)),  # of that point [m/s], world
         ("force", np.float64, (3,)),  # on the element [N], world
     ]

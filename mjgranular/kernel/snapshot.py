@@ -1,8 +1,8 @@
-"""The last good state of a simulation, kept so that a bad step can be undone.
+"""The last good state of a simulation, stored so that a bad step can be undone.
 
-Where MuJoCo finds NaN, infinite or huge numbers it resets the simulation: what led to them is gone
-before anybody can look. So a few doubles are copied once a step, in compiled code, laid out as
-`mj_getState` does it: `mj_setState` brings them back.
+If MuJoCo finds NaN, infinite or huge numbers it resets the simulation, and the state that led to
+them is lost. So a few doubles are copied once per step, in compiled code, in the layout of
+`mj_getState`; `mj_setState` restores them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import SNAPSHOT, floats, records
 
 _SPAN_DTYPE = np.dtype([("source", np.int64), ("target", np.int64), ("size", np.int64)])
-_PARTS = {  # of mjSTATE_INTEGRATION, in its order, but for the time, which comes first
+_PARTS = {  # of mjSTATE_INTEGRATION, in its order, except for the time, which comes first
     "QPOS": "qpos",
     "QVEL": "qvel",
     "ACT": "act",
@@ -33,12 +33,12 @@ _PARTS = {  # of mjSTATE_INTEGRATION, in its order, but for the time, which come
     "PLUGIN": "plugin_state",
     "PLASTIC": "plastic",
 }
-# A version of MuJoCo before 4.0 has no plasticity.
+# MuJoCo before 4.0 has no plasticity.
 _PARTS = {
     part: name for part, name in _PARTS.items() if hasattr(mujoco.mjtState, f"mjSTATE_{part}")
 }
 _STATE = sum(int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) for part in ("TIME", *_PARTS))
-_MOST = len(_PARTS) + 2  # spans: a part each, the time, the end
+_MOST = len(_PARTS) + 2  # spans: one per part, the time, the end
 
 _spans = records(_SPAN_DTYPE)
 _bytes = records(np.dtype(np.uint8))
@@ -46,10 +46,10 @@ _bytes = records(np.dtype(np.uint8))
 
 @compiled
 def save_snapshot(table):
-    """Copies the state of a simulation to where it is kept.
+    """Copy the state of a simulation to its snapshot.
 
     Args:
-        table: the simulation's (`kernel.memory`).
+        table: table of the simulation (`kernel.memory`).
     """
     spans = _spans(table[SNAPSHOT], _MOST)
     first = spans[0]
@@ -67,7 +67,7 @@ def save_snapshot(table):
 
 @compiled
 def kept_time(table):
-    """The time of the state that is kept [s]."""
+    """Return the time of the stored state [s]."""
     return floats(_spans(table[SNAPSHOT], _MOST)[1].target, 1)[0]
 
 
@@ -76,9 +76,9 @@ class Snapshot:
     """The snapshot of one simulation, and the spans that are copied to it.
 
     Attributes:
-        spans: from where, to where, how many numbers: those that are bytes (`eq_active`), then
-            those that are doubles, then an end of size 0.
-        state: as of `mj_getState`; the time, its first number, is NaN until something is kept.
+        spans: source, destination, and number of values of each copy: those of bytes (`eq_active`),
+            then those of doubles, then an end of size 0.
+        state: as of `mj_getState`; the time, its first number, is NaN until a state is stored.
     """
 
     spans: np.ndarray
@@ -86,9 +86,9 @@ class Snapshot:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData) -> Snapshot:
-        """Room for the state of `data`; nothing is kept in it yet."""
+        """Allocate an empty snapshot for the state of `data`."""
         state = np.full(mujoco.mj_stateSize(model, _STATE), math.nan)
-        # Python gives no address for `time`: in mjdata.h it is the number before `energy`.
+        # Python has no address of `time`: in mjdata.h it is the number before `energy`.
         spans = [(data.energy.ctypes.data - data.energy.itemsize, state.ctypes.data, 1)]
         target = state[1:].ctypes.data
         for name in _PARTS.values():
@@ -103,12 +103,12 @@ class Snapshot:
 
     @property
     def time(self) -> float | None:
-        """Of the state that is kept [s]; None if none is."""
+        """Return the time of the stored state [s]; None if none is stored."""
         time = float(self.state[0])
         return None if math.isnan(time) else time
 
     def restore(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Brings the state back into `data`, positions and velocities of bodies included."""
+        """Restore the state to `data`, including positions and velocities of bodies."""
         mujoco.mj_setState(model, data, self.state, _STATE)
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)

@@ -1,4 +1,4 @@
-"""MuJoCo's structs as records, as MuJoCo describes them itself (`mujoco.introspect`)."""
+"""MuJoCo's structs as records, from MuJoCo's own description (`mujoco.introspect`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _KINDS = {"mjtNum": np.float64, "int": np.int32}
 
 
 def record_of(struct: str) -> np.dtype:
-    """The record of a struct of numbers, laid out as C does.
+    """Return the record of a struct of numbers, with the layout of C.
 
     Args:
         struct: its name; all of its fields are `mjtNum`, `int` or arrays of these.

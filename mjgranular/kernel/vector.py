@@ -1,7 +1,7 @@
 """Vectors in kernels: `+`, `-`, `*`, `/`, `dot`, `cross`; a matrix is a vector of its rows.
 
-The components are numbers, lanes (`kernel.lanes`) or vectors themselves. A vector costs nothing: it
-is three values that the compiler keeps where it would keep them anyway.
+The components are numbers, lanes (`kernel.lanes`) or vectors themselves. A vector has no overhead:
+the compiler keeps its three values in registers as it would separate variables.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ for _name in "xyz":
 
 @intrinsic
 def vector(typingctx: Any, x: Any, y: Any, z: Any) -> Any:
-    """Makes a vector of three numbers, of lanes and numbers, or of three vectors."""
+    """Make a vector of three numbers, of lanes and numbers, or of three vectors."""
     kinds = (x, y, z)
     if isinstance(x, VectorType):
         component: Any = x
@@ -128,44 +128,44 @@ def _matmul(a, b):
 
 @partial(compiled, inline=True)
 def dot(a, b):
-    """Dot product."""
+    """Return the dot product."""
     return a.x * b.x + a.y * b.y + a.z * b.z
 
 
 @partial(compiled, inline=True)
 def cross(a, b):
-    """Cross product."""
+    """Return the cross product."""
     return vector(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
 @partial(compiled, inline=True)
 def norm(a):
-    """Length of a vector of numbers."""
+    """Return the length of a vector of numbers."""
     return math.sqrt(dot(a, a))
 
 
 @partial(compiled, inline=True)
 def across(u):
-    """A unit vector across a unit vector."""
+    """Return a unit vector perpendicular to a unit vector."""
     other = vector(0.0, u.z, -u.y) if abs(u.x) < 0.7 else vector(-u.z, 0.0, u.x)
     return other / norm(other)
 
 
 @partial(compiled, inline=True)
 def outer(a, b):
-    """Outer product: the matrix a b^T."""
+    """Return the outer product: the matrix a b^T."""
     return vector(a.x * b, a.y * b, a.z * b)
 
 
 @partial(compiled, inline=True)
 def diagonal(a):
-    """The matrix with a number on its diagonal."""
+    """Return the matrix with a number on its diagonal."""
     return vector(vector(a, 0.0, 0.0), vector(0.0, a, 0.0), vector(0.0, 0.0, a))
 
 
 @partial(compiled, inline=True)
 def transposed(m):
-    """The transpose of a matrix."""
+    """Return the transpose of a matrix."""
     return vector(
         vector(m.x.x, m.y.x, m.z.x), vector(m.x.y, m.y.y, m.z.y), vector(m.x.z, m.y.z, m.z.z)
     )
@@ -173,19 +173,19 @@ def transposed(m):
 
 @partial(compiled, inline=True)
 def read_vector(array, first):
-    """The vector of three numbers of an array, from index `first` on."""
+    """Return the vector of three numbers of an array, from index `first` on."""
     return vector(array[first], array[first + 1], array[first + 2])
 
 
 @partial(compiled, inline=True)
 def write_vector(array, first, v):
-    """Writes the components of a vector to an array, from index `first` on."""
+    """Write the components of a vector to an array, from index `first` on."""
     array[first], array[first + 1], array[first + 2] = v.x, v.y, v.z
 
 
 @partial(compiled, inline=True)
 def read_matrix(array, first):
-    """The matrix of nine numbers of an array, row by row, from index `first` on."""
+    """Return the matrix of nine numbers of an array, row by row, from index `first` on."""
     return vector(
         read_vector(array, first), read_vector(array, first + 3), read_vector(array, first + 6)
     )

@@ -1,6 +1,6 @@
-"""Records of numbers and addresses that kernels read as numbers and as arrays: `w.nv`, `w.qvel[j]`.
+"""Records of numbers and addresses that kernels read as numbers and arrays: `w.nv`, `w.qvel[j]`.
 
-Such a record is passed between kernels as one word, its address, where each array would be seven.
+Kernels pass such a record as one word, its address; each array would take seven.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Views(types.Type):
     """A record of words: numbers, then addresses of arrays.
 
     Attributes:
-        dtype: of the record in memory.
-        numbers: the types of its numbers.
-        arrays: for each array the type of what is in it, and its shape in numbers and names of the
+        dtype: dtype of the record in memory.
+        numbers: types of its numbers.
+        arrays: for each array the type of its items, and its shape in numbers and names of the
             record's numbers.
     """
 
@@ -47,14 +47,14 @@ class Views(types.Type):
         self.arrays = dict(arrays)
 
     def kind(self, field: str) -> Any:
-        """The numba type of a field, None if there is none."""
+        """Return the numba type of a field, None if there is none."""
         if field in self.arrays:
             dtype, shape = self.arrays[field]
             return types.Array(from_dtype(np.dtype(dtype)), len(shape), "C")
         return self.numbers.get(field)
 
     def place(self, builder: Any, address: Any, field: str) -> Any:
-        """Emits the pointer to a number or an address."""
+        """Emit the pointer to a number or an address."""
         fields: Any = self.dtype.fields
         is_real = self.numbers.get(field) == types.float64
         word = ir.DoubleType() if is_real else _WORD
@@ -105,7 +105,7 @@ def _write(context: Any, builder: Any, sig: Any, args: Any, field: str) -> Any:
 
 
 def views_at(views: Views) -> Any:
-    """Makes a kernel `at(address)`: the record there."""
+    """Make a kernel `at(address)` that returns the record there."""
 
     @intrinsic
     def at(typingctx: Any, address: Any) -> Any:

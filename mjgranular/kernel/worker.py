@@ -1,9 +1,9 @@
-"""Work that an interrupt must not cut in two: done in a thread of its own, and waited for.
+"""Work that an interrupt must not split: done in a separate thread while the caller waits.
 
 Python raises `KeyboardInterrupt`, and whatever else a signal's handler raises, in the main thread,
-between any two of its instructions. A compiler that is left there is half made, and what is tried
-next fails in other ways. Threads of their own are not interrupted: who waits for one is, and keeps
-the interrupt until there is nothing left to harm.
+between any two of its instructions. A compiler interrupted there is left in an inconsistent state,
+and later calls fail in other ways. Other threads are not interrupted: only the waiting caller is,
+and it delays the interrupt until nothing can be damaged.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-_PATIENCE = 0.1  # s: a signal that another thread took is looked at after it
+_PATIENCE = 0.1  # s: interval at which signals taken by another thread are noticed
 
 _here = threading.local()
 
 
 class _Work(Generic[T]):
-    """Something to do, once, and what became of it."""
+    """A task that runs once, and its result."""
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work = work
         self.claimed = threading.Lock()
-        """Taken by who sees to it that the work is done, or that it never is."""
+        """Acquired by the thread that runs the task, or that cancels it."""
         self.unfinished = threading.Lock()
         """Held until the work is done."""
         self.unfinished.acquire()
@@ -49,22 +49,22 @@ class _Work(Generic[T]):
 
 
 def run_in_worker(work: Callable[[], T]) -> T:
-    """Does something in a thread of its own, and waits for it, whatever happens.
+    """Run a function in a separate thread, and wait until it ends.
 
     Args:
-        work: what to do.
+        work: the function.
 
     Raises:
-        BaseException: what interrupted the waiting, once the work is done or has given way; else
-            what the work raised.
+        BaseException: what interrupted the waiting, once the work is done or has been cancelled;
+            else what the work raised.
     """
     task = _Work(work)
     interrupt = None
     try:
-        # Not of class Thread: what it does to begin one cannot be interrupted safely either.
+        # Not of class Thread: its start cannot be interrupted safely either.
         _thread.start_new_thread(task.run, ())
     except BaseException as error:
-        if task.claimed.acquire(blocking=False):  # it has not begun, and never will
+        if task.claimed.acquire(blocking=False):  # it has not started, and never will
             raise
         interrupt = error
         task.unwanted = True
@@ -84,20 +84,20 @@ def run_in_worker(work: Callable[[], T]) -> T:
 
 
 def uninterrupted(work: Callable[[], T]) -> T:
-    """Does something where no interrupt can cut it in two: not in the main thread."""
+    """Run a function outside the main thread, where no interrupt can split it."""
     return run_in_worker(work) if is_main() else work()
 
 
 def is_main() -> bool:
-    """Tells whether this is the main thread, the one that signals interrupt."""
+    """Return True if this is the main thread, the one that signals interrupt."""
     return threading.get_ident() == threading.main_thread().ident
 
 
 def cancellation_point() -> None:
-    """Ends work whose result nobody waits for any more: called where ending it harms nothing.
+    """Cancel work whose result is no longer awaited; called where cancelling is safe.
 
     Raises:
-        KeyboardInterrupt: who waited was interrupted.
+        KeyboardInterrupt: the caller that waited was interrupted.
     """
     work = getattr(_here, "work", None)
     if work is not None and work.unwanted:

@@ -1,4 +1,4 @@
-"""Laws of one force on a body, by its depth and its velocity."""
+"""Laws with one force per body, from its depth and its velocity."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _KEYS = ("constant", "stiffness", "exponent", "linear", "quadratic")
 
 
 class Blob(NamedTuple):
-    """A body as a whole, body frame (`shape.blobs`)."""
+    """A whole body, body frame (`shape.blobs`)."""
 
     center: Vector
     axes: Matrix
@@ -45,7 +45,7 @@ class BlobSample(NamedTuple):
 
 @partial(compiled, inline=True)
 def depth_velocity_respond(blob, law, g, v, p, eps):
-    """Resistance and its derivatives (see `LawKernel.respond`)."""
+    """Return resistance and its derivatives (see `LawKernel.respond`)."""
     speed = norm(v)
     drag = law.linear + law.quadratic * speed
     # d(A |v| v)/dv = A (|v| + v v / |v|)
@@ -56,12 +56,12 @@ def depth_velocity_respond(blob, law, g, v, p, eps):
 
 @cache
 def depth_velocity_kernel(probe: Any) -> LawKernel:
-    """The law's kernels for surfaces with that `probe`."""
+    """Make the law's kernels for surfaces with that `probe`."""
 
     @partial(compiled, inline=True)
     def depth_velocity_sample(blob, pose, law, surface, g):
         center = pose.position + pose.rotation @ blob.center
-        # The normal above the centre says which point is deepest; its depth is what counts.
+        # The normal above the center determines the deepest point; its depth is used.
         _depth, normal = probe(surface, center)
         reach = support(blob, transposed(pose.rotation) @ normal)
         depth, _normal = probe(surface, center - reach * normal)
@@ -76,14 +76,14 @@ def depth_velocity_kernel(probe: Any) -> LawKernel:
 @register_law
 @dataclass(frozen=True)
 class DepthVelocityLaw(Law):
-    r"""One force on each geom, at its centre, against the velocity of the centre.
+    r"""One force on each geom, at its center, against the velocity of the center.
 
     $$
     F_R(z, v) = C + k z^n + B v + A v^2
     $$
 
     with z the depth of the geom's deepest point below the surface. The force acts while z > 0.
-    Every model that the link paper surveys is a case of it; the named constructors are those.
+    Every model that the link paper surveys is a special case; each has a named constructor.
 
     Attributes:
         constant: C [N].
@@ -127,35 +127,35 @@ class DepthVelocityLaw(Law):
 
     @classmethod
     def bingham(cls, *, constant: float, linear: float) -> Self:
-        """F = F0 + b v: a viscoplastic medium at low speed (de Bruyn and Walsh)."""
+        """Return F = F0 + b v: a viscoplastic medium at low speed (de Bruyn and Walsh)."""
         return cls(constant=constant, linear=linear)
 
     @classmethod
     def poncelet(cls, *, constant: float, quadratic: float) -> Self:
-        """F = F0 + c v^2: ballistics."""
+        """Return F = F0 + c v^2: ballistics."""
         return cls(constant=constant, quadratic=quadratic)
 
     @classmethod
     def allen_mayfield_morrison(cls, *, quadratic: float, linear: float, constant: float) -> Self:
-        """F = A v^2 + B v + C: penetration of sand."""
+        """Return F = A v^2 + B v + C: penetration of sand."""
         return cls(quadratic=quadratic, linear=linear, constant=constant)
 
     @classmethod
     def lohse(cls, *, stiffness: float) -> Self:
-        """F = k z: loose, very fine sand."""
+        """Return F = k z: loose, very fine sand."""
         return cls(stiffness=stiffness)
 
     @classmethod
     def tsimring_volfson(cls, *, stiffness: float, quadratic: float) -> Self:
-        """F = k z + c v^2: the generalised Poncelet model, for large projectiles."""
+        """Return F = k z + c v^2: the generalized Poncelet model, for large projectiles."""
         return cls(stiffness=stiffness, quadratic=quadratic)
 
     @classmethod
     def katsuragi_durian(cls, *, mass: float, stiffness: float, drag_length: float) -> Self:
-        """F = k z + m v^2 / d1: spheres.
+        """Return F = k z + m v^2 / d1: spheres.
 
         Args:
-            mass: of the sphere, m [kg].
+            mass: mass of the sphere, m [kg].
             stiffness: k [N/m].
             drag_length: d1 [m].
         """

@@ -1,8 +1,8 @@
-"""Resistive force theory for feet and bodies as fast as robots move.
+"""Resistive force theory for feet and bodies at the speeds of robots.
 
-The quasi-static laws with everything that sand in motion adds, each with its published constant:
-lambda of the inertial term, an added mass, stagnant sand under flat faces, a lateral strength and
-friction that grows with the rate of shear (docs/laws/rft.md, docs/validity.md).
+The quasi-static laws plus all effects of moving sand, each with its published constant: lambda of
+the inertial term, added mass, stagnant sand under flat faces, lateral strength, and friction that
+grows with the shear rate (docs/laws/rft.md, docs/validity.md).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ADDED = 2.5
 """kappa: chosen by two drops of a ball in simulated grains (docs/validity.md)."""
 
 FRICTION = 0.6
-"""Internal friction where a law has none, for the cone: of dry sands, 31 degrees; chosen."""
+"""Internal friction for the cone, if a law has none: that of dry sands, 31 degrees; chosen."""
 
 _CITATION = (
     "; inertial term: S. Agarwal, A. Karsai, D. I. Goldman, K. Kamrin, Sci. Adv. 7 eabe0631 "
@@ -35,15 +35,15 @@ _CITATION = (
     "strength after R. Lancellotta, Geotechnique 52, 617 (2002)"
 )
 
-_WITHIN = 0.25  # error of trajectories up to which a law is an estimate; chosen (docs/validity.md)
+_WITHIN = 0.25  # largest error for which a law is an estimate; chosen (docs/validity.md)
 
 
 def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, ...]:
-    """Limits of a law, as fast as it was found right, and as thin in grains.
+    """Return limits of a law: the speed and the width in grains for which it was confirmed.
 
     Args:
-        name: of the law.
-        inertial_number: greatest in the runs that confirm it; None for that of the slow laws.
+        name: name of the law.
+        inertial_number: greatest one in the confirming runs; None for that of the slow laws.
     """
     froude = 0.0
     for finding in sorted(findings_of(name), key=lambda finding: finding.froude):
@@ -59,7 +59,7 @@ def _confirmed(name: str, inertial_number: float | None = None) -> tuple[Limit, 
 
 
 class _Dynamic(RftLaw):
-    """What the laws for fast motion share: constants of the quasi-static ones, own findings."""
+    """Common part of the laws for fast motion: constants of the quasi-static laws, own findings."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -72,7 +72,7 @@ class _Dynamic(RftLaw):
         cone = constants.get("cone", cone_under(constants.get("internal_friction", FRICTION)))
         scale = constants.get("scale", 1.0)
         if medium.key_for(cls.name) != cls.name or "scale" not in constants:
-            scale /= 1.0 + cone  # the slow law's stiffness is force over depth
+            scale /= 1.0 + cone  # the quasi-static law's stiffness is force over depth
         general = {"density": medium.density}
         if medium.grain is not None and cls.rate > 0:
             general["grain"] = medium.grain
@@ -89,15 +89,15 @@ class _Dynamic(RftLaw):
 @register_law
 @dataclass(frozen=True)
 class DynamicRft3dLaw(_Dynamic, Rft3dLaw):
-    """`Rft3dLaw` with what sand in motion adds, all of it switched on.
+    """`Rft3dLaw` with all effects of moving sand switched on.
 
-    A medium's constants for `rft3d` serve it: the cone follows from the internal friction, the
-    grain size is the medium's (without one there is no `rate`), and `scale` takes off what the
-    cone adds to a plate that is as deep as wide, since published stiffness is force over depth
-    (chosen: plates were pushed to about that). A slow push tells better: `mjgranular fit`.
+    It uses a medium's constants for `rft3d`: the cone follows from the internal friction, the grain
+    size is the medium's (without one there is no `rate`), and `scale` removes what the cone adds to
+    a plate as deep as wide, since published stiffness is force over depth (chosen: plates were
+    pushed to about that). A calibration is more accurate: `mjgranular fit`.
 
-    Only `from_medium` derives `cone` and `lateral` from a friction. Where `internal_friction` is
-    given or changed by itself, give them too (`law.raised.cone_under`, `law.lateral`).
+    Only `from_medium` derives `cone` and `lateral` from a friction. If you set or change
+    `internal_friction` alone, set them too (`law.raised.cone_under`, `law.lateral`).
     """
 
     name: ClassVar[str] = "rft3d_dynamic"
@@ -123,10 +123,10 @@ class DynamicRft3dLaw(_Dynamic, Rft3dLaw):
 @register_law
 @dataclass(frozen=True)
 class DynamicRft2dLaw(_Dynamic, Rft2dLaw):
-    """`Rft2dLaw` with what sand in motion adds, all of it switched on.
+    """`Rft2dLaw` with all effects of moving sand switched on.
 
-    A medium's constants for `rft2d` serve it, as those for `rft3d` serve `DynamicRft3dLaw`. They
-    know no internal friction: the cone is that of dry sand, and no friction grows with shear.
+    It uses a medium's constants for `rft2d` as `DynamicRft3dLaw` uses those for `rft3d`. They do
+    not contain internal friction: the cone is that of dry sand, and no friction grows with shear.
     """
 
     name: ClassVar[str] = "rft2d_dynamic"

@@ -22,14 +22,13 @@ from mjgranular.law.patch import wet_part, wet_share
 from mjgranular.law.raised import not_raised
 
 LANES = 8
-# A multiplier of which the square is smaller than this has no direction. Chosen: far above the
-# smallest number.
+# A multiplier whose square is smaller has no direction. Chosen: far above the smallest number.
 _STILL = 1e-300
-_ROUNDED = 1.0 + 1e-12  # what is beyond a bound by more is so however it is rounded; chosen
+_ROUNDED = 1.0 + 1e-12  # margin for rounding: a value beyond a bound by more exceeds it; chosen
 _THIRD = 1.0 / 3.0
-# Depth over which a facet comes to move sand along, in widths of its geom, beside its own height.
-# Chosen by a foot and a plate that enter simulated grains (`referee/data`): the foot's peak of
-# force is 14 % too low with it, and 49 % with twice as much.
+# Depth over which a facet's added mass builds up, in widths of its geom, in addition to the facet's
+# own height. Chosen by a foot and a plate that enter simulated grains (`referee/data`): the foot's
+# peak force is 14 % too low with it, and 49 % with twice as much.
 _ENTRY = 0.125
 
 
@@ -42,7 +41,7 @@ class Facet(NamedTuple):
     spread: tuple[Vector, Vector]
     area: float
     face: float  # width of the flat face, or the geom, that it is part of [m]
-    flat: float  # share of what the geom shows there that is one flat face
+    flat: float  # fraction of the geom's projection in this direction that is one flat face
 
 
 class FacetSample(NamedTuple):
@@ -50,19 +49,19 @@ class FacetSample(NamedTuple):
 
     depth: float
     length: float
-    point: Vector  # centre of pressure
+    point: Vector  # center of pressure
     normal: Vector
     up: Vector  # normal of the sand
-    spread_1: Vector  # of the normal over both half edges
+    spread_1: Vector  # change of the normal over both half edges
     spread_2: Vector
     middle: float  # depth of the facet's middle [m]
     rise_1: float  # of the depth, along both half edges [m]
     rise_2: float
-    mean: float  # depth over the whole facet, nothing counting for negative [m]
-    area: float  # [m^2], times what raises static resistance (`law.raised`)
+    mean: float  # mean depth over the whole facet, negative depth counting as zero [m]
+    area: float  # [m^2], times the factor on static resistance (`law.raised`)
     push: float  # lambda rho area: the inertial term's [N s^2/m^2]
-    moved: float  # sand that moves along once the facet is in the sand [kg]
-    entry: float  # depth over which it comes to move along, beside the facet's own height [m]
+    moved: float  # sand that moves with the facet once it is immersed [kg]
+    entry: float  # depth over which that builds up, besides the facet's own height [m]
 
 
 @cache
@@ -77,20 +76,20 @@ def facet_kernel(
     added: bool = False,
     raised: Any = not_raised,
 ) -> LawKernel:
-    """The kernels of a law of surface elements for surfaces with that `probe`.
+    """Make the kernels of a law of surface elements for surfaces with that `probe`.
 
     Args:
-        probe: the surface's.
-        stress: see `RftLaw`; asked where there is no slope.
+        probe: probe of the surface.
+        stress: see `RftLaw`; used if there is no `slope`.
         slope: see `RftLaw`.
         is_plane: whether facets may be sampled side by side.
         toward: see `Surface.toward_kernel`.
         ceiling: see `Surface.ceiling_kernel`.
-        added: whether sand is moved along (`facet_added`).
+        added: whether there is added mass (`facet_added`).
         raised: factor on static resistance (`law.raised`).
 
-    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 where the surface behind a
-    turning body is lowered; where sand is moved along also `added`, kappa, and `density`, rho.
+    The law's record has `inertia`, lambda rho [kg/m^3], and `rise`, 1 if the surface behind a
+    turning body is lowered; with added mass also `added`, kappa, and `density`, rho.
     """
 
     @partial(compiled, inline=True)
@@ -106,11 +105,12 @@ def facet_kernel(
         outward = pose.rotation @ facet.normal
         middle, up = look(surface, point, outward)
         edge_1, edge_2 = facet.edges[0], facet.edges[1]
-        up_there = transposed(pose.rotation) @ up  # in the body's frame
+        up_there = transposed(pose.rotation) @ up  # in the body frame
         rise_1, rise_2 = -dot(edge_1, up_there), -dot(edge_2, up_there)
         reach = abs(rise_1) + abs(rise_2)
         depth = middle + reach
-        # Side by side all are not dry (`cull`), and a second way out would take longer.
+        # Side by side `cull` has excluded the case that all are dry, and a second exit would take
+        # longer.
         if not is_plane and all_of(depth <= 0.0):
             return FacetSample(
                 depth,
@@ -132,17 +132,17 @@ def facet_kernel(
         lowered = middle
         if law.rise != 0.0:
             lowered = lowered_behind(middle, pose, point, g)
-        if all_of(lowered > reach):  # in the sand as a whole, like most
+        if all_of(lowered > reach):  # fully immersed, like most
             scale = _THIRD / lowered
             mean, s, t = lowered, rise_1 * scale, rise_2 * scale
             share = choose(lowered > reach, 1.0, 0.0)
         else:
             mean, s, t = wet_part(lowered, rise_1, rise_2)
             share = wet_share(lowered, rise_1, rise_2)
-        # The force acts at the wet part's centre of pressure.
+        # The force acts at the center of pressure of the immersed part.
         centre = point + pose.rotation @ (s * edge_1 + t * edge_2)
         if not is_plane and mean > 0.0 and middle <= 0.0:
-            # Where that is dry, the middle is not above the sand but beside it.
+            # If that point is dry, the facet's middle is not above the sand but beside it.
             below, _ = look(surface, centre, outward)
             depth = middle if below <= 0.0 else depth
         return FacetSample(
@@ -166,11 +166,11 @@ def facet_kernel(
     def respond_kernel(led: Any) -> Any:
         @partial(compiled, inline=True)
         def respond(facet, law, g, v, p, eps):
-            # The multiplier of the law itself has no size but one.
+            # The law's own multiplier has size one.
             square = dot(p, p)
             size = math.sqrt(square) if eps > 0.0 else 1.0
             still = square <= _STILL
-            # No multiplier is as good as one along z: nobody asked in a direction.
+            # A zero multiplier is treated as one along z, since its direction has no effect.
             scale = 0.0 if still else 1.0 / size
             u = scale * p
             if still:
@@ -187,7 +187,7 @@ def facet_kernel(
 
     @partial(compiled, inline=True)
     def complexity(facet, law, p, eps):
-        """See `LawKernel.complexity`: a facet that leads as a whole, or not at all, is simple."""
+        """Return `LawKernel.complexity`: a facet is simple if all or nothing of it leads."""
         lead = dot(p, facet.normal)
         reach = _ROUNDED * (abs(dot(p, facet.spread_1)) + abs(dot(p, facet.spread_2)))
         bound = max(reach, RAMP * norm(p))
@@ -217,7 +217,7 @@ def facet_kernel(
 
 @partial(compiled, inline=True)
 def _moved(law, facet, up, mean):
-    """Mass of the layer in front of a facet: kappa w thick, and no thicker than the sand there."""
+    """Return the mass of the layer in front of a facet: kappa w thick, at most the sand's depth."""
     layer = law.added * facet.face
     beyond = up * layer > mean
     return law.density * facet.area * choose(beyond, mean / choose(beyond, up, 1.0), layer)
@@ -230,15 +230,15 @@ def _none_moved(law, facet, up, mean):
 
 @partial(compiled, inline=True)
 def facet_added(facet, v, h):
-    """Return the sand that moves along with a facet (`AddedMass`), eq. (A1) of docs/laws/rft.md.
+    """Return the sand that moves with a facet (`AddedMass`), eq. (A1) of docs/laws/rft.md.
 
     Args:
         facet: its sample.
-        v: velocity of its center of pressure at the start of the step [m/s], by which the last
-            step has brought the facet here.
+        v: velocity of its center of pressure at the start of the step [m/s], which brought the
+            facet here in the last step.
         h: time step [s].
     """
-    # Of the facet's height, twice its reach, and of the entry the part in the sand.
+    # The immersed part of the facet's height (twice its reach) plus the entry depth.
     height = 2.0 * (abs(facet.rise_1) + abs(facet.rise_2)) + facet.entry
     depth = max(facet.depth, 0.0)
     now = min(depth, height)
@@ -249,28 +249,28 @@ def facet_added(facet, v, h):
 
 @partial(compiled, inline=True)
 def facet_cull(facet, level):
-    """Depth of a facet's deepest point (see `LawKernel.cull`)."""
+    """Return the depth of a facet's deepest point (see `LawKernel.cull`)."""
     rise_1, rise_2 = dot(level.normal, facet.edges[0]), dot(level.normal, facet.edges[1])
     return level.depth - dot(level.normal, facet.point) + (abs(rise_1) + abs(rise_2))
 
 
 @partial(compiled, inline=True)
 def lowered_behind(depth, pose, point, g):
-    """Depth below the surface that a turning body has lowered behind itself.
+    """Return the depth below the surface that a turning body has lowered behind itself.
 
     Agarwal et al. 2021: `r (r w^2 / g)` on the rear half of a wheel; here r is the element's own
-    distance from the axis through the body's centre of mass, and the rear half is where the body's
+    distance from the axis through the body's center of mass, and the rear half is where the body's
     velocity points away from the element.
 
     Args:
-        depth: below the undisturbed surface [m].
-        pose: of the body.
-        point: of the element [m], world.
+        depth: depth below the undisturbed surface [m].
+        pose: pose of the body.
+        point: position of the element [m], world.
         g: gravity [m/s^2].
     """
     angular, linear = pose.motion.angular, pose.motion.linear
     arm = point - pose.com
-    velocity = linear + cross(angular, pose.com - pose.tree)  # of the centre of mass
+    velocity = linear + cross(angular, pose.com - pose.tree)  # of the center of mass
     turning = cross(angular, arm)  # r w
     drop = dot(turning, turning) * (1.0 / g if g > 0.0 else 0.0)
     return choose(dot(velocity, arm) >= 0.0, depth, depth - drop)

@@ -1,20 +1,21 @@
 """Force on a facet and its derivative by the direction of motion.
 
-A stress that knows the outward normal n, the direction of motion u and the normal of the surface z
-lies in their span, `s (alpha n + beta u + gamma z)`, and the factors depend on the cosines between
-the three alone. So a law that gives the factors with their nine partial derivatives (its `slope`)
-gives everything. The rest is a facet's own: what leads of it has a load and a centroid, and so a
-normal, that change with u (`patch_slope`).
+A stress that depends on the outward normal n, the direction of motion u and the surface normal z
+lies in their span, `s (alpha n + beta u + gamma z)`, and the factors depend only on the cosines
+between the three. So a law that gives the factors with their nine partial derivatives (its `slope`)
+is sufficient. The rest depends on the facet: its leading part has a load and a centroid, and
+therefore a normal, that change with u (`patch_slope`).
 
-The derivative is put together from few columns, each times the gradient of one number,
+The derivative is a sum of few columns, each times the gradient of one number,
 
     dS/du = sum of column x gradient,
 
-for the cosines u.z and n'.u and for the two ratios that say what leads.
+for the cosines u.z and n'.u and for the two ratios that determine the leading part.
 
 Each kernel `led(facet, law, g, u, eps)` here gives the force S(u) on a facet [N], and the
-derivative of |p| S(p / |p|) by p: that is S along u, its turn across. Where `eps` is 0 a face leads
-or does not (`EDGE`), else what leads of a flat one grows over a ramp.
+derivative of |p| S(p / |p|) by p: along u it is S, across u the change of S with direction. If
+`eps` is 0 a face either leads or trails (`EDGE`), else the leading part of a flat face grows over a
+ramp.
 """
 
 from __future__ import annotations
@@ -28,32 +29,32 @@ from mjgranular.kernel.vector import across, cross, diagonal, dot, norm, outer, 
 from mjgranular.law.patch import leading_part, wet_part
 from mjgranular.law.patch_slope import leading_slope, wet_slope
 
-# Where the velocity at the end of a step is sought, a flat face begins to lead over directions
-# within this sine of its plane on either side. Chosen: the search needs a slope where the law
-# jumps.
+# In the search for the velocity at the end of a step, a flat face begins to lead over directions
+# within this sine of its plane on either side. Chosen: the search needs a slope where the law is
+# discontinuous.
 RAMP = 0.05
-# A face leads when its normal's share of the motion is above this. Chosen: a face that slides along
-# itself has a finite response in RFT, so rounding must not decide whether it leads.
+# A face leads if its normal's component of the motion exceeds this. Chosen: a face that slides
+# along itself has a finite response in RFT, so rounding must not decide whether it leads.
 EDGE = 1e-9
-# A spread of the normal along the motion that is smaller than this is none: its square could not be
-# divided by. Chosen.
+# A smaller change of the normal along the motion counts as zero: dividing by its square would fail.
+# Chosen.
 _FLAT = 1e-100
-# Turn of the direction of motion for the derivative of a stress. Chosen: the square root of the
-# precision, and some more for the rounding of a fit of 60 terms.
+# Rotation of the direction of motion for finite differences of a stress. Chosen: the square root of
+# the precision, plus a margin for the rounding of a fit of 60 terms.
 _TURN = 1e-6
 
 
 @partial(compiled, inline=True)
 def dissipative(factors, rise, lead, eps):
-    """Factors of a stress, and their derivatives, with what of it would push the facet on cut off.
+    """Return factors of a stress and their derivatives, without the part that would add energy.
 
-    The fit describes faces that lead; on the ramp it is asked for some that just do not.
+    The fit describes leading faces; on the ramp it is also evaluated for slightly trailing ones.
 
     Args:
-        factors: what a `slope` gives.
+        factors: result of a `slope`.
         rise: u.z.
         lead: n.u.
-        eps: softness; without it there is no ramp.
+        eps: softness; 0 for no ramp.
     """
     strength, f, by_rise, by_down, by_lead = factors
     against = -(f.x * lead + f.z * rise)
@@ -67,10 +68,10 @@ def dissipative(factors, rise, lead, eps):
 
 @cache
 def led_slope_kernel(slope: Any) -> Any:
-    """Makes the kernel `led` for any facet.
+    """Make the kernel `led` for any facet.
 
     Args:
-        slope: the law's, see `RftLaw`.
+        slope: the law's `slope`, see `RftLaw`.
     """
 
     @partial(compiled, inline=True)
@@ -82,7 +83,7 @@ def led_slope_kernel(slope: Any) -> Any:
         a_size, b_size = abs(a), abs(b)
         ramp = eps > 0.0 and a_size + b_size < RAMP
         first = RAMP - b_size if ramp else a_size
-        # The ramp alone has no side: what leads on it is in the middle of the facet.
+        # On the ramp alone no side leads: the leading part is in the middle of the facet.
         sided = a_size / first if ramp else 1.0
         swap = first < b_size
         h, k = max(first, b_size, _FLAT), min(first, b_size)
@@ -112,7 +113,7 @@ def led_slope_kernel(slope: Any) -> Any:
         )
         strength *= facet.area
         gain = strength * load
-        # What turning towards a spread does to the normal along itself, to n'.z and to n'.u.
+        # Changes of the normal along itself, of n'.z and of n'.u when it turns toward a spread.
         an, bn = scale * dot(spread_1, m), scale * dot(spread_2, m)
         ad, bd = scale * dot(spread_1, z) - an * down, scale * dot(spread_2, z) - bn * down
         al, bl = scale * a - an * lead, scale * b - bn * lead
@@ -148,7 +149,7 @@ def led_slope_kernel(slope: Any) -> Any:
             column = la_sided * (dot(f_sided, frame) + turn * spread_1)
             sa, sb = s / first, sided * t / first
             by_p = by_p + outer(column, sa * spread_1 + sb * spread_2 - (sa * a + sb * b) * u)
-        # Of what does not lead there need be no stress, not even a number.
+        # Trailing parts may have an undefined stress, even NaN.
         if gain <= 0.0 or lead <= edge_of(eps):
             force, by_p = vector(0.0, 0.0, 0.0), diagonal(0.0)
         return force, by_p
@@ -158,10 +159,10 @@ def led_slope_kernel(slope: Any) -> Any:
 
 @cache
 def simple_slope_kernel(slope: Any) -> Any:
-    """Makes the kernel `led` for facets that lead as a whole or not at all, on small turns too.
+    """Make the kernel `led` for facets of which all or nothing leads, on small rotations too.
 
     Args:
-        slope: the law's, see `RftLaw`.
+        slope: the law's `slope`, see `RftLaw`.
     """
 
     @partial(compiled, inline=True)
@@ -175,7 +176,7 @@ def simple_slope_kernel(slope: Any) -> Any:
         force, by_p = plate_slope(
             gain * f, gain * by_rise, gain * by_lead, vector(n, u, z), rise, lead
         )
-        # Of what does not lead there need be no stress, not even a number.
+        # Trailing parts may have an undefined stress, even NaN.
         if gain <= 0.0 or lead <= (0.0 if eps > 0.0 else EDGE):
             force, by_p = vector(0.0, 0.0, 0.0), diagonal(0.0)
         return force, by_p
@@ -185,13 +186,13 @@ def simple_slope_kernel(slope: Any) -> Any:
 
 @partial(compiled, inline=True)
 def edge_of(eps):
-    """The least n.u with which something leads; on a ramp there is none."""
+    """Return the least n.u at which a face leads; no limit on a ramp."""
     return -1.0 if eps > 0.0 else EDGE
 
 
 @partial(compiled, inline=True)
 def plate_slope(f, by_rise, by_lead, frame, rise, lead):
-    """Force S = f_n n + f_u u + f_z z, and |p| S(p / |p|) by p, as if the normal were fixed.
+    """Return the force S = f_n n + f_u u + f_z z, and |p| S(p / |p|) by p, for a fixed normal.
 
     Args:
         f: the factors [N].
@@ -211,10 +212,10 @@ def plate_slope(f, by_rise, by_lead, frame, rise, lead):
 
 @cache
 def led_by_differences(stress: Any) -> Any:
-    """Makes the kernel `led` of a law without a slope, with a derivative from two small turns.
+    """Make the kernel `led` of a law without a slope, with a derivative from two small rotations.
 
     Args:
-        stress: the law's, see `RftLaw`.
+        stress: the law's `stress`, see `RftLaw`.
     """
 
     @partial(compiled, inline=True)
@@ -231,7 +232,8 @@ def led_by_differences(stress: Any) -> Any:
         force = (load * facet.area) * stress(law, g, m, u, facet.up)
         if load <= 0.0 or dot(m, u) <= edge_of(eps):
             force = vector(0.0, 0.0, 0.0)
-        # The fit describes faces that lead; on the ramp it is asked for some that just do not.
+        # The fit describes leading faces; on the ramp it is also evaluated for slightly trailing
+        # ones.
         power = max(dot(force, u), 0.0) if eps > 0.0 else 0.0
         return force - power * u
 
@@ -249,13 +251,13 @@ def led_by_differences(stress: Any) -> Any:
 
 @partial(compiled, inline=True)
 def load_of(depth, h1, h2, mean, c, a, b, sided):
-    """Mean depth of what leads of a facet, over the whole facet, and the centroid of that part.
+    """Return the mean depth of a facet's leading part, over the whole facet, and its centroid.
 
-    The part that leads is replaced by a parallelogram around its centroid, narrowed by the distance
-    of that from the middle (`patch`).
+    The leading part is replaced by a parallelogram around its centroid, narrowed by the distance of
+    that from the middle (`patch`).
     """
     share, s, t = leading_part(c, a, b)
-    s *= sided  # 1 but on the ramp
+    s *= sided  # 1 except on the ramp
     if share == 1.0:
         return mean, 0.0, 0.0
     if share == 0.0:

@@ -1,8 +1,8 @@
 """The kernels of a law.
 
-A law is two functions of an element. `sample` looks at where it is: depth, the point where force
-acts, and what else the force needs. `respond` gives the force and its derivatives. The loops over
-elements belong to the schemes.
+A law is two functions of an element. `sample` computes its place in the sand: depth, the point of
+action, and other inputs of the force. `respond` computes the force and its derivatives. The loops
+over elements belong to the schemes.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ Attributes:
 
 
 class AddedMass(NamedTuple):
-    """Sand that moves along with an element, as a mass in one direction.
+    """Sand that moves with an element, as a mass in one direction.
 
     Attributes:
-        mass: where the element is at the start of the step [kg].
-        before: of that, what was there a step ago [kg]; the rest was at rest.
-        normal: the direction, a unit vector, world.
+        mass: mass at the element's place at the start of the step [kg].
+        before: part of it that was there one step ago [kg]; the rest was at rest.
+        normal: direction, a unit vector, world.
     """
 
     mass: float
@@ -61,33 +61,32 @@ class LawKernel:
     Attributes:
         element: `NamedTuple` of what the kernels read of an element: fields of the law's elements,
             declared as in `kernel.fields`.
-        samples: `NamedTuple` of what is known of an element in the sand: `depth` of its deepest
-            point [m], immersed `length` of a rod [m] or 0, `point` where force acts [m], and what
-            else `respond` reads.
-        sample: kernel `sample(element, pose, law, surface, g)`: one of `samples`. Where the depth
-            is not positive the element is dry, and the rest is not read.
+        samples: `NamedTuple` that describes an element in the sand: `depth` of its deepest point
+            [m], immersed `length` of a rod [m] or 0, `point` where force acts [m], and other inputs
+            of `respond`.
+        sample: kernel `sample(element, pose, law, surface, g)`: returns one of `samples`. If its
+            depth is not positive the element is dry, and the rest is not read.
         respond: kernel `respond(sample, law, g, v, p, eps)`: static resistance F(p) [N] for the
-            friction multiplier `p` (`law.multiplier`), which grows in proportion to the size of
-            `p`, and its derivative by `p`; and drag [N] for the velocity `v` of the point [m/s],
-            and its derivative by `v`. Where `eps` is 0 the forces alone are used, and are the
-            law's own; else rest is soft over that speed, and jumps of the law are ramps.
-        multiplier: what kind of multiplier it is.
-        lanes: how many elements of a body `respond` is asked for side by side. More than one pays
-            where a body has many elements and the kernel, with all that it calls, is
-            `compiled(..., inline=True)` and pure arithmetic: then it is done in the lanes of the
+            friction multiplier `p` (`law.multiplier`), proportional to the size of `p`, and its
+            derivative by `p`; and drag [N] for the velocity `v` of the point [m/s], and its
+            derivative by `v`. If `eps` is 0 only the forces are used, and are the law's own; else
+            rest is softened over that speed, and discontinuities of the law are ramps.
+        multiplier: kind of its multiplier.
+        lanes: number of elements of a body that `respond` processes side by side. More than one
+            pays if a body has many elements and the kernel, with all that it calls, is
+            `compiled(..., inline=True)` and pure arithmetic: then it runs in the lanes of the
             processor's vector unit, all branches for all elements.
-        probe: of the surface, if that is an endless plane; then `cull` is asked first.
+        probe: probe of the surface, if that is an infinite plane; then `cull` is called first.
         cull: kernel `cull(element, level)`: depth of the element's deepest point [m] under a plane
-            (`Level`), at a fraction of the cost of `sample`. For laws that cut bodies into many
+            (`Level`), at a fraction of the cost of `sample`. For laws that divide bodies into many
             elements, most of which are above the sand.
         side_by_side: whether `cull` and `sample` take all lanes at once, as `kernel.lanes`.
-        complexity: kernel `complexity(sample, law, p, eps)`: 0 where no force comes of the
-            element, 1 where `respond_simple` would do, else 2. Where `eps` is 0 it is asked with a
-            multiplier of any size.
-        respond_simple: a quicker `respond`, for lanes that are all simple.
-        added: kernel `added(sample, v, h)`: the sand that moves along with the element
-            (`AddedMass`), from the velocity of its point at the start of the step [m/s] and the
-            time step [s]. Its inertia needs the implicit scheme.
+        complexity: kernel `complexity(sample, law, p, eps)`: 0 if the element has no force, 1 if
+            `respond_simple` is sufficient, else 2. If `eps` is 0 the multiplier may have any size.
+        respond_simple: a faster `respond`, for lanes that are all simple.
+        added: kernel `added(sample, v, h)`: the sand that moves with the element (`AddedMass`),
+            from the velocity of its point at the start of the step [m/s] and the time step [s]. Its
+            inertia needs the implicit scheme.
     """
 
     element: type
@@ -104,10 +103,10 @@ class LawKernel:
     added: Any = None
 
     def pack(self, elements: np.ndarray) -> np.ndarray:
-        """The elements as a program reads them, shape (tiles, numbers of an element, lanes).
+        """Return the elements as a program reads them, shape (tiles, numbers of an element, lanes).
 
-        A tile is up to `lanes` elements of one body side by side. Lanes that are left over at a
-        body's end hold its last element once more.
+        A tile is up to `lanes` elements of one body side by side. Unused lanes at a body's end
+        repeat its last element.
         """
         numbers = packed(elements, self.element)
         tiles = [np.zeros((0, numbers.shape[1], self.lanes))]
@@ -121,7 +120,7 @@ class LawKernel:
 
 @cache
 def level_kernel(probe: Any) -> Any:
-    """Makes a kernel `level(surface, pose)`: a plane in the frame of a body (`Level`)."""
+    """Make a kernel `level(surface, pose)`: a plane in the frame of a body (`Level`)."""
 
     @compiled
     def level(surface, pose):

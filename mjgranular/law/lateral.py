@@ -1,22 +1,23 @@
-"""Lateral strength of sand: passive pressure in place of bearing.
+"""Lateral strength of sand: passive pressure instead of bearing.
 
 A fit of resistive force theory has one ratio of lateral to vertical strength for all sand: an
-upright plate that is drawn meets 0.219 of the stress of a level one that is pushed down. Passive
+upright plate that is dragged meets 0.219 of the stress of a level one that is pushed down. Passive
 pressure on a rough wall (R. Lancellotta, Geotechnique 52, 617, 2002) over bearing capacity
 (Prandtl, Reissner) gives a ratio for every friction angle phi,
 
     R = (1 - sin phi) exp(-(pi/2 - phi) tan phi),                                      (S1)
 
-and the stagnant cone (`law.raised`), which takes part of the strength of a vertical push, is absent
-sideways. So the normal part of a stress is multiplied by G, and the tangential part by T:
+and the stagnant cone (`law.raised`), which provides part of the resistance to a vertical push, is
+absent in lateral motion. So the normal part of a stress is multiplied by G, and the tangential part
+by T:
 
     G = 1 + (L (1 + c^8)/2 - 1) (1 - u_z^2) (1 - n_z^2),    L = (1 + cone) R/0.219,    (S2)
     T = 1 + (min(L/2 - 1, 0) (1 - c^8) + min(L - 1, 0) c^8) (1 - u_z^2) (1 - n_z^2),   (S3)
 
 with the normal n, the direction of motion u and c = max(n.u, 0). So friction on the face does not
-grow with the normal part, and T <= G for any L: what dissipated energy still does. Vertical motion
-and level faces are left alone. The brackets are chosen, by drawn bodies in simulated grains, legs
-and a robot (docs/laws/rft.md).
+grow with the normal part, and T <= G for any L: a dissipative stress stays dissipative. Vertical
+motion and level faces are unchanged. The brackets are chosen, by dragged bodies in simulated
+grains, legs and a robot (docs/laws/rft.md).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import vector
 
 RATIO = 0.219
-"""Stress of an upright plate drawn over that of a level one pushed, in the fit of `rft3d`."""
+"""Stress of an upright dragged plate over that of a level pushed one, in the fit of `rft3d`."""
 
 
 def lateral_strength(friction: float) -> float:
@@ -44,7 +45,7 @@ def lateral_strength(friction: float) -> float:
 
 @cache
 def lateral_slope(slope: Any) -> Any:
-    """Build the `slope` of a law (`RftLaw`) by (S2) and (S3), with the record's `lateral` as L."""
+    """Make the `slope` of a law (`RftLaw`) by (S2) and (S3), with the record's `lateral` as L."""
 
     @partial(compiled, inline=True)
     def of_lateral(law, g, rise, down, lead):
@@ -54,7 +55,7 @@ def lateral_slope(slope: Any) -> Any:
         c_7, c_8 = c_4 * (c * c * c), c_4 * c_4
         across, steep = 1.0 - rise * rise, 1.0 - down * down
         level, level_rise, level_down = across * steep, -2.0 * steep * rise, -2.0 * across * down
-        # T - 1, what G is above T, and the derivatives of both by n.u.
+        # T - 1, G - T, and the derivatives of both by n.u.
         half = 0.5 * law.lateral
         low, high = min(half - 1.0, 0.0), min(2.0 * half - 1.0, 0.0)
         less, less_lead = low + (high - low) * c_8, 8.0 * (high - low) * c_7

@@ -1,4 +1,4 @@
-"""The interface of laws, and their register."""
+"""The interface of laws, and their registry."""
 
 from __future__ import annotations
 
@@ -21,24 +21,23 @@ from mjgranular.medium import Medium, get_medium
 from mjgranular.surface import Surface
 
 laws: Registry[type[Law]] = Registry("law")
-"""Classes of laws by their names."""
+"""Law classes by name."""
 
 
 class Law(ABC):
     """Resistance of sand. A final law is a frozen dataclass of its parameters.
 
-    Three things pass through a law once, when it is bound to a model, and never again: the geoms
-    become the law's elements, its parameters and the surface become one record, and its kernel is
-    chosen. What runs at every step is the kernel alone.
+    When a law is bound to a model, its elements are made from the geoms, its parameters and the
+    surface become one record, and its kernel is chosen. Each step runs the kernel only.
 
     Attributes:
-        name: the name it is known by.
+        name: name in the registry.
         title: one line for lists.
         citation: where it was published.
-        validity: limits within which it holds; `Sand.report` says how a body stands against them.
+        validity: limits within which it holds; `Sand.report` compares bodies with them.
         strength_keys: fields of its record that the static resistance is proportional to.
-        density_keys: fields that resistance by velocity is proportional to, as a medium's density
-            makes it. Both are what tunable sand scales (`engine.tuning`).
+        density_keys: fields that velocity-dependent resistance is proportional to, through a
+            medium's density. Tunable sand scales both (`engine.tuning`).
     """
 
     name: ClassVar[str]
@@ -50,15 +49,15 @@ class Law(ABC):
 
     @property
     def adds_mass(self) -> bool:
-        """Whether sand is moved along (`LawKernel.added`), which needs the implicit scheme."""
+        """Whether there is added mass (`LawKernel.added`), which needs the implicit scheme."""
         return False
 
     @classmethod
     def from_medium(cls, medium: Medium | str) -> Self:
-        """The law with the published constants of a medium, or of that of a name.
+        """Return the law with the published constants of a medium, given as object or name.
 
         Raises:
-            UnknownNameError: the medium has none for this law.
+            UnknownNameError: the medium has no constants for this law.
         """
         return cls(**constants_of(cls, medium))
 
@@ -66,28 +65,28 @@ class Law(ABC):
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
     ) -> np.ndarray:
-        """The elements that the law acts on.
+        """Return the elements that the law acts on.
 
         Args:
             model: the model.
             geoms: ids of the geoms that meet the sand.
-            resolution: how finely they are cut, in the law's own measure; None for its default.
+            resolution: how finely they are divided, in the law's own measure; None for its default.
 
         Returns:
             A structured array, body by body, with fields `geom`, `body`, `slot` (the row of the
-            body among those in the sand) and `width` (for Froude numbers [m]).
+                body among those in the sand) and `width` (for Froude numbers [m]).
 
         Raises:
-            InputError: geoms that the law has no elements for.
+            InputError: the law has no elements for some geoms.
         """
 
     def parameters(self, medium: Medium) -> np.ndarray:
-        """Parameters of law and medium as the kernel reads them: structured, shape (1,).
+        """Return parameters of law and medium as the kernel reads them: structured, shape (1,).
 
-        These are the law's fields, as numbers, unless it says otherwise.
+        These are the law's fields as numbers, unless a law overrides this.
 
         Raises:
-            InputError: a field that is no finite number.
+            InputError: a field is not a finite number.
         """
         names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
         parameters = np.zeros(1, np.dtype([(name, np.float64) for name in names]))
@@ -102,20 +101,20 @@ class Law(ABC):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Errors that were found against measured motion; none for a law that nobody compared."""
+        """Return the errors found against measured motion; empty for a law without comparisons."""
         return findings_of(self.name)
 
     @abstractmethod
     def kernel(self, surface: Surface) -> LawKernel:
-        """The compiled law under that kind of surface (see `law.kernel`).
+        """Return the compiled law under that kind of surface (see `law.kernel`).
 
         Its `law` is the record made by `parameters`, its `surface` that of the surface.
         """
 
     def kernel_of_forces(self, surface: Surface) -> LawKernel:
-        """Kernels that are asked for forces alone, and not for derivatives (`warp`).
+        """Return kernels used for forces only, not for derivatives (`warp`).
 
-        The same unless a law has shorter ones.
+        The same as `kernel` unless a law has shorter ones.
         """
         return self.kernel(surface)
 
@@ -124,16 +123,16 @@ LawClass = TypeVar("LawClass", bound=type[Law])
 
 
 def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
-    """Makes a class of laws known by its `name` in this process; can be used as a decorator.
+    """Register a class of laws by its `name` in this process; can be used as a decorator.
 
-    A class that is defined again, as in a cell of a notebook, takes the place of what it was.
+    A class that is defined again, as in a cell of a notebook, replaces the old one.
 
     Args:
         law: the class.
-        replace: let it take the place of another law of that name.
+        replace: let it replace another law of that name.
 
     Raises:
-        InputError: another law has that name, or it is no class of laws.
+        InputError: another law has that name, or `law` is not a class of laws.
     """
     if not (isinstance(law, type) and issubclass(law, Law)):
         raise InputError(f"a law is a class that derives from mjgranular.Law, not {kind_of(law)}")
@@ -147,16 +146,16 @@ def register_law(law: LawClass, *, replace: bool = False) -> LawClass:
 
 
 def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) -> dict[str, Any]:
-    """A medium's constants for a law, by the names of the law's fields.
+    """Return a medium's constants for a law, by the names of the law's fields.
 
     Args:
         law: a dataclass.
         medium: the medium, or its name.
-        name: of a law that has them, where that is another; None for the law's own.
+        name: law whose constants to use, if another; None for this law's own.
 
     Raises:
-        UnknownNameError: the medium has none for this law.
-        InputError: one that the law does not know, or one that it needs is missing.
+        UnknownNameError: the medium has no constants for this law.
+        InputError: a constant that the law does not have, or one that it needs is missing.
     """
     known = fields(law)  # pyright: ignore[reportArgumentType]
     medium = get_medium(medium)
@@ -177,7 +176,7 @@ def constants_of(law: type[Law], medium: Medium | str, name: str | None = None) 
 
 
 def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel) -> np.ndarray:
-    """Makes the record of law, medium and surface: fields `law` and `surface`, shape (1,)."""
+    """Make the record of law, medium and surface: fields `law` and `surface`, shape (1,)."""
     parameters, place = law.parameters(medium), surface.record(model)
     scene = np.zeros(1, np.dtype([("law", parameters.dtype), ("surface", place.dtype)]))
     scene["law"], scene["surface"] = parameters, place
@@ -185,10 +184,11 @@ def make_scene(law: Law, medium: Medium, surface: Surface, model: mujoco.MjModel
 
 
 def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
-    """The law of that name or class with the medium's constants, its own law, or `law` itself.
+    """Return the law of that name or class with the medium's constants, or `law` itself.
 
-    A name may have parameters behind it, such as "rft3d scale=1.3": they replace the medium's
-    constants, which are not asked for where all that a law needs is given.
+    None stands for the medium's default law. A name may be followed by parameters, such as "rft3d
+    scale=1.3": they replace the medium's constants, which are not needed if all required parameters
+    are given.
 
     Raises:
         UnknownNameError: no such law, or the medium has no constants for it.
@@ -211,24 +211,24 @@ def get_law(law: str | Law | type[Law] | None, medium: Medium) -> Law:
 
 
 def law_in(text: str) -> tuple[type[Law], dict[str, Any]]:
-    """The class of a law that is named, and the parameters behind the name.
+    """Parse the name of a law and the parameters after it.
 
     Raises:
-        UnknownNameError: no such law; lists those there are.
+        UnknownNameError: no such law; lists the existing ones.
         InputError: a parameter that the law does not have, or a value of a wrong type.
     """
     if not isinstance(text, str) or not text.strip():
-        return laws[text], {}  # which says what there is
+        return laws[text], {}  # raises with a list of names
     return read_part(text, laws, "law")
 
 
 def check_constants(medium: Medium) -> None:
-    """Checks a medium's constants against the fields of the laws they are for.
+    """Check a medium's constants against the fields of the laws they are for.
 
-    A law that is not known, and resembles none, may be of somebody's own.
+    A law that is unknown, and whose name resembles none, may be a custom one.
 
     Raises:
-        UnknownNameError: a law whose name is misspelt.
+        UnknownNameError: a law's name is misspelled.
         InputError: a constant that the law does not have, one that it needs is missing, or a value
             outside its range.
     """

@@ -1,13 +1,14 @@
 """The link law of Lee and Marghitu: static resistance by depth, drag by velocity squared.
 
-The paper writes it for a link in a vertical plane. Read in three dimensions, with n the normal of
-the surface: "vertical" is along n; "horizontal" is along the surface, and the horizontal static
-force opposes the direction of the tangential velocity of E, the centroid of the immersed part; the
-angle in the reference area is that between the rod's axis and the velocity of E; the immersed
-length never exceeds the rod; the deeper end of the rod is its end T. In the plane nothing changes.
+The paper writes it for a link in a vertical plane. In three dimensions, with n the normal of the
+surface: "vertical" is along n; "horizontal" is along the surface, and the horizontal static force
+opposes the direction of the tangential velocity of E, the centroid of the immersed part; the angle
+in the reference area is that between the rod's axis and the velocity of E; the immersed length is
+at most that of the rod; the deeper end of the rod is its end T. In the plane this is the paper's
+law.
 
-Two forms: lumped, the paper's own, one force on the whole rod; and distributed, the same totals in
-pure translation spread along the axis, which also resists rotation.
+There are two forms: lumped, the paper's own, with one force on the whole rod; and distributed, with
+the same totals in pure translation but spread along the axis, which also resists rotation.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class _LinkForm(Law):
     """Base of both forms of the law: coefficients, and a kernel over rods."""
 
     limits: ClassVar[Any]
-    # Not `density`, which all of the law is proportional to: strength and density are two things.
+    # Not `density`, which the whole law is proportional to: strength and density are separate.
     strength_keys: ClassVar[tuple[str, ...]] = ("eta_h", "eta_v")
     density_keys: ClassVar[tuple[str, ...]] = ("eta_d",)
     validity: ClassVar[tuple[Limit, ...]] = (
@@ -88,7 +89,7 @@ class LinkLaw(_LinkForm):
         - \eta_h g \rho_g y_T^2 d\, v_t / |v_t|
     $$
 
-    The force passes through E: turning about E is not resisted.
+    The force acts at E: rotation about E is not resisted.
 
     Attributes:
         eta_d: dynamic (drag) coefficient, eq. (2).

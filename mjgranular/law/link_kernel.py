@@ -35,21 +35,21 @@ class RodSample(NamedTuple):
     axis: Vector
     normal: Vector  # of the sand
     limit_n: float  # of static resistance along the normal [N]
-    limit_t: float  # and along the surface
+    limit_t: float  # the same along the surface
     drag: float  # drag coefficient of motion across the axis [N s^2/m^2]
 
 
 @compiled
 def lumped_limits(depth, cos_q, length, diameter, law, g):
-    """Limits of the paper's static resistance for one rod.
+    """Return the limits of the paper's static resistance for one rod.
 
     Args:
         depth: depth of the end T, y_T > 0 [m].
         cos_q: cosine of the angle between the axis and the normal.
         length: immersed length l [m].
-        diameter: of the rod [m].
+        diameter: diameter of the rod [m].
         law: record of the coefficients, `LINK_DTYPE`.
-        g: size of gravity [m/s^2].
+        g: magnitude of gravity [m/s^2].
 
     Returns:
         (along the normal, along the surface) [N].
@@ -57,7 +57,7 @@ def lumped_limits(depth, cos_q, length, diameter, law, g):
     # Eqs. (9), (11): -sign(v) eta_v (y_T/d)^lambda g rho_g V, with V the immersed volume.
     weight = g * law.density * diameter
     column = weight * (0.25 * math.pi * diameter * length)
-    # The power comes last: all else is done while it is being computed.
+    # The power comes last, so that the rest runs while it is computed.
     normal = (law.eta_v * column) * (depth / diameter) ** law.exponent
     # Eq. (10): -sign(v) eta_h g rho_g y_T^2 d.
     return normal, law.eta_h * weight * depth * depth
@@ -65,10 +65,10 @@ def lumped_limits(depth, cos_q, length, diameter, law, g):
 
 @compiled
 def distributed_limits(depth, cos_q, length, diameter, law, g):
-    """The same for one short piece of a rod; arguments as for `lumped_limits`.
+    """Return the same limits for one short piece of a rod; arguments as for `lumped_limits`.
 
-    They are the derivatives of the lumped ones along the axis (dy = cos q ds), taken at the middle
-    of the piece's immersed part.
+    They are the derivatives of the lumped ones along the axis (dy = cos q ds), at the middle of the
+    piece's immersed part.
     """
     middle = max(depth - 0.5 * length * cos_q, 0.0)
     weight = g * law.density * diameter * length
@@ -79,11 +79,11 @@ def distributed_limits(depth, cos_q, length, diameter, law, g):
 
 @partial(compiled, inline=True)
 def link_respond(rod, law, g, v, p, eps):
-    """Resistance and its derivatives (see `LawKernel.respond`)."""
+    """Return resistance and its derivatives (see `LawKernel.respond`)."""
     n, u = rod.normal, rod.axis
     more = rod.limit_n - rod.limit_t
     # Eqs. (2), (7): F_d = -eta_d rho_g A_r |v_E| v_E with A_r = d l |sin|, so that the speed
-    # cancels and nothing is divided by it.
+    # cancels and no division by it is needed.
     speed = norm(cross(u, v))
     drag = rod.drag * speed
     static = -rod.limit_t * p - (more * dot(p, n)) * n
@@ -95,20 +95,20 @@ def link_respond(rod, law, g, v, p, eps):
 
 @compiled
 def rod_cull(rod, level):
-    """Depth of a rod's deeper end [m] (see `LawKernel.cull`)."""
+    """Return the depth of a rod's deeper end [m] (see `LawKernel.cull`)."""
     middle = level.depth - dot(level.normal, rod.center)
     return middle + rod.half_length * abs(dot(level.normal, rod.axis))
 
 
 @cache
 def link_kernel(limits: Any, probe: Any, ceiling: Any = None, lanes: int = 1) -> LawKernel:
-    """The kernels of one form of the law for surfaces with that `probe`.
+    """Make the kernels of one form of the law for surfaces with that `probe`.
 
     Args:
         limits: kernel like `lumped_limits`.
-        probe: the surface's.
+        probe: probe of the surface.
         ceiling: see `Surface.ceiling_kernel`.
-        lanes: as in `LawKernel`; 1 where a body is one rod.
+        lanes: as in `LawKernel`; 1 if a body is one rod.
     """
 
     @partial(compiled, inline=True)

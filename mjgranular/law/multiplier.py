@@ -1,14 +1,14 @@
-"""The friction multiplier of an element, unknown beside its velocity, and how both are solved for.
+"""The friction multiplier of an element, an unknown besides its velocity, and its update.
 
-Static resistance jumps where the motion turns round. Made soft over a small speed eps it is a
-function F(p) of the *multiplier*
+Static resistance is discontinuous where the motion reverses. Softened over a small speed eps it is
+a function F(p) of the *multiplier*
 
     p = v / sqrt(v^2 + eps^2),
 
-which is the part of the limit that is called on, a vector of a size below one. It has next to no
-derivative along the motion where the limit is reached, and Newton's method for v alone leaps from
-there. So v and p are both unknown, and `sqrt(v^2 + eps^2) p = v` is linearized: equal at the
-solution, stiff on the way (the primal-dual method of Chan, Golub and Mulet, SIAM J. Sci. Comput. 20
+the mobilized part of the limit, a vector of size below one. Where the limit is reached, its
+derivative along the motion is nearly zero, and Newton's method for v alone overshoots. So v and p
+are both unknown, and `sqrt(v^2 + eps^2) p = v` is linearized: equal at the solution, but better
+conditioned on the way (the primal-dual method of Chan, Golub and Mulet, SIAM J. Sci. Comput. 20
 (1999), for the same function in image processing).
 """
 
@@ -29,12 +29,12 @@ class Multiplier:
 
     Attributes:
         own: kernel `own(sample, v, eps)`: the multiplier of a velocity.
-        update: kernel `update(sample, v, p, c, eps)`: the multiplier after a step of Newton's
-            method that changes the velocity by `c`, cut to a size of one.
-        by_velocity: kernel `by_velocity(sample, v, p, eps)`: the derivative of the multiplier that
-            such a step goes by, a matrix.
-        turn: kernel `turn(sample, v, c, eps)`: the square of a change `c` of the velocity, in parts
-            of the speeds over which the multiplier turns.
+        update: kernel `update(sample, v, p, c, eps)`: the multiplier after a Newton step that
+            changes the velocity by `c`, limited to a size of one.
+        by_velocity: kernel `by_velocity(sample, v, p, eps)`: the derivative of the multiplier used
+            in such a step, a matrix.
+        turn: kernel `turn(sample, v, c, eps)`: the square of a change `c` of the velocity, relative
+            to the speeds over which the multiplier turns.
     """
 
     own: Any
@@ -45,19 +45,19 @@ class Multiplier:
 
 @partial(compiled, inline=True)
 def softened(square, eps):
-    """1 / sqrt(v^2 + eps^2), what makes a velocity a multiplier [s/m]."""
+    """Return 1 / sqrt(v^2 + eps^2), the factor from velocity to multiplier [s/m]."""
     return 1.0 / math.sqrt(square + eps * eps)
 
 
 @partial(compiled, inline=True)
 def multiplier_of(v, eps):
-    """The multiplier of a velocity."""
+    """Return the multiplier of a velocity."""
     return softened(dot(v, v), eps) * v
 
 
 @partial(compiled, inline=True)
 def next_multiplier(v, p, c, eps):
-    """The multiplier after a step of Newton's method: see `Multiplier.update`."""
+    """Return the multiplier after a Newton step: see `Multiplier.update`."""
     scale = softened(dot(v, v), eps)
     q = scale * (v + c - (dot(v, c) * scale) * p)
     square = dot(q, q)
@@ -66,36 +66,36 @@ def next_multiplier(v, p, c, eps):
 
 @partial(compiled, inline=True)
 def own(sample, v, eps):
-    """One limit: `Multiplier.own`."""
+    """Compute `Multiplier.own` for one limit."""
     return multiplier_of(v, eps)
 
 
 @partial(compiled, inline=True)
 def update(sample, v, p, c, eps):
-    """One limit: `Multiplier.update`."""
+    """Compute `Multiplier.update` for one limit."""
     return next_multiplier(v, p, c, eps)
 
 
 @partial(compiled, inline=True)
 def by_velocity(sample, v, p, eps):
-    """One limit: `Multiplier.by_velocity`."""
+    """Compute `Multiplier.by_velocity` for one limit."""
     scale = softened(dot(v, v), eps)
     return diagonal(scale) - outer(p, (scale * scale) * v)
 
 
 @partial(compiled, inline=True)
 def turn(sample, v, c, eps):
-    """One limit: `Multiplier.turn`."""
+    """Compute `Multiplier.turn` for one limit."""
     return dot(c, c) / (dot(v, v) + eps * eps)
 
 
 ONE_LIMIT = Multiplier(own, update, by_velocity, turn)
-"""Of a law with one limit against motion in all directions."""
+"""Multiplier of a law with one limit against motion in all directions."""
 
 
 @partial(compiled, inline=True)
 def split_own(sample, v, eps):
-    """Two limits: `Multiplier.own`."""
+    """Compute `Multiplier.own` for two limits."""
     n = sample.normal
     v_n = dot(v, n) * n
     return multiplier_of(v_n, eps) + multiplier_of(v - v_n, eps)
@@ -103,7 +103,7 @@ def split_own(sample, v, eps):
 
 @partial(compiled, inline=True)
 def split_update(sample, v, p, c, eps):
-    """Two limits: `Multiplier.update`."""
+    """Compute `Multiplier.update` for two limits."""
     n = sample.normal
     v_n, p_n, c_n = dot(v, n) * n, dot(p, n) * n, dot(c, n) * n
     along = next_multiplier(v_n, p_n, c_n, eps)
@@ -112,7 +112,7 @@ def split_update(sample, v, p, c, eps):
 
 @partial(compiled, inline=True)
 def split_by_velocity(sample, v, p, eps):
-    """Two limits: `Multiplier.by_velocity`."""
+    """Compute `Multiplier.by_velocity` for two limits."""
     n = sample.normal
     v_n, p_n = dot(v, n) * n, dot(p, n) * n
     v_t, p_t = v - v_n, p - p_n
@@ -123,11 +123,12 @@ def split_by_velocity(sample, v, p, eps):
 
 @partial(compiled, inline=True)
 def split_turn(sample, v, c, eps):
-    """Two limits: `Multiplier.turn`."""
+    """Compute `Multiplier.turn` for two limits."""
     n = sample.normal
     v_n, c_n = dot(v, n) * n, dot(c, n) * n
     return max(turn(sample, v_n, c_n, eps), turn(sample, v - v_n, c - c_n, eps))
 
 
 TWO_LIMITS = Multiplier(split_own, split_update, split_by_velocity, split_turn)
-"""Of a law with one limit along the surface's `normal`, a field of its samples, and one across."""
+"""Multiplier of a law with one limit along the surface's `normal`, a field of its samples, and one
+across."""

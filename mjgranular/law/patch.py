@@ -1,20 +1,19 @@
-"""Parts of a facet: the one in the sand, and the one that leads.
+"""Parts of a facet: the immersed one, and the leading one.
 
 A facet is taken as a parallelogram over which depth and v.n vary linearly: `d + a s + b t`, s and t
 from -1 to 1, where a and b are the rises of the quantity along its half edges. With h >= k for the
-sizes of a and b, what is positive of that is everything, nothing, or one of
-
+sizes of a and b, the positive part is everything, nothing, or one of
 - |d| <= h - k: a trapezium; the line d + a s + b t = 0 crosses the two edges along which the
   quantity rises by h;
 - |d| > h - k: a corner, or everything but a corner, with legs q/h and q/k, q = h + k - |d|.
 
-Integrals over these are polynomials in d/h, k/h or q, and each is written so that nothing cancels:
-no quantity is divided by k or q that it does not vanish with. So a and b may be of any size, and
-zero. The signs of a and b only mirror the parallelogram.
+Integrals over these are polynomials in d/h, k/h or q, each written without cancellation: a quantity
+is divided by k or q only if it vanishes with it. So a and b may have any size, also zero. The signs
+of a and b only mirror the parallelogram.
 
 `leading_part` is a scalar kernel; `wet_part` has no branches and takes numbers as well as lanes
-(`kernel.lanes`). A facet without edges and spread (a = b = 0) is wet, and leads, as
-a whole where d > 0.
+(`kernel.lanes`). A facet without edges and spread (a = b = 0) is fully immersed, and leads fully,
+if d > 0.
 """
 
 from __future__ import annotations
@@ -25,19 +24,19 @@ from functools import partial
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.lanes import choose
 
-# A division takes ten times as long as a product: each quotient is taken once.
+# A division takes ten times as long as a product: each quotient is computed once.
 _THIRD, _TWELFTH = 1.0 / 3.0, 1.0 / 12.0
 
 
 @partial(compiled, inline=True)
 def leading_part(c, a, b):
-    """The part of a facet where c + a s + b t > 0: its share of the area, and its centroid.
+    """Return the part of a facet where c + a s + b t > 0: its share of the area, and its centroid.
 
-    Measured along those two edges a trapezium is y + (k/h) s wide, with y = 1 + c/h and s from
-    -1 to 1, of a width of 2: the share is y/2, and the centroid follows from the means of the width
-    and of its square. A corner is a triangle, with its centroid at a third of its legs.
+    Measured along those two edges a trapezium is y + (k/h) s wide, with y = 1 + c/h and s from -1
+    to 1, of a total width of 2: the share is y/2, and the centroid follows from the means of the
+    width and of its square. A corner is a triangle, with its centroid at a third of its legs.
 
-    With the depths for c, a and b it is the wet part.
+    With the depths for c, a and b it is the immersed part.
 
     Args:
         c: normal velocity at the facet's middle, v.n; in any unit.
@@ -46,7 +45,7 @@ def leading_part(c, a, b):
         b: its rise along the second.
 
     Returns:
-        The share, 0 to 1, and s and t of the centroid, both 0 where the share is 0 or 1.
+        The share, 0 to 1, and s and t of the centroid, both 0 if the share is 0 or 1.
     """
     reach = abs(a) + abs(b)
     if c <= -reach:
@@ -67,7 +66,7 @@ def leading_part(c, a, b):
         corner = q_h * q_k * 0.125
         along_h, along_k = 1.0 - q_h * _THIRD, 1.0 - q_k * _THIRD
         share = corner
-        if c > 0.0:  # the corner is what does not lead
+        if c > 0.0:  # the corner is the trailing part
             share = 1.0 - corner
             other = corner / share
             along_h *= other
@@ -79,20 +78,20 @@ def leading_part(c, a, b):
 
 @partial(compiled, inline=True)
 def wet_part(depth, a, b):
-    """Mean depth over a facet, nothing counting for negative, and where it acts.
+    """Return the mean depth over a facet, negative depth counting as zero, and its center.
 
     The mean of <depth + a s + b t> and its moments, over the same trapeziums and corners as in
     `leading_part`; the depth over a corner is a pyramid, with a mean of a third of its height and
-    its centre of pressure at a quarter of its legs. In the sand as a whole the mean is `depth`, and
-    the moments are a/3 and b/3.
+    its center of pressure at a quarter of its legs. Fully immersed the mean is `depth`, and the
+    moments are a/3 and b/3.
 
     Args:
-        depth: of the facet's middle [m].
+        depth: depth of the facet's middle [m].
         a: its rise along the first half edge [m], -edges[0].z for a level surface with normal z.
         b: its rise along the second [m].
 
     Returns:
-        The mean over the whole facet [m], and s and t of the centre of pressure.
+        The mean over the whole facet [m], and s and t of the center of pressure.
     """
     size_a, size_b = abs(a), abs(b)
     reach, first = size_a + size_b, size_a >= size_b
@@ -103,7 +102,7 @@ def wet_part(depth, a, b):
     whole = 3.0 * y * y + ratio * ratio
     along_h = y * y * (3.0 - y) + (1.0 - y) * ratio * ratio
     along_k = 2.0 * ratio * y
-    # A corner; what there is without a corner, <x> = x + <-x>; without even that, everything.
+    # A corner; the complement of a corner, <x> = x + <-x>; if no corner is left, everything.
     q = reach - abs(depth)
     q_h, q_k = q * per_h, q / k
     corner = q_h * q_k * q * (0.5 * _TWELFTH)
@@ -128,10 +127,10 @@ def wet_part(depth, a, b):
 
 @partial(compiled, inline=True)
 def wet_share(depth, a, b):
-    """Share of a facet's area in the sand: the derivative of its mean depth (`wet_part`) by depth.
+    """Return the immersed share of a facet's area: `wet_part`'s mean depth, derived by depth.
 
     Args:
-        depth: of the facet's middle [m].
+        depth: depth of the facet's middle [m].
         a: its rise along the first half edge [m].
         b: its rise along the second [m].
     """

@@ -1,7 +1,7 @@
-"""Derivatives of the part of a facet that leads, and of its wet part (`patch`).
+"""Derivatives of a facet's leading part, and of its immersed part (`patch`).
 
-For many facets side by side: all branches are worked out, each quotient is taken once, and what a
-branch does not take may be infinite. Signs are the caller's: rises are sizes, h the larger.
+For many facets side by side: all branches are evaluated, each quotient is computed once, and values
+of branches not taken may be infinite. The caller handles signs: rises are sizes, h the larger.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from functools import partial
 from mjgranular.kernel.compiled import compiled
 
 _THIRD, _SIXTH, _TWELFTH = 1.0 / 3.0, 1.0 / 6.0, 1.0 / 12.0
-# Least leg of a corner, of the larger rise: below the precision, where no corner is.
+# Least leg of a corner, relative to the larger rise: below the precision, where there is no corner.
 _LEAST_LEG = 1e-20
-# Least product of two rises of the depth [m^2]: a quotient by it is a number still.
+# Least product of two rises of the depth [m^2]: a quotient by it is still finite.
 _LEAST_PRODUCT = 1e-290
 
 
 @partial(compiled, inline=True)
 def leading_slope(c, h, k):
-    """`patch.leading_part` for c, h and k, and its derivatives by x = c/h and y = k/h.
+    """Return `patch.leading_part` for c, h and k, and its derivatives by x = c/h and y = k/h.
 
     Args:
         c: normal velocity at the facet's middle.
@@ -29,7 +29,7 @@ def leading_slope(c, h, k):
 
     Returns:
         share of the area that leads, centroid along the edge of h and along that of k; the
-        derivatives of each of the three by x and by y; 1/h.
+            derivatives of each of the three by x and by y; 1/h.
     """
     size = abs(c)
     trapezium = size <= h - k
@@ -50,7 +50,7 @@ def leading_slope(c, h, k):
         along_h, h_x, h_y = 1.0 - _THIRD * q, _THIRD, -_THIRD
         along_k, k_x, k_y = 1.0 - _THIRD * w, _THIRD * per_leg, _THIRD * per_leg * (w - 1.0)
         share, share_x, share_y = corner, -corner_x, corner_y
-        if c > 0.0:  # the corner is what does not lead
+        if c > 0.0:  # the corner is the trailing part
             share = 1.0 - corner
             per_share = 1.0 / share
             other = corner * per_share
@@ -71,7 +71,7 @@ def leading_slope(c, h, k):
 
 @partial(compiled, inline=True)
 def wet_slope(depth, a, b):
-    """Mean depth of a facet's wet part, `patch.wet_part`, and its derivatives by all three [m]."""
+    """Return the mean depth of `patch.wet_part`, and its derivatives by all three [m]."""
     a_size, b_size, size = abs(a), abs(b), abs(depth)
     h, k = max(a_size, b_size), min(a_size, b_size)
     trapezium = size <= h - k
@@ -86,7 +86,7 @@ def wet_slope(depth, a, b):
         edge = 0.125 * q * q * both
         mean = _THIRD * q * edge
         by_depth, by_h, by_k = edge, edge - mean * per_h, edge - mean * (both * h)
-        if depth > 0.0:  # the corner is what is dry
+        if depth > 0.0:  # the corner is the dry part
             mean, by_depth = depth + mean, 1.0 - edge
     if size >= h + k:
         mean = max(depth, 0.0)

@@ -1,20 +1,18 @@
 """Static resistance beyond that of depth: of stagnant sand under flat faces, and of fast shear.
 
-Both are factors on the static resistance of a facet, known from where it is and how it moves at
-the start of a step. So they change nothing of how a law holds: what rests is resisted by its
-limits.
+Both are factors on the static resistance of a facet, known from its position and motion at the
+start of a step. So they do not change how a law holds a body at rest: only its limits change.
 
-**Stagnant sand.** Under a flat face that is pushed down sand stands still, in a cone (Terzaghi),
-and moves with it: what is resisted is the cone, which is deeper than the face. Its slope is pi/4 +
-phi/2 with the friction angle phi, so its mean depth below a face of the width w is w tan(pi/4 +
+**Stagnant sand.** Under a flat face that is pushed down, sand stagnates in a cone (Terzaghi) and
+moves with the face. The cone meets the resistance, and it is deeper than the face. Its slope is
+pi/4 + phi/2 with the friction angle phi, so its mean depth below a face of width w is w tan(pi/4 +
 phi/2)/6. Kang, Feng, Liu and Blumenfeld (Nature Communications 9, 1101, 2018) measured that: force
-against depth is a line that begins above zero, after a rise over which the cone comes to be.
+against depth is a line with a positive intercept, after a rise over which the cone forms.
 
 **Fast shear.** Friction between grains grows with the inertial number I of the flow around the
-facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441, 727, 2006), with
-I = (|v|/w) d sqrt(rho_s / P), grains of the diameter d and the density rho_s, and for the pressure
-P the resistance that the facet meets, xi_n z. The resistance is proportional to the cubic xi_n(mu)
-(`Rft3dLaw`).
+facet: mu(I) = mu + rate I / (I + I_0) (Jop, Forterre and Pouliquen, Nature 441, 727, 2006), with I
+= (|v|/w) d sqrt(rho_s / P), grains of diameter d and density rho_s, and for the pressure P the
+facet's resistance, xi_n z. The resistance is proportional to the cubic xi_n(mu) (`Rft3dLaw`).
 """
 
 from __future__ import annotations
@@ -33,18 +31,18 @@ from mjgranular.kernel.vector import dot
 from mjgranular.medium.stiffness import FRICTION_CUBIC
 
 INERTIAL_NUMBER = 0.279
-"""I_0, at which half of the rise is there: glass beads, Jop, Forterre and Pouliquen 2006."""
+"""I_0, at which half of the rise is reached: glass beads, Jop, Forterre and Pouliquen 2006."""
 
 RATE = 0.26
 """Rise of friction from slow flow to fast: of glass beads, tan 32.76 - tan 20.9 degrees, ibid."""
 
-_GROWTH = 0.1  # depth over which the cone comes to be, in widths; chosen
-_PACKING = 0.59  # share of a loose bed that is grains: of the beds of `referee`
-_NO_STRESS = 1e-9  # below which there is none [Pa]; chosen
+_GROWTH = 0.1  # depth over which the cone forms, in widths; chosen
+_PACKING = 0.59  # solid fraction of a loose bed: of the beds of `referee`
+_NO_STRESS = 1e-9  # stress that counts as zero [Pa]; chosen
 
 
 def cone_under(friction: float) -> float:
-    """Mean depth of the cone of stagnant sand below a flat face, in its widths.
+    """Return the mean depth of the cone of stagnant sand below a flat face, in its widths.
 
     Args:
         friction: coefficient of internal friction.
@@ -53,12 +51,12 @@ def cone_under(friction: float) -> float:
 
 
 def shear_constants(density: float, grain: float, friction: float, rate: float) -> np.ndarray:
-    """What the kernel reads: d sqrt(rho_s) [kg^(1/2) m^(-1/2)], and three factors.
+    """Return what the kernel reads: d sqrt(rho_s) [kg^(1/2) m^(-1/2)], and three factors.
 
     xi_n(mu + s rate) / xi_n(mu) = 1 + s (a + s (b + s c)) with s = I / (I + I_0).
 
     Args:
-        density: of the bed [kg/m^3].
+        density: density of the bed [kg/m^3].
         grain: diameter of a grain [m].
         friction: mu.
         rate: rise of friction from slow flow to fast.
@@ -67,25 +65,25 @@ def shear_constants(density: float, grain: float, friction: float, rate: float) 
     if not (rate > 0 and whole > 0):
         return np.zeros(4)
     size = grain * math.sqrt(density / _PACKING)
-    rise = FRICTION_CUBIC(Polynomial([friction, rate])) / whole  # by s: Taylor's
+    rise = FRICTION_CUBIC(Polynomial([friction, rate])) / whole  # Taylor coefficients by s
     return np.array([size, *rise.coef[1:]])
 
 
 @partial(compiled, inline=True)
 def not_raised(law, facet, pose, centre, normal, up, mean, g):
-    """No more than depth makes it."""
+    """Return 1: static resistance by depth alone."""
     return 1.0
 
 
 @cache
 def raised_kernel(rate: bool) -> Any:
-    """Makes a kernel `raised(law, facet, pose, centre, normal, up, mean, g)`: the factor.
+    """Make a kernel `raised(law, facet, pose, centre, normal, up, mean, g)`: the factor.
 
     The law's record has `cone` [widths]; with a rate also `stiffness`, xi_n / g [kg/m^3], and
     `shear` and `rate_1` to `rate_3` (`shear_constants`).
 
     Args:
-        rate: whether shear matters.
+        rate: whether fast shear is included.
     """
 
     @partial(compiled, inline=True)

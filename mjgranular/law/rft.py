@@ -26,7 +26,7 @@ from mjgranular.surface import Surface
 
 @cache
 def stress_of(slope: Any) -> Any:
-    """Makes the `stress` that a `slope` stands for (`RftLaw`)."""
+    """Make the `stress` of a `slope` (`RftLaw`)."""
 
     @compiled
     def stress(law, g, n, u, z):
@@ -41,19 +41,19 @@ class RftLaw(Law):
 
     Attributes:
         stress: kernel `stress(law, g, n, u, z)` of the law's record, gravity [m/s^2], and unit
-            vectors: outward normal, direction of motion, normal of the surface. Gives the
-            resistance for an area and a depth of one [N/m^3], a vector. Derivatives come from
-            differences then. Not needed beside a `slope`, which takes half the time.
+            vectors: outward normal, direction of motion, normal of the surface. Returns the
+            resistance for unit area and depth [N/m^3], a vector. Derivatives are then finite
+            differences. Not needed if there is a `slope`, which takes half the time.
         slope: kernel `slope(law, g, rise, down, lead)`: the same stress from the cosines u.z, n.z
-            and n.u, as a strength [N/m^3] and a vector of the factors of n, u and z,
-            `strength (alpha n + beta u + gamma z)`; and the factors' derivatives by u.z, by n.z
-            and by n.u, three vectors.
+            and n.u, as a strength [N/m^3] and a vector of the factors of n, u and z, `strength
+            (alpha n + beta u + gamma z)`; and the factors' derivatives by u.z, by n.z and by n.u,
+            three vectors.
         inertia: lambda of the dynamic term.
-        added: kappa of the added mass; a law without it needs no such field.
-        cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); likewise.
-        rate: rise of friction from slow flow to fast; likewise.
-        grain: diameter of a grain, without which there is no such rise [m].
-        lateral: factor L on lateral strength (`law.lateral`); 0 leaves `slope` as it is.
+        added: kappa of the added mass; a law without it omits the field.
+        cone: mean depth of stagnant sand under flat faces, in widths (`law.raised`); optional.
+        rate: rise of friction from slow flow to fast; optional.
+        grain: diameter of a grain, which `rate` needs [m].
+        lateral: factor L on lateral strength (`law.lateral`); 0 keeps `slope` unchanged.
         rise: whether the surface behind a turning body is lowered.
     """
 
@@ -88,12 +88,12 @@ class RftLaw(Law):
 
     @property
     def raised(self) -> Any:
-        """Kernel: the factor on static resistance (`law.raised`)."""
+        """Return the kernel of the factor on static resistance (`law.raised`)."""
         sheared = self.rate > 0 and self.grain > 0
         return raised_kernel(sheared) if self.cone > 0 or sheared else not_raised
 
     def check_options(self, *more: str) -> None:
-        """Refuses options without meaning; `more` names other numbers that are not negative."""
+        """Check the options; `more` names other numbers that must not be negative."""
         check_switch(f"{type(self).__name__}: rise", self.rise)
         for key in (*more, "inertia", "added", "cone", "rate", "lateral"):
             value = getattr(self, key)

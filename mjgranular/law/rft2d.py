@@ -29,17 +29,17 @@ RFT2D_DTYPE = np.dtype(
     ]
 )
 _PER_CUBIC_CENTIMETRE = 1e6  # N/cm^3 in N/m^3
-# Horizontal part of the normal of an element that counts as level: of Treers et al.
+# Horizontal part of the normal below which an element counts as level: of Treers et al.
 _LEVEL = 1e-3
-# Least sideways part of a motion in the derivative, which is singular without. Chosen.
+# Least sideways part of a motion in the derivative, which is singular at zero. Chosen.
 _SLIGHT = 1e-6
-# Of Treers et al.: both shares are nothing without a velocity.
+# Of Treers et al.: both shares are zero at zero velocity.
 _ATANH_LEAST, _TANH_LEAST = math.atanh(0.973746396532650), math.tanh(1.60910808139526)
 
 
 @partial(compiled, inline=True)
 def in_plane_slope(v):
-    """Treers et al.: scale of the in-plane response with that part of the velocity; its slope."""
+    """Return the in-plane response scale of Treers et al. for that velocity part; and its slope."""
     bend = min(1.61146827229181 * v - 0.973746396532650, 0.9999999)
     more = 1.0 + bend
     inverse = 1.0 / (more * (1.0 - bend))
@@ -50,7 +50,7 @@ def in_plane_slope(v):
 
 @partial(compiled, inline=True)
 def sideways_slope(v):
-    """Treers et al.: scale of the sideways response with that part of the velocity; its slope."""
+    """Return the sideways response scale of Treers et al. for that velocity part; and its slope."""
     tanh = 1.0 - 2.0 / (1.0 + exponential(2.0 * (3.62263982880971 * v - 1.60910808139526)))
     gain = 0.440850096954369 / 0.832324700111401
     return gain * (tanh + _TANH_LEAST), gain * 3.62263982880971 * (1.0 - tanh * tanh)
@@ -58,7 +58,7 @@ def sideways_slope(v):
 
 @partial(compiled, inline=True)
 def planar_response(law, sin_b, cos_b, sin_g, cos_g):
-    """Li et al. for tilt b and attack g: alpha_z and alpha_x [N/cm^3], each with its derivatives.
+    """Return alpha_z and alpha_x of Li et al. for tilt b and attack g [N/cm^3], with derivatives.
 
     The Fourier terms of 2b and g, written in products of their sines and cosines.
 
@@ -81,16 +81,16 @@ def planar_response(law, sin_b, cos_b, sin_g, cos_g):
 
 @partial(compiled, inline=True)
 def level_response(law, rise, down):
-    """Resistance of a level element, which is the same in all directions.
+    """Return the resistance of a level element, which is the same in all horizontal directions.
 
     Args:
-        law: its record.
+        law: record of the law.
         rise: v.z.
-        down: n.z, 1 or -1 but for rounding.
+        down: n.z, 1 or -1 except for rounding.
 
     Returns:
         Resistance along the motion over its horizontal part, and alpha_z [N/cm^3], each with its
-        derivatives by v.z and by n.z.
+            derivatives by v.z and by n.z.
     """
     square = down * down
     flat, turn = law.C01 + (law.C11 + law.Cm11) * square, law.B01 + (law.B11 + law.Bm11) * square
@@ -107,15 +107,15 @@ def split_slope(planar: Any, level: Any) -> Any:
         planar: kernel of the response, as `planar_response`.
         level: kernel of that of level elements, as `level_response`.
 
-    The plane is that of the element's normal n and the vertical z, as in Treers et al. 2021, with
-    e along the horizontal part of n; a horizontal element has none and takes the plane of its
-    motion. The velocity splits into its part in the plane, which is resisted as in two dimensions,
-    and its part sideways, which meets the resistance of a plate drawn along itself. In the plane
-    (e, z) are n = (sin b, -cos b), v = (cos g, -sin g) and the response (-alpha_x, alpha_z).
+    The plane is that of the element's normal n and the vertical z, as in Treers et al. 2021, with e
+    along the horizontal part of n; a level element takes the plane of its motion instead. The
+    velocity splits into its part in the plane, which is resisted as in two dimensions, and its
+    sideways part, which meets the resistance of a plate dragged along itself. In the plane (e, z):
+    n = (sin b, -cos b), v = (cos g, -sin g) and the response (-alpha_x, alpha_z).
 
-    First the factors of e, v and z and their derivatives by v_e, by v.z and by the tilt b; then
-    e = (n - down z) / sin b. A name ends in the number by which is derived: e for v_e, r for v.z,
-    d for n.z, l for n.v, g for the attack, b for the tilt.
+    First come the factors of e, v and z and their derivatives by v_e, by v.z and by the tilt b;
+    then e = (n - down z) / sin b is inserted. The suffix of a name is the variable of the
+    derivative: e for v_e, r for v.z, d for n.z, l for n.v, g for the attack, b for the tilt.
     """
 
     @partial(compiled, inline=True)
@@ -125,7 +125,7 @@ def split_slope(planar: Any, level: Any) -> Any:
         v_e = (lead - down * rise) * per
         square = v_e * v_e + rise * rise
         in_plane = math.sqrt(square)
-        # What is nearly in the plane has next to no sideways part, however it changes.
+        # Motion nearly in the plane has almost no sideways part, whatever its change.
         sideways = math.sqrt(max(1.0 - square, _SLIGHT * _SLIGHT))
         inverse = 1.0 / max(in_plane, 1e-12)
         cos_g, sin_g = v_e * inverse, -rise * inverse
@@ -135,7 +135,7 @@ def split_slope(planar: Any, level: Any) -> Any:
         k, k_v = in_plane_slope(in_plane)
         turn = k * inverse
         k_e, k_r, g_e, g_r = k_v * cos_g, -k_v * sin_g, -turn * sin_g, -turn * cos_g
-        # Sideways: the resistance w to a motion of one.
+        # Sideways: the resistance w per unit motion.
         w, w_v = sideways_slope(sideways)
         inverse = 1.0 / sideways
         w *= law.side * inverse
@@ -192,9 +192,9 @@ class Rft2dLaw(RftLaw):
         A00, A10, B11, B01, Bm11, C11, C01, Cm11, D10: Fourier coefficients [N/cm^3], as printed.
         density: bulk density, for the inertial term [kg/m^3].
         scale: factor zeta on the coefficients; for the generic set, the medium's.
-        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out.
-        added: kappa of the added mass, see `Rft3dLaw`; 0 leaves it out.
-        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
+        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 omits it.
+        added: kappa of the added mass, see `Rft3dLaw`; 0 omits it.
+        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 omits it.
         lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
 
@@ -243,7 +243,7 @@ class Rft2dLaw(RftLaw):
 
     @classmethod
     def generic(cls, scale: float, **options: Any) -> Self:
-        """The generic coefficients of Li et al., times `scale`."""
+        """Return the law with the generic coefficients of Li et al., times `scale`."""
         coefficients = dict(zip(FOURIER_KEYS, GENERIC_FOURIER, strict=True))
         return cls(**coefficients, scale=scale, **options)
 
@@ -251,7 +251,7 @@ class Rft2dLaw(RftLaw):
         parameters = np.zeros(1, RFT2D_DTYPE)
         for key in FOURIER_KEYS:
             parameters[key] = getattr(self, key)
-        # A plate drawn along itself: alpha_x at tilt 0, attack 0.
+        # A plate dragged along itself: alpha_x at tilt 0, attack 0.
         parameters["side"] = self.C11 + self.C01 + self.Cm11
         parameters["lateral"] = self.lateral
         write_plates(self, parameters)
@@ -259,10 +259,10 @@ class Rft2dLaw(RftLaw):
 
 
 def check_plates(law: Any) -> None:
-    """Refuse options that no law of plates can have.
+    """Check options of laws of plates.
 
     Raises:
-        InputError: one that is negative, or inertia of sand without its density.
+        InputError: an option is negative, or there is inertia of sand without its density.
     """
     law.check_options("density", "scale")
     if (law.inertia > 0 or law.added > 0) and law.density == 0:
@@ -271,7 +271,7 @@ def check_plates(law: Any) -> None:
 
 
 def write_plates(law: Any, parameters: np.ndarray) -> None:
-    """Write what the records of all laws of plates have, but for the stresses."""
+    """Write the fields that all records of laws of plates share, without the stresses."""
     parameters["scale"] = law.scale * _PER_CUBIC_CENTIMETRE
     parameters["inertia"] = law.inertia * law.density
     for key in ("added", "density", "rise", "cone"):

@@ -1,4 +1,4 @@
-"""Two-dimensional resistive force theory by the stresses that were measured, without a fit."""
+"""Two-dimensional resistive force theory with the measured stresses, without a fit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from mjgranular.medium.stresses import ATTACKS, TILTS, measured_stresses
 _COLUMNS, _NUMBERS = 2 * (ATTACKS - 1) + 1, 6
 _TABLE = TILTS * _COLUMNS * _NUMBERS
 _TAN_30 = math.tan(math.radians(30))
-_STEEP = 1e-6  # least horizontal part of a motion that is divided by; chosen
+_STEEP = 1e-6  # least horizontal part of a motion to divide by; chosen
 _FIELDS = ("side", "scale", "inertia", "added", "density", "rise", "cone")
 _DTYPE = np.dtype([*((name, np.float64) for name in _FIELDS), ("table", np.float64, (_TABLE,))])
 
@@ -32,7 +32,7 @@ _DTYPE = np.dtype([*((name, np.float64) for name in _FIELDS), ("table", np.float
 def around(c, s):
     """Return the coordinate of a direction, and its derivative by the angle.
 
-    It is the tangent of the angle near the first axis and 2 less the cotangent near the second, and
+    It is the tangent of the angle near the first axis, 2 minus the cotangent near the second, and
     so on around: -1 at -45 degrees, 0, 2, 4 and 6 along the axes. It has a continuous derivative.
     """
     if abs(s) <= abs(c):
@@ -44,11 +44,11 @@ def around(c, s):
 
 @partial(compiled, inline=True)
 def at_corner(table, at, h, k, h_x, k_x, i, j, i_y, j_y):
-    """Return the share of a corner in an interpolated number and its derivatives by x and by y.
+    """Return a corner's contribution to an interpolated number, and its derivatives by x and y.
 
     Args:
         table: numbers.
-        at: place of the number at the corner; behind it are its slopes by x and by y.
+        at: index of the number at the corner; its slopes by x and by y follow it.
         h: weight of the number along x.
         k: weight of its slope along x.
         h_x: derivative of h.
@@ -101,7 +101,7 @@ def table_response(law, sin_b, cos_b, sin_g, cos_g):
     e = e + at_corner(law.table, second + 9, b, v, b_x, v_x, d, s, d_y, s_y)
     x_b, y_g = x_b / width, 3.0 * y_g
     up, up_g, up_b, back, back_g, back_b = z.x, z.z * y_g, z.y * x_b, e.x, e.z * y_g, e.y * x_b
-    # Sand takes energy; what is interpolated may give some.
+    # Sand dissipates energy; the interpolation may add some, which is removed.
     given = -(back * cos_g + up * sin_g)
     if given > 0.0:
         given_g = back * sin_g - up * cos_g - (back_g * cos_g + up_g * sin_g)
@@ -119,7 +119,7 @@ def table_level(law, rise, down):
     up, up_g, _, back, back_g, _ = table_response(
         law, 0.0, -1.0 if down > 0.0 else 1.0, -rise, cos_g
     )
-    inverse = 1.0 / cos_g  # of which -rise is the derivative by the attack, over v.z
+    inverse = 1.0 / cos_g  # its derivative by the attack, over v.z, is -rise
     flat = back * inverse
     flat_r = (flat * rise * inverse - back_g * inverse) * inverse
     return flat, flat_r, 0.0, up, -up_g * inverse, 0.0
@@ -129,8 +129,8 @@ def table_level(law, rise, down):
 def interpolation_table(name: str) -> np.ndarray:
     """Return the numbers that `table_response` reads, from the measured stresses of a medium.
 
-    A plate is the same turned by 180 degrees, and is met alike from both sides. What this makes
-    equal is averaged where it was measured twice.
+    A plate turned by 180 degrees is the same plate, and its response is mirror-symmetric. Values
+    that are equal by symmetry are averaged if they were measured twice.
     """
     measured = measured_stresses()[name].copy()
     rows = np.array([3, 4, 5, 6, 1, 2, 3])  # of tilts 0, 30, ..., 180; 90 is -90
@@ -153,8 +153,8 @@ def _slopes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Return slopes of periodic rows that do not overshoot: F. N. Fritsch, J. Butland 1984.
 
     Args:
-        values: the last row is the first.
-        steps: between rows.
+        values: rows; the last is the first.
+        steps: distances between rows.
     """
     shape = (-1, *[1] * (values.ndim - 1))
     after, steps = np.diff(values, axis=0) / steps.reshape(shape), steps.reshape(shape)
@@ -169,19 +169,19 @@ def _slopes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
 @register_law
 @dataclass(frozen=True)
 class MeasuredRft2dLaw(RftLaw):
-    """`Rft2dLaw` with the stresses that Li et al. measured in place of their Fourier series.
+    """`Rft2dLaw` with the stresses that Li et al. measured instead of their Fourier series.
 
     Between the 91 measured tilts and attacks of a plate each stress is interpolated by cubics that
     do not overshoot.
 
     Attributes:
-        table: name of the medium whose stresses they are.
+        table: name of the medium of the stresses.
         density: bulk density, for inertia of sand [kg/m^3].
         scale: factor on the stresses.
         inertia, added, cone, rise: as for `Rft2dLaw`.
 
     Raises:
-        UnknownNameError: no stresses are known of that medium.
+        UnknownNameError: that medium has no measured stresses.
         InputError: a value that is not finite, or negative.
     """
 
@@ -220,7 +220,7 @@ class MeasuredRft2dLaw(RftLaw):
         parameters = np.zeros(1, _DTYPE)
         table = interpolation_table(self.table)
         parameters["table"] = table
-        # A plate drawn along itself: alpha_x at tilt 0, attack 0.
+        # A plate dragged along itself: alpha_x at tilt 0, attack 0.
         parameters["side"] = table[_NUMBERS * 3 + 3]
         write_plates(self, parameters)
         return parameters

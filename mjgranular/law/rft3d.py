@@ -36,8 +36,8 @@ C3 = (-0.02634, -0.03436, 0.45256, 0.00835, 0.02553, -1.31290, -0.05532, 0.06790
 # fmt: on
 
 UPRIGHT = 1e-6
-"""A wall whose normal points up by less is upright. Chosen: the fit jumps there by a fifth of the
-force, and rounding, in single precision too, must not decide."""
+"""A wall whose normal points up by less counts as upright. Chosen: there the fit jumps by a fifth
+of the force, and rounding, in single precision too, must not decide."""
 
 RFT3D_DTYPE = np.dtype(
     [
@@ -52,15 +52,16 @@ RFT3D_DTYPE = np.dtype(
 
 @partial(compiled, inline=True)
 def polynomial_slope(c, x1, x2, x3, x22, x33, x23):
-    """One of the three functions, and its three derivatives.
+    """Return one of the three functions, and its three derivatives.
 
-    As a polynomial in x1, its coefficients polynomials in x2 and x3 with derivatives of their own.
+    It is a polynomial in x1 whose coefficients are polynomials in x2 and x3 with their own
+    derivatives.
 
     Args:
         c: coefficients.
-        x1: see `generic_response`; x2, x3: likewise.
-        x2: see x1.
-        x3: see x1.
+        x1: -v.z, as in `rft3d_slope`.
+        x2: -m.z.
+        x3: m.v.
         x22: x2 x2, which all three functions share.
         x33: x3 x3.
         x23: x2 x3.
@@ -88,16 +89,16 @@ def polynomial_slope(c, x1, x2, x3, x22, x33, x23):
 
 @partial(compiled, inline=True)
 def rft3d_slope(law, g, rise, down, lead):
-    """Resistance for an area and a depth of one, by the cosines: see `RftLaw.slope`.
+    """Return the resistance for unit area and depth, by the cosines: see `RftLaw.slope`.
 
     In the paper's local frame (r, theta, z) the generic response for a plate is f1 m + f2 v - f3 z
-    with m = (sin b cos psi, sin b sin psi, -cos b) and v = (cos g, 0, -sin g), so that the angles
-    need not be taken: x1 = -v.z, x2 = -m.z, x3 = m.v. The fit describes plates, with tilt b between
-    -90 and 90 degrees: of a plate's two normals m = +-n is the one that points down. The tangential
+    with m = (sin b cos psi, sin b sin psi, -cos b) and v = (cos g, 0, -sin g), so that no angles
+    are needed: x1 = -v.z, x2 = -m.z, x3 = m.v. The fit describes plates, with tilt b between -90
+    and 90 degrees: of a plate's two normals m = +-n is the one that points down. The tangential
     part of the response is t = f2 v - f3 z - tau m.
 
-    In one of 1,500 directions the fit would push the facet on. There the tangential part is cut
-    down to where the power is zero, so that the law is dissipative without a jump.
+    In one of 1,500 directions the fit would add energy. There the tangential part is reduced to
+    zero power, so that the law is dissipative and continuous.
     """
     flip = -1.0 if down > UPRIGHT else 1.0
     x1, x2, x3 = -rise, -flip * down, flip * lead
@@ -115,7 +116,7 @@ def rft3d_slope(law, g, rise, down, lead):
     along_v, z_along = v_along - tau * x3, q + p * x1
     square = max(p * v_along + q * z_along - tau * tau, 0.0)
     tangential = math.sqrt(square)
-    # The share of it that there is, a quotient.
+    # The share of it that is kept, a quotient.
     top, bottom = 1.0, 1.0
     limited = tangential > law.friction * normal
     if limited:
@@ -126,8 +127,8 @@ def rft3d_slope(law, g, rise, down, lead):
         top, bottom = against, along_v
     inverse = 1.0 / bottom
     share = top * inverse
-    # Its derivatives: that of the top is c times the normal part's, but for d; that of the bottom
-    # is a sum of those of p, q and tau.
+    # Its derivatives: that of the numerator is c times the normal part's, except for d; that of the
+    # denominator is a sum of those of p, q and tau.
     c, d, by_p, by_q, by_tau = 0.0, 0.0, 0.0, 0.0, 0.0
     if limited:
         c = law.friction
@@ -139,7 +140,7 @@ def rft3d_slope(law, g, rise, down, lead):
     s_1 = c * n_1 - by_p * p_1 - by_q * q_1 + by_tau * t_1
     s_2 = c * n_2 - by_p * p_2 - by_q * q_2 + by_tau * t_2
     s_3 = c * n_3 - by_p * p_3 - by_q * q_3 + by_tau * t_3
-    # And of the cosines within it.
+    # And those by the cosines within it.
     s_1 -= w * (q if cut else (p * q * inverse if limited else 0.0))
     if cut:
         s_3 += w * tau + inverse * flip * d
@@ -180,14 +181,14 @@ class Rft3dLaw(RftLaw):
         density: critical bulk density rho_c [kg/m^3].
         internal_friction: mu, 0.3 to 0.9.
         surface_friction: mu_s between grains and the intruder.
-        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 leaves it out. 1.1 is the value
+        inertia: lambda of the dynamic term -n lambda rho v_n^2; 0 omits it. 1.1 is the value
             of Agarwal et al. 2021 for horizontal plates.
-        added: kappa of the added mass: leading facets move along a layer of sand that is kappa
-            times as deep as their geom is wide; 0 leaves it out.
+        added: kappa of the added mass: leading facets move a layer of sand that is kappa
+            times as deep as their geom is wide; 0 omits it.
         rise: lower the surface behind a turning body by r (r w^2/g), for wheels.
         scale: factor on the stiffness, from a calibration; see `calibrated`.
-        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 leaves it out.
-        rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 leaves it out.
+        cone: mean depth of the stagnant sand under flat faces, in their widths; 0 omits it.
+        rate: rise of internal friction from slow flow to fast, Jop et al. 2006; 0 omits it.
         grain: diameter of a grain [m], which `rate` needs.
         lateral: L, factor on lateral strength (`law.lateral`); 0 omits it.
 
@@ -239,14 +240,14 @@ class Rft3dLaw(RftLaw):
     def calibrated(
         cls, medium: Medium, *, force: float, area: float, depth: float, gravity: float = 9.81
     ) -> Self:
-        """The law with its stiffness from one measurement: a flat plate pushed straight down.
+        """Return the law with its stiffness calibrated by a flat plate pushed straight down.
 
         Args:
-            medium: gives density and frictions.
+            medium: source of density and frictions.
             force: measured resistance [N].
-            area: of the plate [m^2].
-            depth: of the plate [m].
-            gravity: where it was measured [m/s^2].
+            area: area of the plate [m^2].
+            depth: depth of the plate [m].
+            gravity: gravity at the measurement [m/s^2].
         """
         plain = cls.from_medium(medium)
         scale = force / (LEVEL_PLATE * area * depth) / (plain.stiffness * gravity)

@@ -1,14 +1,14 @@
-"""The secant of a force: a damping that gives it at one velocity, and takes energy at any other.
+"""The secant of a force: damping that equals it at one velocity, and dissipates at any other.
 
-A force F(v) that opposes the velocity has secants, symmetric matrices that are not negative, with
+A force F(v) that opposes the velocity has secants, positive semidefinite symmetric matrices with
 C v = -F(v):
 
     C = F F^T / -(F.v) + P S P,    P = 1 - v v^T / |v|^2 .
 
-The first term alone would do. The second keeps other directions from being free: S is what the
-force changes by when the motion turns, the symmetric part of -dF/dv, and in no direction less than
-|F| / |v|. A force -C v' at another velocity v' takes energy, whatever v' is, and is the law's own
-where v' is v. Both engines have it from here (`scheme.damping`, `warp.resistance`).
+The first term alone would suffice. The second adds resistance in other directions: S is the change
+of the force when the motion turns, the symmetric part of -dF/dv, and in no direction less than
+|F| / |v|. A force -C v' at another velocity v' dissipates energy for any v', and equals the law's
+own if v' is v. Both engines use this secant (`scheme.damping`, `warp.resistance`).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from functools import partial
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import across, cross, dot, norm, outer
 
-# A force that is all but perpendicular to the motion has no secant; its power counts as at least
-# this share of |F| |v|. Chosen.
+# A force nearly perpendicular to the motion has no secant; its power counts as at least this share
+# of |F| |v|. Chosen.
 _LEAST_POWER = 0.02
 
 
 @partial(compiled, inline=True)
 def secant(force, slope, u):
-    """C of a force that moves along u.
+    """Return C of a force that moves along u.
 
     Args:
         force: F / |v| [N s/m].

@@ -1,4 +1,4 @@
-"""Validity of laws: limits and found errors as data, and motions held against them."""
+"""Validity of laws: limits and measured errors as data, and motions compared with them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MEANING: dict[Measure, str] = {
     "depth_over_width": "depth over the geom's width",
     "slope": "angle of the surface against the horizontal [rad]",
 }
-"""Meaning of each measure; all but the slope are the greatest over a body's wet elements."""
+"""Meaning of each measure; all but the slope are the greatest over a body's immersed elements."""
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Limit:
     """A bound on one measure.
 
     Attributes:
-        measure: what is bounded; `MEANING` says how it is worked out.
+        measure: bounded quantity; `MEANING` defines it.
         most: the law holds up to this value.
-        source: who says so.
+        source: source of the bound.
     """
 
     measure: Measure
@@ -36,12 +36,12 @@ class Limit:
 
 @dataclass(frozen=True)
 class Standing:
-    """Standing of a body against a limit.
+    """A body compared with a limit.
 
     Attributes:
         limit: the limit.
-        value: the measure now; None where it cannot be told (no grain size is known).
-        holds: whether it is within the limit; true where it cannot be told.
+        value: the measure now; None if it is unknown (no grain size).
+        holds: whether it is within the limit; true if it is unknown.
     """
 
     limit: Limit
@@ -54,15 +54,15 @@ class Standing:
 
 @dataclass(frozen=True)
 class Finding:
-    """The error that was found where a law was held against measured motion.
+    """The error of a law against measured motion.
 
     Attributes:
         froude: greatest Froude number of these runs.
         grains: least width of their bodies, in grains.
-        error: the worst of them, of whole trajectories: root-mean-square of the error in depth over
-            time in parts of the final depth, or in force in parts of the greatest force.
-        runs: how many.
-        source: the page that has them.
+        error: the worst of them, of whole trajectories: root-mean-square error of depth over time
+            relative to the final depth, or of force relative to the greatest force.
+        runs: number of runs.
+        source: page that lists them.
     """
 
     froude: float
@@ -73,21 +73,21 @@ class Finding:
 
 
 def findings_of(name: str) -> tuple[Finding, ...]:
-    """What was found for a law, by the name it has on the page of validity."""
+    """Return the errors of a law, by its name on the page of validity."""
     return tuple(Finding(*numbers) for numbers in FOUND.get(name, ()))
 
 
 def found_at(
     findings: Sequence[Finding], froude: float, grains: float | None = None
 ) -> Finding | None:
-    """The finding that tells most of a motion; None where nothing as fast or thin was compared.
+    """Return the most relevant finding for a motion; None if no run was as fast or thin.
 
-    Of the runs at least as fast and as thin those of the slowest group, and of these the widest.
+    Of the runs at least as fast and as thin it is the slowest group, and of these the widest.
 
     Args:
-        findings: of the law.
-        froude: of the motion.
-        grains: width of the body in grains; None where it is not known, and is taken for great.
+        findings: findings of the law.
+        froude: Froude number of the motion.
+        grains: width of the body in grains; None if unknown, which counts as wide.
     """
     fit = [f for f in findings if f.froude >= froude and (grains is None or f.grains <= grains)]
     return min(fit, key=lambda f: (f.froude, -f.grains), default=None)

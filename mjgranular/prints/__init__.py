@@ -1,4 +1,4 @@
-"""Prints as they are seen: a skin of the model that takes the shape of sand that remembers."""
+"""Drawing of tracks: a skin of the model that takes the shape of sand with memory."""
 
 from mjgranular.prints.cover import Cover as Cover
 from mjgranular.prints.record import Prints as Prints

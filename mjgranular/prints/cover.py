@@ -1,4 +1,4 @@
-"""`Cover`: sand with prints in a scene that Python draws; the plugin does the same by itself."""
+"""`Cover`: sand with tracks in a scene that Python draws; the plugin draws it without Python."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from mjgranular.relief.relief import Relief
 from mjgranular.surface import HeightField, Surface
 
 SIGNATURE = "int64(int64, float64)"
-"""Of the program that puts a skin where the sand is."""
+"""Signature of the program that fits a skin to the sand."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of sand, along the axes of the plane that heights are over.
+    """A rectangle of sand, along the axes of the plane under the heights.
 
     Attributes:
         low: its first corner [m].
-        high: its last [m].
-        bottom: of its walls, over the plane [m]; 0 for none.
+        high: its last corner [m].
+        bottom: lower edge of its walls, over the plane [m]; 0 for none.
     """
 
     low: tuple[float, float]
@@ -36,20 +36,20 @@ class Region:
 
 
 def relief_of_base(base: Surface, memory: Memory) -> Relief:
-    """A surface with memory, for drawings: how far sand counts for a level is no part of it."""
+    """Return a surface with memory for drawings, which do not depend on the surroundings."""
     return Relief(base, memory, memory.surroundings or memory.cell)
 
 
 def make_canvas(
     record: np.ndarray, memory: Memory, unit: float, region: Region | None = None
 ) -> np.ndarray:
-    """What a drawing is described by, a record of `CANVAS_DTYPE` without addresses, shape (1,).
+    """Return the description of a drawing, `CANVAS_DTYPE` without addresses, shape (1,).
 
     Args:
-        record: of the relief.
-        memory: of the sand.
-        unit: of the rectangles of an endless plane [m].
-        region: that is drawn; None for all there is.
+        record: record of the relief.
+        memory: memory of the sand.
+        unit: size of the rectangles of an infinite plane [m].
+        region: drawn region; None for everything.
     """
     if region is None and np.isfinite(record["half_along"][0]):
         half = float(record["half_along"][0]), float(record["half_across"][0])
@@ -70,7 +70,7 @@ def make_canvas(
 
 
 def room_of(canvas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Arrays of the blocks and rectangles of a canvas, whose addresses are put there."""
+    """Allocate the blocks and rectangles of a canvas, and write their addresses to it."""
     side = int(canvas["lines"][0]) // BLOCK
     blocks, rectangles = np.zeros(side * side, np.int64), np.zeros(4 * int(canvas["room"][0]))
     canvas["blocks"], canvas["rectangles"] = blocks.ctypes.data, rectangles.ctypes.data
@@ -78,14 +78,14 @@ def room_of(canvas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Cover:
-    """Sand with prints, in a model that has a skin for it (`add_skin`).
+    """Sand with tracks, in a model that has a skin for it (`add_skin`).
 
     Args:
-        model: that is drawn; vertices of its skin are written.
-        base: the surface as it is without prints.
-        memory: how it remembers.
-        unit: edge of the picture of grains, and of rectangles far away [m].
-        region: that is drawn; None for all there is.
+        model: drawn model; vertices of its skin are written.
+        base: the surface without tracks.
+        memory: its memory.
+        unit: edge of the grain texture, and of rectangles far away [m].
+        region: drawn region; None for everything.
         sand: name of the skin's sand.
     """
 
@@ -115,11 +115,11 @@ class Cover:
             model.geom_group[geom] = NOT_SHOWN
 
     def lay(self, state: np.ndarray, middle: np.ndarray) -> None:
-        """Gives the skin the shape of the sand: before a scene is updated.
+        """Fit the skin to the sand; call it before a scene is updated.
 
         Args:
-            state: what the sand remembers (`relief.grid`).
-            middle: of what is to be seen [m], world.
+            state: state of the sand's memory (`relief.grid`).
+            middle: center of the visible region [m], world.
         """
         canvas, record = self._canvas[0], self._record[0]
         if not canvas["held"]:
@@ -129,7 +129,7 @@ class Cover:
         self._shape(self._canvas.ctypes.data, 0.0)
 
     def show(self, scene: mujoco.MjvScene) -> None:
-        """Adds skin and rectangles to a scene: after it was updated."""
+        """Add skin and rectangles to a scene; call it after it is updated."""
         record = self._record[0]
         axes = np.column_stack([record[name] for name in ("along", "across", "normal")])
         geom = self._next(scene, mujoco.mjtGeom.mjGEOM_SKIN, np.zeros(3), np.zeros(3), np.eye(3))
@@ -153,7 +153,7 @@ class Cover:
     def _next(
         self, scene: mujoco.MjvScene, kind: Any, size: np.ndarray, place: np.ndarray, axes: Any
     ) -> Any:
-        """The next geom of a scene, which looks like sand; None if there is no room."""
+        """Return the next geom of a scene, with the look of sand; None if the scene is full."""
         if scene.ngeom >= scene.maxgeom:
             return None
         geom, model = scene.geoms[scene.ngeom], self._model

@@ -1,7 +1,7 @@
-"""How sand looks: its material, and the rectangles that an endless plane of it is drawn with.
+"""Appearance of sand: its material, and the rectangles that draw an infinite plane of it.
 
-Nothing here is a geom of a model: what is drawn is added to scenes, so that a model has the bodies
-and geoms, in the order, that it has without sand.
+Nothing here is a geom of a model: drawings are added to scenes, so that a model keeps the bodies
+and geoms, and their order, that it has without sand.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ MATERIAL = "mjgranular_sand"
 """Name of the material and of its texture."""
 
 TILE = 0.5
-"""Edge of the picture of grains on geoms [m]; grains of 2 mm. Chosen."""
+"""Edge of the grain texture on geoms [m]; grains of 2 mm. Chosen."""
 
 COLOUR = (0.83, 0.71, 0.53, 1.0)
-"""Of sand in a model without the material."""
+"""Color of sand in a model without the material."""
 
 NOT_SHOWN = 5
-"""Geom group of what is not to be seen."""
+"""Geom group that is hidden."""
 
 _DARK, _BRIGHT, _DARK_SHARE = (0.66, 0.53, 0.36), (0.90, 0.79, 0.60), 0.3
-_PIXELS = 256  # along an edge of the picture
-_HAIR = 2e-3  # of the radius: ground of the model's own this near hides the sand
-_PARALLEL = 0.999  # cosine of the angle between faces that hide each other
-_SHOWN = 3  # geom groups that viewers and renderers show unless told otherwise: those before it
-_DEFAULT = (0.5, 0.5, 0.5, 1.0)  # colour of a geom that nobody has coloured
+_PIXELS = 256  # along an edge of the texture
+_HAIR = 2e-3  # of the radius: ground of the model this near hides the sand
+_PARALLEL = 0.999  # cosine of the largest angle between faces that hide each other
+_SHOWN = 3  # number of geom groups that viewers and renderers show by default
+_DEFAULT = (0.5, 0.5, 0.5, 1.0)  # color of a geom whose color is not set
 
 
 def _tiles() -> np.ndarray:
-    """Rectangles side by side, small in the middle: light is computed at their corners.
+    """Return rectangles side by side, small in the center: light is computed at their corners.
 
     Returns:
-        Middle and half the edges of each, along both axes of the plane, shape (n, 4).
+        Center and half the edges of each, along both axes of the plane, shape (n, 4).
     """
     corners = np.array([-64.0, -10.0, -3.0, -1.0, 0.0, 1.0, 3.0, 10.0, 64.0])
     middles, halves = (corners[1:] + corners[:-1]) / 2, np.diff(corners) / 2
@@ -49,15 +49,15 @@ def _tiles() -> np.ndarray:
 
 
 TILES = _tiles()
-"""Of a plane, in units of twice the radius of what moves."""
+"""Rectangles of a plane, in units of twice the radius of what moves."""
 
 
 def add_material(spec: mujoco.MjSpec, *, tile: float = TILE) -> str:
-    """Adds the material of sand to a model that has it not; its name.
+    """Add the material of sand to a model, unless it has it; return its name.
 
     Args:
         spec: the model to be.
-        tile: edge of the picture of grains [m].
+        tile: edge of the grain texture [m].
     """
     if spec.material(MATERIAL) is None:
         spec.add_texture(
@@ -80,7 +80,7 @@ def add_material(spec: mujoco.MjSpec, *, tile: float = TILE) -> str:
 
 
 def paint(geom: mujoco.MjsGeom, material: str) -> None:
-    """Gives a geom that is sand its material, unless somebody has given it another look."""
+    """Give a geom that is sand its material, unless it has its own color or material."""
     if not geom.material and np.allclose(geom.rgba, _DEFAULT):
         geom.material = material
         geom.rgba = [1.0, 1.0, 1.0, 1.0]
@@ -88,13 +88,14 @@ def paint(geom: mujoco.MjsGeom, material: str) -> None:
 
 @dataclass(frozen=True)
 class PlaneLook:
-    """How a plane is drawn in a model.
+    """Appearance of a plane in a model.
 
     Attributes:
         material: id of its material; -1 for none.
-        picture: id of the texture of grains; -1 for none.
-        unit: of `TILES`, and edge of the picture [m], in steps of which they follow the model.
-        lowered: so far under the surface they lie, where ground of the model's own lies in it [m].
+        picture: id of the grain texture; -1 for none.
+        unit: unit of `TILES`, and edge of the texture [m]; the rectangles follow the model in these
+            steps.
+        lowered: how far the rectangles are below the surface, if ground of the model is in it [m].
     """
 
     material: int
@@ -106,15 +107,15 @@ class PlaneLook:
     def of(
         cls, model: mujoco.MjModel, normal: np.ndarray, offset: float, radius: float
     ) -> PlaneLook | None:
-        """How the plane of the points p with normal @ p = offset is drawn under a model.
+        """Return how the plane of the points p with normal @ p = offset is drawn under a model.
 
-        None where the model shows it by a geom of its own that makes no contact.
+        Return None if the model shows it by its own geom without contacts.
 
         Args:
             model: the model.
-            normal: of the plane, upward, shape (3,).
-            offset: of the plane [m].
-            radius: of a ball around what moves [m]: grains are as large as can be told apart.
+            normal: normal of the plane, upward, shape (3,).
+            offset: offset of the plane [m].
+            radius: radius of a ball around what moves [m]: it sets the size of visible grains.
         """
         names = (model.material(number).name for number in range(model.nmat))
         found = next((k for k, name in enumerate(names) if name.endswith(MATERIAL)), -1)
@@ -132,13 +133,13 @@ class PlaneLook:
 
     @property
     def rgba(self) -> np.ndarray:
-        """Colour that the material's picture is multiplied with, or all there is."""
+        """Color that the material's texture is multiplied by, or the plain color."""
         return np.array(COLOUR if self.material < 0 else (1.0, 1.0, 1.0, 1.0), np.float32)
 
     def add(
         self, scene: mujoco.MjvScene, normal: np.ndarray, offset: float, middle: np.ndarray
     ) -> None:
-        """Adds the plane to a scene, about a point."""
+        """Add the plane to a scene, around a point."""
         axes = axes_of(normal)
         # The plugin does the same in compiled code (`engine.draw`).
         place = axes.T @ middle
@@ -164,7 +165,7 @@ class PlaneLook:
 
 
 def axes_of(normal: np.ndarray) -> np.ndarray:
-    """Axes of a plane in columns, the last its normal, which must point up."""
+    """Return the axes of a plane in columns, the last its normal, which must point up."""
     along = np.array([normal[2], 0.0, -normal[0]]) / math.hypot(normal[0], normal[2])
     return np.column_stack([along, np.cross(normal, along), normal])
 
@@ -172,7 +173,7 @@ def axes_of(normal: np.ndarray) -> np.ndarray:
 def boxes_of(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corners of the boxes along the world's axes around geoms [m], (n, 3)."""
+    """Return lowest and highest corners of geoms' world-aligned bounding boxes [m], (n, 3)."""
     turns = data.geom_xmat[geoms].reshape(-1, 3, 3)
     middles = data.geom_xpos[geoms] + np.einsum("nij,nj->ni", turns, model.geom_aabb[geoms, :3])
     halves = np.einsum("nij,nj->ni", np.abs(turns), model.geom_aabb[geoms, 3:])
@@ -180,7 +181,7 @@ def boxes_of(
 
 
 def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Ids of the geoms that can move and are seen; without any, of all that can move, or of all."""
+    """Return ids of visible geoms that can move; else of all that can move, else of all."""
     moves = model.body_weldid[model.geom_bodyid] != 0
     alpha = model.geom_rgba[:, 3].copy()
     painted = model.geom_matid >= 0
@@ -192,7 +193,7 @@ def moving_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def radius_of(model: mujoco.MjModel) -> float:
-    """Radius of a ball around what moves, where the model stands at `qpos0` [m]."""
+    """Return the radius of a ball around what moves, at `qpos0` [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     moving = moving_geoms(model)
@@ -204,7 +205,7 @@ def radius_of(model: mujoco.MjModel) -> float:
 
 
 def _ground_at(model: mujoco.MjModel, normal: np.ndarray, offset: float, near: float) -> list[int]:
-    """Ids of planes, and of boxes with a face, that are fixed, seen and lie in a plane."""
+    """Return ids of visible fixed planes, and boxes with a face, that are in a plane."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found = []

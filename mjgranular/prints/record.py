@@ -1,4 +1,4 @@
-"""What the sand remembers over a run, as a film of it needs it."""
+"""Record of a sand's memory over a run, for a video."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from mjgranular.relief.grid import HEADER, HEIGHT, KEY, node_keys
 from mjgranular.relief.memory import Memory
 from mjgranular.sand import Sand
 
-_INSTANTS = 400  # of a run at which is looked; chosen: between two of them heights change evenly
-_STEPS = 1e-3  # of a cell: a change that is not worth a number
+_INSTANTS = 400  # samples of a run; chosen: heights are interpolated linearly between them
+_STEPS = 1e-3  # of a cell: a smaller change is not stored
 
 
 @dataclass(frozen=True)
 class Prints:
-    """Heights of the sand at some instants of a run: what has changed from one to the next.
+    """Heights of the sand at some instants of a run, as changes from one to the next.
 
     Attributes:
         t: the instants [s], shape (n,).
-        end: number of changes up to each, it included, shape (n,).
-        node: that has changed (i, j), shape (m, 2), int32.
-        height: of the sand over the surface there, from then on [m], shape (m,), float32.
+        end: number of changes up to each instant, included, shape (n,).
+        node: changed node (i, j), shape (m, 2), int32.
+        height: height of the sand over the surface there, from then on [m], shape (m,), float32.
     """
 
     t: np.ndarray
@@ -40,7 +40,7 @@ class Prints:
 
     @staticmethod
     def are_in(file: Path) -> bool:
-        """Tells whether a file of arrays has prints, which older ones have not."""
+        """Return True if a file of arrays has tracks, which older ones do not."""
         try:
             with zipfile.ZipFile(file) as archive:
                 return f"{Prints.names()[0]}.npy" in archive.namelist()
@@ -48,16 +48,16 @@ class Prints:
             return False
 
     def change(self, begin: float, end: float) -> bool:
-        """Tells whether heights change between two times [s]."""
+        """Return True if heights change between two times [s]."""
         first, last = np.searchsorted(self.t, (begin, end), side="right")
         last = min(int(last), len(self.t) - 1)
         return bool(first <= last and self.end[last] > (self.end[first - 1] if first else 0))
 
     def profile(self, memory: Memory) -> tuple[np.ndarray, np.ndarray]:
-        """Places along the first axis of the sand and heights there in the end [m], where any are.
+        """Return positions along the sand's first axis and final heights there [m], where stored.
 
         Args:
-            memory: of the sand.
+            memory: memory of the sand.
         """
         along = {int(i): 0.0 for i in self.node[:, 0]}
         for (i, j), height in zip(self.node.tolist(), self.height.tolist(), strict=True):
@@ -67,15 +67,15 @@ class Prints:
         return memory.cell * nodes, np.array([along[int(i)] for i in nodes])
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays by their names in a file."""
+        """Return the arrays by their names in a file."""
         return {f"prints_{name}": value for name, value in vars(self).items()}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Prints:
-        """The prints that `arrays` gave.
+        """Restore the tracks that `arrays` returned.
 
         Raises:
-            ValueError: they do not fit together.
+            ValueError: the arrays do not match.
         """
         found = cls(*(arrays[name] for name in cls.names()))
         t, end, node, height = found.t, found.end, found.node, found.height
@@ -91,12 +91,12 @@ class Prints:
 
 
 class PrintsRecorder:
-    """Records the prints of a run as it goes.
+    """Record the tracks of a run while it is simulated.
 
     Args:
-        sand: with memory.
+        sand: sand with memory.
         data: the simulation.
-        duration: of the run [s].
+        duration: duration of the run [s].
     """
 
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
@@ -111,11 +111,11 @@ class PrintsRecorder:
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []
 
     def look(self, t: float, *, last: bool = False) -> None:
-        """Looks at the sand, if it is time to.
+        """Sample the sand if a sample is due.
 
         Args:
-            t: now [s].
-            last: whether to look in any case.
+            t: present time [s].
+            last: whether to sample in any case.
         """
         if t < self._next and not last:
             return
@@ -140,7 +140,7 @@ class PrintsRecorder:
         self._changes.append((nodes[at], now[at]))
 
     def prints(self) -> Prints:
-        """All that was seen."""
+        """Return all recorded tracks."""
         return Prints(
             np.array(self._t),
             np.cumsum([len(heights) for _, heights in self._changes], dtype=np.int64),
@@ -153,12 +153,12 @@ class Replay:
     """Heights at any time of a run, as the state of a memory.
 
     Args:
-        prints: of the run.
-        memory: of its sand.
+        prints: tracks of the run.
+        memory: memory of its sand.
 
     Attributes:
-        state: of the relief (`relief.grid`), at the time that was asked for last.
-        time: that one [s].
+        state: state of the relief (`relief.grid`), at the last requested time.
+        time: that time [s].
     """
 
     def __init__(self, prints: Prints, memory: Memory) -> None:
@@ -169,11 +169,11 @@ class Replay:
         arrays = self.state[HEADER:]
         self._heights = arrays[HEIGHT * count : (HEIGHT + 1) * count]
         self._keys = arrays[KEY * count : (KEY + 1) * count]
-        self._done = 0  # instants that are in the state as a whole
+        self._done = 0  # instants fully applied to the state
         self._coming: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def to(self, t: float) -> np.ndarray:
-        """Goes to a time [s]; between two instants heights change evenly. The state."""
+        """Return the state at a time [s], with heights interpolated linearly between instants."""
         prints, self.time = self._prints, t
         done = int(np.searchsorted(prints.t, t, side="right"))
         if done < self._done:
@@ -195,7 +195,7 @@ class Replay:
         return self.state
 
     def _change(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Places, keys and heights of what an instant has changed."""
+        """Return places, keys and heights that an instant changes."""
         prints, size = self._prints, self._size
         begin = int(prints.end[number - 1]) if number else 0
         i, j = prints.node[begin : int(prints.end[number])].T.astype(np.int64)

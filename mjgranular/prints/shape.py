@@ -1,10 +1,10 @@
-"""The kernel that puts the vertices of a skin where the sand is, and rectangles where it is plane.
+"""The kernel that fits the vertices of a skin to the sand, and adds rectangles where it is plane.
 
-Of the skin's grid a window about the robot is drawn, block by block: blocks that something has
-moved the sand in have their vertices in their places, the others have theirs in one point under the
-surface, where they cost nothing, and are drawn as rectangles. Beside a block that is drawn the next
-vertices lie a hair under the rectangles, so that MuJoCo, which finds normals from triangles, finds
-the same at its edge as within.
+It draws a window of the skin's grid around the robot, block by block. Blocks in which sand has
+moved have their vertices in place. The others have theirs in one point under the surface, where
+they cost nothing, and are drawn as rectangles. Beside a drawn block the next vertices are slightly
+under the rectangles, so that MuJoCo, which computes normals from triangles, computes the same at
+its edge as inside.
 """
 
 from __future__ import annotations
@@ -30,52 +30,52 @@ CANVAS_DTYPE = np.dtype(
         ("vertices", np.int64),  # address: of the skin, float32
         ("vertex_count", np.int64),
         ("lines", np.int64),  # vertices along a side
-        ("stride", np.int64),  # every how many-th node of the memory has one
-        ("blocks", np.int64),  # address: room for a number for each block
-        ("rectangles", np.int64),  # address: room for their middles and half their edges [m]
-        ("room", np.int64),  # for so many
-        ("count", np.int64),  # of the rectangles there are
+        ("stride", np.int64),  # distance between vertices in nodes of the memory
+        ("blocks", np.int64),  # address: a number for each block
+        ("rectangles", np.int64),  # address: their centers and half their edges [m]
+        ("room", np.int64),  # capacity for rectangles
+        ("count", np.int64),  # present number of rectangles
         ("unit", np.float64),  # of the plane beyond the window [m]
-        ("bounded", np.int64),  # whether the sand ends at
-        ("low", np.float64, (2,)),  # these places along the axes of the plane [m]
+        ("bounded", np.int64),  # whether the sand ends
+        ("low", np.float64, (2,)),  # its ends along the axes of the plane [m]
         ("high", np.float64, (2,)),
-        ("bottom", np.float64),  # of its walls, over the plane [m]; 0 for none
-        ("held", np.int64),  # whether the middle of the window stays where it is
-        ("middle", np.float64, (2,)),  # of the window, along the axes of the plane [m]
-        ("sunk", np.float64),  # so far over its place what is drawn beyond the window lies [m]
+        ("bottom", np.float64),  # lower edge of its walls, over the plane [m]; 0 for none
+        ("held", np.int64),  # whether the center of the window is fixed
+        ("middle", np.float64, (2,)),  # center of the window, along the axes of the plane [m]
+        ("sunk", np.float64),  # height of the drawing beyond the window over its true place [m]
     ]
 )
 
 FRAME_DTYPE = np.dtype(
     [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
 )
-"""Of a relief: the plane that heights are over, as its record has it."""
+"""Fields of a relief's record: the plane under the heights."""
 
-_HAIR = 0.02  # so far under rectangles lies what is not to be seen [cells]
-_ENDS = 5.0  # nodes at the edge of a window over which prints end
-_SLOPE = 20.0  # and over which it comes down to a field that lies lower
+_HAIR = 0.02  # distance of hidden vertices under rectangles [cells]
+_ENDS = 5.0  # nodes at the edge of a window over which tracks fade out
+_SLOPE = 20.0  # the same where the window descends to a lower field
 _BEYOND = (3.0, 10.0, 64.0)  # ends of rectangles beyond the window, in units: small ones are near
-_FAR = 1 << 19  # nodes: beyond all that has a number
+_FAR = 1 << 19  # nodes: beyond all node numbers
 
 canvases = records(CANVAS_DTYPE)
 _vertices = records(np.dtype(np.float32))
 
 
 def room_for(lines: int) -> int:
-    """The most rectangles there can be."""
+    """Return the maximum number of rectangles."""
     side = lines // BLOCK
     return side * (side // 2 + 1) + 49
 
 
 @partial(compiled, inline=True)
 def within(x, low, high):
-    """A number that is no less than the one and no more than the other."""
+    """Return a number clipped to an interval."""
     return min(max(x, low), high)
 
 
 @compiled
 def put(vertices, number, relief, u, v, z):
-    """Puts a vertex to a place along the axes of the plane [m]."""
+    """Move a vertex to a position along the axes of the plane [m]."""
     origin, along = read_vector(relief.origin, 0), read_vector(relief.along, 0)
     across, normal = read_vector(relief.across, 0), read_vector(relief.normal, 0)
     point = origin + u * along + v * across + z * normal
@@ -86,7 +86,7 @@ def put(vertices, number, relief, u, v, z):
 
 @compiled
 def add_rectangle(canvas, u0, u1, v0, v1):
-    """Adds a rectangle, or as much of it as is in the sand."""
+    """Add a rectangle, clipped to the sand."""
     if canvas.bounded:
         u0, u1 = max(u0, canvas.low[0]), min(u1, canvas.high[0])
         v0, v1 = max(v0, canvas.low[1]), min(v1, canvas.high[1])
@@ -100,7 +100,7 @@ def add_rectangle(canvas, u0, u1, v0, v1):
 
 @compiled
 def line_around(canvas, axis, number, begin, end):
-    """Ends of the rectangles around a window from `begin` to `end`, from 0 to 7 [m]."""
+    """Return end `number`, 0 to 7, of the rectangles around a window from `begin` to `end` [m]."""
     if number < 3:
         return begin - _BEYOND[2 - number] * canvas.unit
     if number == 3:
@@ -112,15 +112,15 @@ def line_around(canvas, axis, number, begin, end):
 
 @compiled
 def add_rectangles(canvas, blocks, side, u, v, width):
-    """Adds rectangles for what the skin does not show of a plane.
+    """Add rectangles for the part of a plane that the skin does not show.
 
     Args:
         canvas: record of `CANVAS_DTYPE`.
-        blocks: which are drawn with the skin.
-        side: blocks along a side.
-        u: of the window's first corner [m].
-        v: of it.
-        width: of a block [m].
+        blocks: which blocks are drawn with the skin.
+        side: number of blocks along a side.
+        u: first coordinate of the window's first corner [m].
+        v: its second coordinate [m].
+        width: side of a block [m].
     """
     canvas.count = 0
     for a in range(side):
@@ -146,33 +146,33 @@ def add_rectangles(canvas, blocks, side, u, v, width):
 
 @compiled
 def first_of(canvas, axis, cell):
-    """The first node of the window along an axis, that of a block."""
+    """Return the first node of the window along an axis, that of a block."""
     side, width = canvas.lines // BLOCK, BLOCK * cell
     middle = canvas.middle[axis] / width
-    if not abs(middle) < _FAR // (BLOCK * canvas.stride):  # nor a number
+    if not abs(middle) < _FAR // (BLOCK * canvas.stride):  # also if it is NaN
         middle = 0.0
     return BLOCK * (math.floor(middle + 0.5) - side // 2)
 
 
 @cache
 def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
-    """Makes the program `shape(canvas, 0.0)`, which fills in a record of `CANVAS_DTYPE`.
+    """Make the program `shape(canvas, 0.0)`, which fills in a record of `CANVAS_DTYPE`.
 
     Args:
-        probe: of the surface without memory.
-        is_flat: whether that is plane where it is.
+        probe: probe of the surface without memory.
+        is_flat: whether that is locally plane.
         dtype: record of the relief.
     """
     level, reliefs = level_kernel(probe, is_flat), records(dtype)
 
     @partial(compiled, inline=True)
     def width_of(canvas, relief):
-        """How far vertices are apart [m]."""
+        """Return the distance between vertices [m]."""
         return canvas.stride * relief.cell
 
     @compiled
     def height(canvas, relief, state, i, j):
-        """Height of the sand at a vertex over the surface [m]; not a number is untouched."""
+        """Return the height of the sand at a vertex over the surface [m]; NaN if untouched."""
         i, j = canvas.stride * i, canvas.stride * j
         k = place_of(relief.size, i, j)
         if own_mark(state, relief.size, k, base_of(i, j)) < 0.0:
@@ -182,7 +182,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
 
     @compiled
     def place(canvas, relief, i, j):
-        """Where a node is drawn, (u, v) [m], and the level of the surface there [m]."""
+        """Return where a node is drawn, (u, v) [m], and the surface's level there [m]."""
         u, v = i * width_of(canvas, relief), j * width_of(canvas, relief)
         if canvas.bounded:
             u = within(u, canvas.low[0], canvas.high[0])
@@ -191,7 +191,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
 
     @compiled
     def choose(canvas, relief, state, blocks, first_i, first_j):
-        """Finds out which blocks are drawn with the skin; the lowest height over the plane [m]."""
+        """Select the blocks drawn with the skin; return the lowest height over the plane [m]."""
         side, cell = canvas.lines // BLOCK, width_of(canvas, relief)
         width = BLOCK * cell
         lowest = deepest = 0.0
@@ -224,7 +224,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
 
     @compiled
     def inside(canvas, cell, axis, i):
-        """The node nearest to another that is in the sand, along an axis."""
+        """Return the node in the sand that is nearest to another along an axis."""
         if not canvas.bounded:
             return i
         low, high = math.ceil(canvas.low[axis] / cell), math.floor(canvas.high[axis] / cell)
@@ -232,7 +232,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
 
     @compiled
     def sand_at(canvas, relief, state, i, j):
-        """Height at the node that is drawn for (i, j) over the surface [m]."""
+        """Return the height over the surface [m] at the node that is drawn for (i, j)."""
         cell = width_of(canvas, relief)
         return height(
             canvas, relief, state, inside(canvas, cell, 0, i), inside(canvas, cell, 1, j)
@@ -240,7 +240,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
 
     @compiled
     def fill(canvas, relief, state, blocks, first_i, first_j, lowest):
-        """Puts all vertices of the surface in their places."""
+        """Move all vertices of the surface to their positions."""
         n, cell = canvas.lines, width_of(canvas, relief)
         side, hair = n // BLOCK, _HAIR * cell
         vertices = _vertices(canvas.vertices, 3 * canvas.vertex_count)
@@ -265,7 +265,7 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                             seen = True
                 number = (i % n) * n + j % n
                 if kept:
-                    # At its edge the window comes down, or up, to what is drawn beyond.
+                    # At its edge the window descends, or rises, to what is drawn beyond.
                     near = min(min(a, n - a), min(b, n - b)) - BLOCK
                     u, v, z = place(canvas, relief, i, j)
                     z += sand_at(canvas, relief, state, i, j) * within(near / _ENDS, 0.0, 1.0)
@@ -281,14 +281,14 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
                     if canvas.bounded:  # behind the walls
                         u = within(u, canvas.low[0] + cell, canvas.high[0] - cell)
                         v = within(v, canvas.low[1] + cell, canvas.high[1] - cell)
-                    # What joins the ends of the window lies under all that is seen.
+                    # Triangles that join the ends of the window are under everything visible.
                     if row == 0 or column == 0 or row == side - 1 or column == side - 1:
                         z = lowest - cell
                 put(vertices, number, relief, u, v, z)
 
     @compiled
     def wall(canvas, relief, state, first_i, first_j, lowest):
-        """Puts the vertices of the walls in their places; an endless surface has none."""
+        """Move the vertices of the walls to their positions; an infinite surface has none."""
         n, cell = canvas.lines, width_of(canvas, relief)
         vertices = _vertices(canvas.vertices, 3 * canvas.vertex_count)
         number = n * n
@@ -334,6 +334,6 @@ def shape_kernel(probe: Any, is_flat: bool, dtype: np.dtype) -> Any:
 
 
 def shape_of(relief: Relief, base: np.dtype) -> Any:
-    """The program of a relief over a surface with that record."""
+    """Return the program of a relief over a surface with that record."""
     surface: type[Surface] = type(relief.base)
     return shape_kernel(surface.probe, relief.is_flat, relief_dtype(base))

@@ -1,9 +1,9 @@
-"""The skin that prints are drawn with: vertices of a grid, which are put where the sand is.
+"""The skin that draws tracks: vertices of a grid that are moved to the surface of the sand.
 
-MuJoCo's viewers and renderers take the vertices of a skin anew for every picture, so a picture can
-have a shape of its own wherever it is drawn. A skin has no part in the physics. Its grid is wrapped
-around as that of the memory is: node (i, j) has the vertex (i mod n, j mod n), and keeps the grains
-that are drawn on it when the robot walks on.
+MuJoCo's viewers and renderers read the vertices of a skin for every picture, so each picture can
+have its own shape. A skin does not affect the physics. Its grid is wrapped around like that of the
+memory: node (i, j) has the vertex (i mod n, j mod n), and its texture stays in place when the robot
+moves on.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ import numpy as np
 from mjgranular.relief.memory import EXTENT, Memory
 
 SKIN = "mjgranular_prints"
-"""Name of the skin; behind a space that of the sand."""
+"""Name of the skin; a space and the name of the sand follow."""
 
 BLOCK = 10
-"""Nodes along the side of a block, which is drawn with the skin or as a rectangle as a whole."""
+"""Nodes along the side of a block, which is drawn as a whole, with the skin or as a rectangle."""
 
 _MOST = 400
-"""Nodes along a side that are drawn. Chosen: 12 MB of vertices, normals and texture places."""
+"""Drawn nodes along a side. Chosen: 12 MB of vertices, normals and texture coordinates."""
 
 
 def stride_of(memory: Memory) -> int:
-    """Every how many-th node is drawn: as few are left out as a window of `EXTENT` allows."""
+    """Return the smallest stride of drawn nodes for which a window of `EXTENT` fits."""
     return math.ceil(min(memory.size, EXTENT / memory.cell - 1e-9) / _MOST)
 
 
 def lines_of(memory: Memory) -> int:
-    """Number of vertices along a side: those that are drawn, and a block around, which is not."""
+    """Return the number of vertices along a side: drawn ones, and a hidden block around them."""
     shown = BLOCK * math.ceil(memory.size / (BLOCK * stride_of(memory)))
     return min(shown, _MOST) + 2 * BLOCK
 
 
 def vertex_count(lines: int) -> int:
-    """Number of vertices: of the surface, and of walls at four sides, upper and lower edge."""
+    """Return the number of vertices: of the surface, and of four walls, upper and lower edge."""
     return lines * lines + 4 * 2 * (lines + 2)
 
 
@@ -51,18 +51,18 @@ def add_skin(
     rgb: Sequence[float] = (1.0, 1.0, 1.0),
     thickness: float = 0.0,
 ) -> None:
-    """Adds the skin of a sand to a model that has it not.
+    """Add the skin of a sand to a model, unless it has it.
 
-    MuJoCo does not show it by itself, as it is transparent, but fills in its vertices and normals
-    for whoever does.
+    MuJoCo does not draw it, since it is transparent, but computes its vertices and normals for code
+    that does.
 
     Args:
-        spec: the model to be; its physics stay as they are, to the last bit.
-        memory: of the sand.
-        material: name of the material of what is to be seen.
+        spec: the model to be; its physics are unchanged, to the last bit.
+        memory: memory of the sand.
+        material: name of the visible material.
         sand: name of the sand.
-        rgb: colour that the material is multiplied with.
-        thickness: of the sand, where its walls are seen [m].
+        rgb: color that the material is multiplied by.
+        thickness: thickness of the sand, if its walls are visible [m].
     """
     name = f"{SKIN} {sand}"
     if any(skin.name == name for skin in spec.skins):
@@ -85,7 +85,7 @@ def add_skin(
 
 
 def skin_of(model: mujoco.MjModel, sand: str = "sand") -> int:
-    """The id of the skin of a sand of that name; -1 for none."""
+    """Return the id of the skin of a sand of that name; -1 for none."""
     for number in range(model.nskin):
         if model.skin(number).name.replace(f"{SKIN} ", "") == sand:
             return number
@@ -93,7 +93,7 @@ def skin_of(model: mujoco.MjModel, sand: str = "sand") -> int:
 
 
 def _faces(lines: int) -> np.ndarray:
-    """Triangles, counter-clockwise as seen from outside, shape (n, 3)."""
+    """Return triangles, counter-clockwise as seen from outside, shape (n, 3)."""
     i, j = np.meshgrid(np.arange(lines), np.arange(lines), indexing="ij")
     ahead, beside = (i + 1) % lines, (j + 1) % lines
     a, b, c, d = (x * lines + y for x, y in ((i, j), (ahead, j), (ahead, beside), (i, beside)))
@@ -105,15 +105,15 @@ def _faces(lines: int) -> np.ndarray:
         wall = np.concatenate(
             [np.stack([k, k + 1, k + 3], axis=1), np.stack([k, k + 3, k + 2], axis=1)]
         )
-        # Outside is to the right along the first and the last.
+        # For the first and the last, outside is to the right along them.
         parts.append(wall if side in (0, 3) else wall[:, ::-1])
     return np.concatenate(parts)
 
 
 def _texture(lines: int, cell: float, thickness: float) -> np.ndarray:
-    """Places in the picture of grains [m], shape (n, 2).
+    """Return texture coordinates [m], shape (n, 2).
 
-    They go up and down again around the grid, which so has no seam; grains are the same mirrored.
+    They rise and fall around the grid, which therefore has no seam; grains look the same mirrored.
     """
     around = np.arange(lines)
     there = cell * np.minimum(around, lines - around)

@@ -1,4 +1,4 @@
-"""Sand that remembers: what bodies have pressed down and heaped up, as heights over a surface."""
+"""Sand with memory: tracks and rims that bodies have made, as heights over a surface."""
 
 from mjgranular.relief.heights import Heights as Heights
 from mjgranular.relief.memory import Memory as Memory

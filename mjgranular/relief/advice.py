@@ -1,4 +1,4 @@
-"""What a memory cannot show: geoms, ground and starts that do not go with its cells, in words."""
+"""Warn of geoms, ground and initial states that the cells of a memory cannot represent."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from mjgranular.shape.sizes import geom_name, geom_width, half_extents
 from mjgranular.surface import Bed, HeightField, Surface
 
 _PLACES = frozenset(("center", "point", "geom", "body", "slot"))
-"""Fields of elements that say where they are, and nothing of how large."""
+"""Fields of elements that give their position, not their size."""
 
 _SEVERAL = 4
-"""Cells to the width of what is to be told apart. Chosen."""
+"""Cells across a feature that is to be resolved. Chosen."""
 
 
 def warn_of_cells(
     model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
 ) -> None:
-    """Warns of geoms, beds and height fields that are finer than cells.
+    """Warn of geoms, beds and height fields that are finer than cells.
 
     Args:
         model: the model.
-        geoms: ids of those that meet the sand.
-        surface: without memory.
+        geoms: ids of the geoms that meet the sand.
+        surface: the surface without memory.
         memory: its memory.
 
     Warns:
@@ -74,21 +74,21 @@ def refuse_blind(
     memory: Memory,
     law: str,
 ) -> None:
-    """Refuses a law that looks for sand in the middle of bodies, and cannot know where they end.
+    """Check that a law does not look for sand in the middle of bodies.
 
-    Their skin presses the sand down; in the middle there is none any more, so that the body would
-    sink without end.
+    The surface points of bodies press the sand down; then there is none in the middle, and the body
+    would sink without limit.
 
     Args:
         model: the model.
-        elements: of the law.
-        reads: names of what its kernels read of them.
-        footprint: the skin of the bodies.
-        memory: of the sand.
+        elements: elements of the law.
+        reads: names of the element fields that its kernels read.
+        footprint: surface points of the bodies.
+        memory: memory of the sand.
         law: name of the law.
 
     Raises:
-        InputError: names the geom, and how far inside its skin the law looks.
+        InputError: names the geom, and how far inside its surface the law looks.
     """
     if not _PLACES.issuperset(reads):
         return
@@ -110,11 +110,11 @@ def refuse_blind(
 
 
 def warn_of_spread(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> None:
-    """Warns of bodies that are farther apart than what is remembered.
+    """Warn of bodies that are farther apart than the extent of the memory.
 
     Args:
         model: the model.
-        geoms: ids of those that meet the sand.
+        geoms: ids of the geoms that meet the sand.
         memory: its memory.
 
     Warns:
@@ -133,19 +133,19 @@ def warn_of_spread(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) 
 def warn_of_buried(
     model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
 ) -> None:
-    """Warns of a geom that starts wholly under the sand, where the model stands at qpos0.
+    """Warn of a geom that starts fully under the sand, at qpos0.
 
     Args:
         model: the model.
-        geoms: ids of those that meet the sand.
-        surface: without memory.
+        geoms: ids of the geoms that meet the sand.
+        surface: the surface without memory.
         memory: its memory.
 
     Warns:
-        GranularWarning: names the geom and how deep it is.
+        GranularWarning: names the geom and its depth.
     """
     if isinstance(surface, HeightField):
-        return  # its heights may come later
+        return  # its heights may be set later
     frame = frame_of(surface, surface.record(model)[0])
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

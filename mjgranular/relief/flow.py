@@ -1,10 +1,10 @@
-"""Sand flows down where it is steeper than it can rest.
+"""Sand flows down where it is steeper than its angle of repose.
 
 A slope is that of a triangle: a node and its two neighbors along the axes. A square of four nodes
-has four triangles, and the steepest of them is brought down. How steep a triangle is, is convex in
-its heights; they move against its gradient, which adds up to nothing. So each move is a step of a
-projection onto a convex set, after which no state that satisfies all bounds is farther away, and
-no volume is lost.
+has four triangles, and the steepest of them is leveled. The steepness of a triangle is convex in
+its heights; they move against its gradient, whose components sum to zero. So each move is a step of
+a projection onto a convex set: the distance to every state that satisfies all bounds does not grow,
+and no volume is lost.
 """
 
 from __future__ import annotations
@@ -42,31 +42,31 @@ from mjgranular.relief.lists import activate, claim, count_at, listed_at
 from mjgranular.relief.press import has_edges, is_sand
 
 REST = 5e-3
-"""Slope that may be left over that of repose: 0.2 degrees. Chosen."""
+"""Slope that may remain above that of repose: 0.2 degrees. Chosen."""
 
 
 @partial(compiled, inline=True)
 def slope_to(height, other, sign, level):
-    """Slope along an axis from a node to its neighbor; `level` if that is not a number.
+    """Return the slope along an axis from a node to its neighbor; `level` if that is NaN.
 
     Args:
-        height: of the node over the plane [cells].
-        other: of the neighbor; not a number where nothing flows.
-        sign: 1 if the neighbor lies ahead along the axis, -1 if behind.
-        level: slope of what is level.
+        height: height of the node over the plane [cells].
+        other: height of the neighbor; NaN where nothing flows.
+        sign: 1 if the neighbor is ahead along the axis, -1 if behind.
+        level: slope of level sand.
     """
     return sign * (other - height) if other == other else level
 
 
 @partial(compiled, inline=True)
 def excess_of(a, b, up, tangent):
-    """How much steeper than repose a triangle is; convex in its slopes.
+    """Return by how much a triangle is steeper than repose; convex in its slopes.
 
     Args:
         a: slope along the first axis of the plane.
         b: slope along the second.
-        up: what is up along the axes of the plane, a vector.
-        tangent: of the angle of repose.
+        up: upward direction along the axes of the plane, a vector.
+        tangent: tangent of the angle of repose.
     """
     rise = up.z - a * up.x - b * up.y  # of the normal (-a, -b, 1) along gravity
     return math.sqrt(max(1.0 + a * a + b * b - rise * rise, 0.0)) - tangent * rise
@@ -74,16 +74,16 @@ def excess_of(a, b, up, tangent):
 
 @partial(compiled, inline=True)
 def gains_of(a, b, up, tangent, ahead, beside, rate):
-    """Heights that the two neighbors of a steep triangle's node gain and it loses [cells].
+    """Return the heights that the node of a steep triangle loses to its two neighbors [cells].
 
     Args:
         a: slope along the first axis of the plane.
         b: slope along the second.
-        up: what is up along the axes of the plane, a vector.
-        tangent: of the angle of repose.
-        ahead: 1 if the first neighbor lies ahead, -1 if behind, 0 if nothing flows there.
+        up: upward direction along the axes of the plane, a vector.
+        tangent: tangent of the angle of repose.
+        ahead: 1 if the first neighbor is ahead, -1 if behind, 0 if nothing flows there.
         beside: the same of the second.
-        rate: part of the way to where it is no longer steep; below 2.
+        rate: fraction of the step that would end the excess; below 2.
     """
     excess = excess_of(a, b, up, tangent)
     rise = up.z - a * up.x - b * up.y
@@ -97,26 +97,26 @@ def gains_of(a, b, up, tangent, ahead, beside, rate):
 
 @cache
 def flow_kernel(level: Any, is_flat: bool) -> Any:
-    """Makes a kernel `flow(state, relief, rate)`: sand flows down where it is too steep.
+    """Make a kernel `flow(state, relief, rate)`: sand flows down where it is too steep.
 
-    From and to a node under a body nothing flows.
+    Nothing flows from or to a node under a body.
 
     Args:
         level: see `level_kernel`.
-        is_flat: whether the surface is plane where it is.
+        is_flat: whether the surface is locally plane.
     """
     room = scratch(18)
 
     @partial(compiled, inline=True)
     def flow_in_square(around, gained, first, up, tangent, rate):
-        """Brings the steepest triangle of a square down.
+        """Level the steepest triangle of a square.
 
         Args:
             around: heights of nine nodes [cells], row by row.
-            gained: what they have gained [cells].
+            gained: heights that they have gained [cells].
             first: the first node of the square.
-            up: what is up along the axes of the plane.
-            tangent: of the angle of repose.
+            up: upward direction along the axes of the plane.
+            tangent: tangent of the angle of repose.
             rate: see `gains_of`.
         """
         steepest, corner = REST, -1
@@ -152,7 +152,7 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
     def flow(state, relief, rate):
         cell, size, blocks, tangent = relief.cell, relief.size, relief.blocks, relief.repose
         has_edge, heights, per_cell = has_edges(relief), start_of(size, HEIGHT), 1.0 / relief.cell
-        # Where the list of active places begins, backwards.
+        # Start of the list of active places, which runs backward.
         end = start_of(size, LISTS) + size * size - 1
         area, up = cell * cell, vector(relief.along[2], relief.across[2], relief.normal[2])
         numbers = room()
@@ -179,7 +179,7 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
                     height = math.nan
                 around[q], gained[q] = height, 0.0
                 flowing |= (1 << q) if mark == FLOWS else 0
-            # Of the active nodes of a square the first sees to it.
+            # The first active node of a square handles it.
             if flowing & 0b000001011 == 0:
                 flow_in_square(around, gained, 0, up, tangent, rate)
             if flowing & 0b000000110 == 0:
@@ -209,7 +209,7 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
                 state[SETTLED] = max(state[SETTLED], height)
                 state[SEEN] = max(state[SEEN], height)
             highest = max(highest, height)
-        # Those that were activated on the way stand behind.
+        # Nodes activated meanwhile follow in the list.
         for n in range(count, count_at(state, size, ACTIVE)):
             state[end - kept] = state[end - n]
             kept += 1
@@ -221,7 +221,7 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
 
 @compiled
 def look_through(state, size):
-    """Looks through one row a step for the highest node: what was higher once may be gone."""
+    """Search one row per step for the highest node, since the last one found may be lower now."""
     row = min(max(int(state[ROW]), 0), size - 1)
     first, highest = start_of(size, HEIGHT) + row * size, 0.0
     for n in range(first, first + size):

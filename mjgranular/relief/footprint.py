@@ -1,4 +1,4 @@
-"""Footprints: the skin by which bodies press sand down, as points no farther apart than cells."""
+"""Footprints: points on the surface of bodies that press sand down, at most a cell apart."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from mjgranular.shape.sizes import check_count, geom_width, half_extents
 POINT_DTYPE = np.dtype(
     [
         ("point", np.float64, (3,)),  # [m], body frame
-        ("normal", np.float64, (3,)),  # unit, outward; of a rod's axis every one, so none: zero
+        ("normal", np.float64, (3,)),  # unit, outward; zero for a rod's axis, which has none
     ]
 )
 FOOT_DTYPE = np.dtype(
     [
         ("body", np.int64),
         ("end", np.int64),  # one past its last tile of points
-        ("middle", np.float64, (3,)),  # of the box around its points [m], body frame
+        ("middle", np.float64, (3,)),  # center of the box around its points [m], body frame
         ("half", np.float64, (3,)),  # half the extents of that box [m]
     ]
 )
 
 
 LANES = 8
-"""Points that are looked at side by side, a tile."""
+"""Points processed side by side, a tile."""
 
 TILE = 6 * LANES
-"""Numbers of a tile: each of a point's and a normal's for all points in turn."""
+"""Numbers in a tile: each component of points and normals for all points in turn."""
 
 _GEOM = mujoco.mjtGeom
-_BESIDE = 0.5  # what is remembered beyond the bodies themselves, both sides together [m]; chosen
+_BESIDE = 0.5  # extent beyond the bodies themselves, both sides together [m]; chosen
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """Points of the skin, geom by geom.
+    """Surface points, geom by geom.
 
     Attributes:
-        points: tiles, shape (n, 6, LANES); the last of a geom is filled up with its last point.
+        points: tiles, shape (n, 6, LANES); the last of a geom is padded with its last point.
         feet: rows of `FOOT_DTYPE`, one for each geom, body by body.
     """
 
@@ -55,12 +55,12 @@ class Footprint:
 
 
 def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> float:
-    """How far around a place sand counts for its level [m].
+    """Return the distance up to which sand counts for the level around a point [m].
 
     Args:
         model: the model.
-        geoms: ids of those that meet the sand.
-        memory: which may say so itself.
+        geoms: ids of the geoms that meet the sand.
+        memory: which may set this distance.
     """
     if memory.surroundings is not None:
         return memory.surroundings
@@ -68,14 +68,14 @@ def surroundings_of(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory)
 
 
 def fitting(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> Memory:
-    """A memory that reaches as far as a model needs, unless it says itself how far it reaches.
+    """Return a memory whose extent fits the model, unless the extent was set.
 
-    It needs room for the surroundings of its widest geom, and for all that meets the sand, where
-    the model stands as it is (qpos0), with a quarter of a metre on each side.
+    It must hold the surroundings of its widest geom, and everything that meets the sand at qpos0,
+    with a quarter of a meter on each side.
 
     Args:
         model: the model.
-        geoms: ids of those that meet the sand.
+        geoms: ids of the geoms that meet the sand.
         memory: its memory.
     """
     needed = WINDOW * surroundings_of(model, geoms, memory), spread_of(model, geoms) + _BESIDE
@@ -83,7 +83,7 @@ def fitting(model: mujoco.MjModel, geoms: Sequence[int], memory: Memory) -> Memo
 
 
 def spread_of(model: mujoco.MjModel, geoms: Sequence[int]) -> float:
-    """How far apart geoms reach along x or y, where the model stands as it is (qpos0) [m]."""
+    """Return the greatest extent of the geoms along x or y at qpos0 [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     axes = data.geom_xmat[list(geoms)].reshape(-1, 3, 3)
@@ -96,18 +96,18 @@ def spread_of(model: mujoco.MjModel, geoms: Sequence[int]) -> float:
 def footprint_of(
     model: mujoco.MjModel, geoms: Sequence[int], elements: np.ndarray, cell: float
 ) -> Footprint:
-    """The footprint of the geoms that meet the sand.
+    """Return the footprint of the geoms that meet the sand.
 
-    It is where a law's elements look for sand: the axis of a rod, the skin of all else.
+    It is where a law's elements look for sand: the axis of a rod, the surface of all other geoms.
 
     Args:
         model: the model.
         geoms: their ids.
-        elements: of the law.
+        elements: elements of the law.
         cell: side of a cell [m].
 
     Raises:
-        InputError: more points than there is room for.
+        InputError: too many points.
     """
     parts: dict[int, list[np.ndarray]] = {int(geom): [] for geom in elements["geom"]}
     if "half_length" in (elements.dtype.names or ()):
@@ -127,7 +127,7 @@ def footprint_of(
 
 
 def _in_tiles(points: np.ndarray) -> np.ndarray:
-    """Points as kernels read them, shape (n, 6, LANES)."""
+    """Return points as kernels read them, shape (n, 6, LANES)."""
     points = np.concatenate([points, np.repeat(points[-1:], -len(points) % LANES)])
     numbers = np.concatenate([points["point"], points["normal"]], axis=1)
     return numbers.reshape(-1, LANES, 6).transpose(0, 2, 1)
@@ -142,7 +142,7 @@ def _on_rod(rod: np.void, cell: float) -> np.ndarray:
 
 
 def _on_skin(model: mujoco.MjModel, geom: int, cell: float) -> np.ndarray:
-    """Points all over the skin of a geom, no farther apart than a cell; body frame."""
+    """Return points all over the surface of a geom, at most a cell apart; body frame."""
     kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     if kind == _GEOM.mjGEOM_MESH:
         places, normals = _on_mesh(model, geom, cell)
@@ -153,7 +153,7 @@ def _on_skin(model: mujoco.MjModel, geom: int, cell: float) -> np.ndarray:
         ends = [[0, half], [radius, half], [radius, -half], [0, -half]]
         places, normals = _revolved([_on_line(*two, cell) for two in pairwise(ends)], cell)
     else:
-        # The skin of a ball, drawn out: of a capsule along its axis, of an ellipsoid along all.
+        # A stretched sphere: a capsule along its axis, an ellipsoid along all axes.
         half = size[1] if kind == _GEOM.mjGEOM_CAPSULE else 0.0
         radius = half_extents(model, geom) - [0, 0, half]
         profile = [_on_arc(radius.max(), half, cell)]
@@ -172,7 +172,7 @@ def _on_skin(model: mujoco.MjModel, geom: int, cell: float) -> np.ndarray:
 
 
 def _on_line(begin: Sequence[float], end: Sequence[float], cell: float) -> np.ndarray:
-    """Points of a profile (`_revolved`) on a straight piece of it, with outside on the left."""
+    """Return points of a profile (`_revolved`) on a straight piece, with outside on the left."""
     first, last = np.array(begin, float), np.array(end, float)
     way = last - first
     share = (1 + _middles(float(np.linalg.norm(way)), cell)[:, None]) / 2
@@ -180,7 +180,7 @@ def _on_line(begin: Sequence[float], end: Sequence[float], cell: float) -> np.nd
 
 
 def _on_arc(radius: float, half: float, cell: float) -> np.ndarray:
-    """Points of a profile (`_revolved`) on half a circle, its halves apart by twice `half`."""
+    """Return points of a profile (`_revolved`) on a half circle, its halves `2 half` apart."""
     polar = math.pi / 2 * (1 + _middles(math.pi * radius, cell))
     normals = np.stack([np.sin(polar), np.cos(polar)], axis=1)
     apart = half * np.sign(normals[:, 1:])
@@ -188,11 +188,11 @@ def _on_arc(radius: float, half: float, cell: float) -> np.ndarray:
 
 
 def _revolved(profile: Sequence[np.ndarray], cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places and normals on a skin around the z axis.
+    """Return points and normals on a surface of revolution around the z axis.
 
     Args:
         profile: points (r, z) of it with their normals, shape (n, 4).
-        cell: how far apart points are, at most [m].
+        cell: largest distance between points [m].
     """
     points = []
     for r, z, out, up in np.concatenate(profile):
@@ -215,13 +215,13 @@ def _on_box(half: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _middles(length: float, cell: float) -> np.ndarray:
-    """Middles of equal parts of a length, no longer than a cell, from -1 to 1."""
+    """Return the centers of equal parts of a length, at most a cell long, from -1 to 1."""
     count = max(math.ceil(length / cell - 1e-9), 1)
     return (2 * np.arange(count) + 1) / count - 1
 
 
 def _on_mesh(model: mujoco.MjModel, geom: int, cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the triangles of a mesh, cut until none is longer than a cell."""
+    """Return the centers of the triangles of a mesh, divided until none is longer than a cell."""
     places, normals = [], []
     mesh = int(model.geom_dataid[geom])
     first, start = int(model.mesh_vertadr[mesh]), int(model.mesh_faceadr[mesh])
@@ -240,7 +240,7 @@ def _on_mesh(model: mujoco.MjModel, geom: int, cell: float) -> tuple[np.ndarray,
 
 @cache
 def _in_triangle(parts: int) -> np.ndarray:
-    """Weights of a triangle's corners for the middles of the parts of it, each edge cut in so many.
+    """Return corner weights of the centers of a triangle's parts, each edge divided by `parts`.
 
     Returns:
         Shape (parts^2, 3).

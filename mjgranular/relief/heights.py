@@ -1,4 +1,4 @@
-"""`Heights`: what a surface remembers about a place, as arrays for figures and drawings."""
+"""`Heights`: the stored heights of a surface around a point, as arrays for plots and drawings."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class Heights:
     """Heights of the sand over its surface, on a square of nodes.
 
     Attributes:
-        x: of the nodes along the first axis of the surface's plane [m], shape (n,).
-        y: along the second [m], shape (n,). On a level plane both are the world's.
-        height: over the surface, along its normal [m], shape (n, n): `height[i, j]` at
-            (x[i], y[j]). Zero where nothing has moved the sand, and where that is forgotten.
+        x: coordinates of the nodes along the first axis of the surface's plane [m], shape (n,).
+        y: coordinates along the second [m], shape (n,). On a level plane both are the world's.
+        height: over the surface, along its normal [m], shape (n, n): `height[i, j]` at (x[i],
+            y[j]). Zero where nothing has moved the sand, and where that is forgotten.
     """
 
     x: np.ndarray
@@ -29,14 +29,14 @@ class Heights:
 
 
 def checked_state(saved: Any, size: int) -> np.ndarray:
-    """What a surface remembers, as somebody gives it back.
+    """Check a stored state of a surface that a user passes back.
 
     Args:
         saved: numbers of the state.
-        size: how many there should be.
+        size: required length.
 
     Raises:
-        InputError: others, or some that are not finite.
+        InputError: the length differs, or some numbers are not finite.
     """
     try:
         state = np.asarray(saved, float)
@@ -57,15 +57,15 @@ def checked_state(saved: Any, size: int) -> np.ndarray:
 
 
 def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -> Heights:
-    """The heights about a place, as far as they are remembered.
+    """Return the stored heights around a point.
 
     Args:
-        state: of the relief (`relief.grid`).
-        memory: how it remembers.
-        middle: of the square, along the axes of the plane [m].
+        state: state of the relief (`relief.grid`).
+        memory: memory of the relief.
+        middle: center of the square, along the axes of the plane [m].
 
     Raises:
-        InputError: the middle is no two numbers.
+        InputError: the center is not two numbers.
     """
     size = memory.size
     i, j = square_about(memory, middle)
@@ -76,14 +76,14 @@ def heights_of(state: np.ndarray, memory: Memory, middle: tuple[float, float]) -
 
 
 def square_about(memory: Memory, middle: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of the nodes of the square about a place that may be remembered.
+    """Return rows and columns of the nodes of the square around a point that may be stored.
 
     Args:
-        memory: how it remembers.
-        middle: along the axes of the plane [m].
+        memory: memory of the relief.
+        middle: center along the axes of the plane [m].
 
     Raises:
-        InputError: the middle is no two numbers.
+        InputError: the center is not two numbers.
     """
     numbers = np.asarray(middle)
     if numbers.shape != (2,) or numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():

@@ -1,6 +1,6 @@
-"""Marks of nodes and lists of places in the state: what lies under bodies, and where sand flows.
+"""Labels of nodes and lists of places in the state: places under bodies, and where sand flows.
 
-Counts and places are read as numbers that anybody may have written: none leads out of the state.
+Counts and places are treated as untrusted numbers: none may lead outside the state.
 """
 
 from __future__ import annotations
@@ -28,47 +28,47 @@ from mjgranular.relief.grid import (
 
 @partial(compiled, inline=True)
 def count_at(state, size, number):
-    """The length of a list: `COVERED` or `ACTIVE`."""
+    """Return the length of a list: `COVERED` or `ACTIVE`."""
     return min(max(int(state[number]), 0), size * size)
 
 
 @partial(compiled, inline=True)
 def listed_at(state, size, n):
-    """The place that stands somewhere in the lists."""
+    """Return entry `n` of the lists, a place."""
     n = min(max(n, 0), size * size - 1)
     return min(max(int(state[start_of(size, LISTS) + n]), 0), size * size - 1)
 
 
 @partial(compiled, inline=True)
 def is_full(state, size):
-    """Tells whether the lists have no room."""
+    """Return True if the lists are full."""
     return state[COVERED] + state[ACTIVE] >= size * size
 
 
 @compiled
 def claim(state, size, blocks, area, k, base):
-    """Makes a place that of a node: what was there before is forgotten.
+    """Assign a place to a node; the height stored there before is forgotten.
 
     Args:
-        state: of the simulation.
-        size: of the grid.
-        blocks: along a side.
-        area: of a cell [m^2].
+        state: state of the simulation.
+        size: size of the grid.
+        blocks: number of blocks along a side.
+        area: area of a cell [m^2].
         k: the place.
-        base: of the node (`base_of`).
+        base: key of the node (`base_of`).
     """
     height = state[start_of(size, HEIGHT) + k]
     state[FORGOTTEN] += area * height
     add_height(state, size, blocks, k, -height)
     state[start_of(size, HEIGHT) + k] = 0.0
-    # Where sand may flow stands in a list.
+    # A place where sand may flow is in a list.
     mark = FLOWS if mark_at(state, size, k) == FLOWS else UNMARKED
     state[start_of(size, KEY) + k] = base + mark
 
 
 @compiled
 def activate(state, size, k):
-    """Has sand flow at a place, from the next step on."""
+    """Let sand flow at a place, from the next step on."""
     if mark_at(state, size, k) == UNMARKED and not is_full(state, size):
         count = count_at(state, size, ACTIVE)
         state[start_of(size, LISTS) + size * size - 1 - count] = k
@@ -78,7 +78,7 @@ def activate(state, size, k):
 
 @compiled
 def cover(state, size, k):
-    """Marks a place as under a body; it is not listed twice in a step."""
+    """Label a place as under a body; it is listed once per step."""
     mark = mark_at(state, size, k)
     if mark != UNDER and not is_full(state, size):
         count = count_at(state, size, COVERED)
@@ -89,7 +89,7 @@ def cover(state, size, k):
 
 @compiled
 def begin_covering(state, size):
-    """Marks what lay under bodies as such; the number of these places, which are listed first."""
+    """Label places that were under bodies; return their number. They are listed first."""
     before = count_at(state, size, COVERED)
     for n in range(before):
         k = listed_at(state, size, n)
@@ -100,7 +100,7 @@ def begin_covering(state, size):
 
 @compiled
 def end_covering(state, size, before):
-    """Has sand flow where bodies have left, and lists nothing but what lies under bodies now."""
+    """Let sand flow where bodies have left, and keep only places that are under bodies now."""
     count, lists = count_at(state, size, COVERED), start_of(size, LISTS)
     for n in range(before):
         k = listed_at(state, size, n)

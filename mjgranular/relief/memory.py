@@ -1,4 +1,4 @@
-"""`Memory`: how finely, how far and as what kind of sand a surface remembers."""
+"""`Memory`: resolution, extent and material parameters of a surface's memory."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ REPOSE = math.radians(32)
 (docs/memory.md)."""
 
 MOST_CELLS = 2000
-"""Along a side. Chosen: 100 MB for each simulation."""
+"""Maximum along a side. Chosen: 100 MB for each simulation."""
 
 EXTENT = 2.0
-"""Side of the square that is remembered where a model asks for no more [m]. Chosen."""
+"""Default side of the stored square [m]. Chosen."""
 
 _BULKING = (0.5, 2.0)
 """Chosen: the densest and the loosest packing of spheres differ by a factor of 1.4."""
 
 _MULTIPLE = 20  # of cells along a side, so that blocks of several sizes fill it
 WINDOW = 5
-"""Blocks along a side that a mean may look at."""
+"""Maximum number of blocks along a side that a mean reads."""
 
 
 @dataclass(frozen=True)
@@ -35,16 +35,17 @@ class Memory:
 
     Attributes:
         cell: side of a cell [m]; several to the width of a foot.
-        extent: side of the square that is remembered [m], rounded up to a multiple of 20 cells. The
-            grid is wrapped around: who walks farther writes over what lies this far behind. None
-            for 2 m or, where the model is known, as much more as its bodies need.
-        surroundings: how far around a place the sand counts for its level [m]: the mean is that of
-            a square of four times this. None for the width of the widest geom and four cells.
+        extent: side of the stored square [m], rounded up to a multiple of 20 cells. The grid is
+            wrapped around: a body that moves farther overwrites what is this far behind. None for 2
+            m, or more if the bodies of a model need it.
+        surroundings: distance up to which sand counts for the level around a point [m]: the mean is
+            that of a square of four times this. None for the width of the widest geom and four
+            cells.
         repose: angle of repose [rad]; steeper slopes flow down.
-        bulking: volume that sand takes when it is moved, in parts of what it took before.
+        bulking: volume of moved sand relative to its volume before.
 
     Raises:
-        InputError: a value without meaning, or more cells than there is room for.
+        InputError: an invalid value, or too many cells.
     """
 
     cell: float = 0.01
@@ -93,14 +94,14 @@ class Memory:
 
     @property
     def side(self) -> float:
-        """Side of the square that is remembered [m], before it is rounded up."""
+        """Side of the stored square [m], before it is rounded up."""
         return EXTENT if self.extent is None else self.extent
 
     def reaching(self, length: float) -> Memory:
-        """This one, but if no extent was given, with one of at least that length [m]."""
+        """Return this memory; if its extent was not set, with one of at least that length [m]."""
         if self.extent is not None or length <= EXTENT:
             return self
-        upward = math.ceil(10 * length - 1e-9) / 10  # to a number that is read easily
+        upward = math.ceil(10 * length - 1e-9) / 10  # to a readable number
         return replace(self, extent=min(upward, MOST_CELLS * self.cell))
 
     @property
@@ -110,17 +111,17 @@ class Memory:
 
     @property
     def state_size(self) -> int:
-        """Number of numbers of the state."""
+        """Length of the state."""
         return state_size(self.size)
 
     def blocks(self, surroundings: float) -> int:
-        """Number of blocks along a side, of at least that width [m].
+        """Return the number of blocks along a side, of at least that width [m].
 
         Raises:
-            InputError: the extent is too small for so wide ones.
+            InputError: the extent is too small for blocks of that width.
         """
         size = self.size
-        # A quarter of the cells at most: so many have room in the state.
+        # At most a quarter of the cells: the state has memory for these.
         for count in range(size // 4, WINDOW - 1, -1):
             if size % count == 0 and size // count * self.cell >= surroundings * (1 - 1e-9):
                 return count
@@ -133,12 +134,12 @@ class Memory:
 
 
 def as_memory(memory: Any) -> Memory | None:
-    """A memory as it may be given.
+    """Convert an argument to a memory.
 
     Args:
-        memory: a `Memory`; the side of a cell [m]; True for one of defaults; words such as
-            "cell=0.01 extent=4", "0.01" and "true", as MJCF and the command line have them; None or
-            False for none.
+        memory: a `Memory`; the side of a cell [m]; True for the defaults; words such as "cell=0.01
+            extent=4", "0.01" and "true", as in MJCF and on the command line; None or False for
+            none.
 
     Raises:
         InputError: it is none of these.

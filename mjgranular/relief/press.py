@@ -1,4 +1,4 @@
-"""Bodies press sand down and heap it up beside them."""
+"""Bodies press sand down and deposit it as rims beside them."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from mjgranular.relief.grid import (
 from mjgranular.relief.lists import activate, claim, count_at, cover, listed_at
 
 LEAST = 0.1
-"""Least height that is pressed down at once, in parts of the slack, within which force does not
-change. Chosen: who creeps heaps up seldom."""
+"""Least height that is pressed down at once, relative to the slack, within which force does not
+change. Chosen: slowly creeping bodies then update rarely."""
 
 FACES_DOWN = -math.sin(math.radians(1.0))
-"""The part of a normal along that of the sand, at most, of skin that presses sand down: what is
-closer to upright covers none. Chosen."""
+"""Largest component of a normal along the sand's for which a surface presses sand down: steeper
+faces cover no area. Chosen."""
 
 
 class Skin(NamedTuple):
-    """A point of the skin, as kernels read it (`footprint.POINT_DTYPE`)."""
+    """A surface point, as kernels read it (`footprint.POINT_DTYPE`)."""
 
     point: Vector
     normal: Vector
@@ -54,24 +54,24 @@ class Skin(NamedTuple):
 
 @partial(compiled, inline=True)
 def is_sand(relief, u, v):
-    """Tells whether a place is not beside the sand."""
+    """Return True if a place is within the sand."""
     return abs(u) <= relief.half_along and abs(v) <= relief.half_across
 
 
 @partial(compiled, inline=True)
 def has_edges(relief):
-    """Tells whether there are places beside the sand."""
+    """Return True if there are places outside the sand."""
     return relief.half_along < math.inf or relief.half_across < math.inf
 
 
 @partial(compiled, inline=True)
 def lowest_of(foot, turn, shift):
-    """Height of the lowest corner of the box around a body's skin over the plane [m].
+    """Return the height of the lowest corner of the box around a body's points over the plane [m].
 
     Args:
         foot: record of `FOOT_DTYPE`.
-        turn: axes of the plane in the body's frame, a matrix.
-        shift: place of the body's frame along them [m].
+        turn: axes of the plane in the body frame, a matrix.
+        shift: position of the body frame along them [m].
     """
     n, half = turn.z, read_vector(foot.half, 0)
     reach = abs(n.x) * half.x + abs(n.y) * half.y + abs(n.z) * half.z
@@ -80,9 +80,10 @@ def lowest_of(foot, turn, shift):
 
 @partial(compiled, inline=True)
 def skin_at(z, slope_u, slope_v, du, dv, cell):
-    """Height of the skin so far beside a point of it [m]: its tangent plane's, where that rises.
+    """Return the height of a body's surface at an offset from one of its points [m].
 
-    Nothing, at infinity, where that is more than a cell higher: nearer points show what is there.
+    It is that of the tangent plane where that rises; infinite if that is more than a cell higher,
+    since nearer points determine the height there.
     """
     rise = max(slope_u * du + slope_v * dv, 0.0)
     return z + rise if rise <= cell else math.inf
@@ -90,21 +91,22 @@ def skin_at(z, slope_u, slope_v, du, dv, cell):
 
 @cache
 def press_kernel(level: Any, is_flat: bool) -> Any:
-    """Makes a kernel `press(state, relief, turn, shift, points)`: the volume pressed down [m^3].
+    """Make a kernel `press(state, relief, turn, shift, points)`: the volume pressed down [m^3].
 
-    Where sand reaches the skin it is pressed down: at the four nodes around a point of it, to the
-    height of the point or, where the skin rises beside it, to its tangent plane. Upright skin
-    presses nothing down, nor does skin that faces upward. The points are one tile, `LANES` of them.
+    Sand that reaches the surface of a body is pressed down: at the four nodes around a surface
+    point, to the height of the point or, where the surface rises beside it, to its tangent plane.
+    Upright surfaces press nothing down, nor do those that face upward. The points are one tile,
+    `LANES` of them.
 
     Args:
         level: see `level_kernel`.
-        is_flat: whether the surface is plane where it is.
+        is_flat: whether the surface is locally plane.
     """
     read, write, room = rows(Skin, LANES).read, rows(float, LANES).write, scratch(5 * LANES)
 
     @compiled
     def press_at(state, relief, z, u, v, slope_u, slope_v):
-        """Presses at one point: its place, and the slopes of the skin there."""
+        """Press at one point, from its position and the slopes of the body's surface there."""
         if not is_sand(relief, u, v):
             return 0.0
         cell, size, blocks = relief.cell, relief.size, relief.blocks
@@ -134,7 +136,7 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
     def press(state, relief, turn, shift, points):
         skin, place = read(points, 0), room()
         z = dot(turn.z, skin.point) + shift.z
-        # The axis of a rod has no face, and faces anywhere.
+        # The axis of a rod has no face; it acts in all directions.
         has_face = dot(skin.normal, skin.normal) > 0.5
         downward = choose(has_face, dot(turn.z, skin.normal), -1.0)
         reach = choose(downward <= FACES_DOWN, z, math.inf)
@@ -167,13 +169,13 @@ def press_kernel(level: Any, is_flat: bool) -> Any:
 
 @compiled
 def heap(state, relief, first, volume):
-    """Heaps sand up around a body: each node at the edge of its print on all within two cells.
+    """Deposit sand around a body: each edge node of its track on all nodes within two cells.
 
     Args:
-        state: of the simulation.
+        state: state of the simulation.
         relief: record of the surface.
-        first: of the listed places that lie under the body, the last of all.
-        volume: of the sand [m^3].
+        first: first of the listed places under the body, which are the last in the list.
+        volume: volume of the sand [m^3].
     """
     volume += state[WAITING]
     if not volume > 0.0:
@@ -181,7 +183,7 @@ def heap(state, relief, first, volume):
     cell, size, blocks, has_edge = relief.cell, relief.size, relief.blocks, has_edges(relief)
     heights, lists, area = start_of(size, HEIGHT), start_of(size, LISTS), cell * cell
     last = count_at(state, size, COVERED)
-    # What is found is written down between the lists, with room for all of it in the second.
+    # Nodes found are stored between the lists, with space for all of them in the second.
     room, found = (size * size - last - count_at(state, size, ACTIVE)) // 2, 0
     for n in range(first, last):
         k = listed_at(state, size, n)
@@ -202,7 +204,8 @@ def heap(state, relief, first, volume):
             for dj in range(-2, 3):
                 q, base = begin + wrapped(column + dj, size), base_beside(middle, di, dj)
                 mark = own_mark(state, size, q, base)
-                # Where a body was in the last step it most likely is, if not yet seen to.
+                # A place with a body in the last step most likely still has one, if not yet
+                # processed.
                 if mark >= UNDER or found == room:
                     continue
                 if has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell):

@@ -1,18 +1,18 @@
-"""Kernels that find depth under a surface with a relief.
+"""Kernels that compute depth under a surface with a relief.
 
-Resistance goes with the depth below the sand *around* the body, not below what it has pressed down
-itself. And there is none where there is no sand: a face that has moved away from the sand that it
-pressed moves freely until it meets sand again. So
+Resistance depends on the depth below the sand *around* the body, not below the track that it has
+pressed itself. And it is zero where there is no sand: a face that has moved away from the sand that
+it pressed moves freely until it meets sand again. So
 
     depth = (around - z) min((height - z) / min(slack, around - z), 1)
 
-with z the place's own height, `height` that of the sand there, and `around` the mean around the
-body. On untouched sand both are 0, and the depth is that below the surface, exactly. `slack` is
-what is left of the depth of a print: sand is pressed down to within it, so that who stands still in
-his print is held by all of it, and force falls to nothing as he rises by as much.
+with z the height of the point, `height` that of the sand there, and `around` the mean around the
+body. On untouched sand both are 0, and the depth is exactly that below the surface. `slack` is the
+remaining depth in a track: sand is pressed down to within it, so that a body standing still in its
+track is supported by all of the resistance, which falls to zero as the body rises by that much.
 
-What resists a steep face is the sand ahead of it, a cell and a half away; what resists a flat one
-is under it.
+A steep face is resisted by the sand ahead of it, a cell and a half away; a flat one by the sand
+under it.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from mjgranular.kernel.vector import dot, norm, read_vector
 from mjgranular.relief.grid import HIGHEST, height_at, mean_at, state_size
 
 AHEAD = 1.5
-"""How far ahead of a steep face its sand is looked at [cells]: beyond all nodes that the body
-itself has pressed down. Chosen."""
+"""How far ahead of a steep face sand is evaluated [cells]: beyond all nodes that the body itself
+has pressed down. Chosen."""
 
 STEEP = 0.7
-"""Sine of the tilt from which on a face looks as far ahead, and presses nothing down: 45 degrees.
+"""Sine of the tilt from which a face looks that far ahead, and presses nothing down: 45 degrees.
 Chosen."""
 
 state_length = compiled(state_size)
@@ -39,17 +39,17 @@ state_length = compiled(state_size)
 
 @partial(compiled, inline=True)
 def highest_of(relief):
-    """A height that nothing of the sand is above [m]."""
+    """Return an upper bound of the sand's height [m]."""
     return floats(relief.state, 1)[HIGHEST]
 
 
 @cache
 def level_kernel(probe: Any, is_flat: bool) -> Any:
-    """Makes a kernel `level(relief, u, v)`: the surface's height over its own plane [m].
+    """Make a kernel `level(relief, u, v)`: the surface's height over its own plane [m].
 
     Args:
-        probe: of the surface itself.
-        is_flat: whether that is plane where it is.
+        probe: probe of the surface itself.
+        is_flat: whether that is locally plane.
     """
 
     @compiled
@@ -68,12 +68,12 @@ def level_kernel(probe: Any, is_flat: bool) -> Any:
 
 @cache
 def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
-    """Makes a kernel `look(relief, point, ahead)`: depth of a point [m], and the normal above it.
+    """Make a kernel `look(relief, point, ahead)`: depth of a point [m], and the normal above it.
 
     Args:
-        probe: of the surface itself.
-        is_flat: whether that is plane where it is.
-        height: kernel `height(relief, state, u, v, ahead)`: of the sand that counts there [m].
+        probe: probe of the surface itself.
+        is_flat: whether that is locally plane.
+        height: kernel `height(relief, state, u, v, ahead)`: height of the relevant sand [m].
     """
     level = level_kernel(probe, is_flat)
 
@@ -84,7 +84,7 @@ def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
         place = point - read_vector(relief.origin, 0)
         z = dot(place, n)
         u, v = dot(place, read_vector(relief.along, 0)), dot(place, read_vector(relief.across, 0))
-        # Beside a bed, or under it, there is no sand.
+        # There is no sand beside or under a bed.
         if not (abs(u) <= relief.half_along and abs(v) <= relief.half_across):
             return depth, normal
         if is_flat and z < 0.0 and depth < 0.0:
@@ -105,10 +105,10 @@ def look_kernel(probe: Any, is_flat: bool, height: Any) -> Any:
 
 @cache
 def toward_kernel(probe: Any, is_flat: bool) -> Any:
-    """Makes a kernel `toward(relief, point, outward)`: `look` from a face with that normal.
+    """Make a kernel `toward(relief, point, outward)`: `look` from a face with that normal.
 
-    The more a face is tilted, the farther ahead it looks: a cell is too coarse to tell what is
-    under one side of it from what is under the other.
+    The more a face is tilted, the farther ahead it looks: a cell is too coarse to distinguish sand
+    under one side of it from that under the other.
     """
 
     @partial(compiled, inline=True)
@@ -132,7 +132,7 @@ def toward_kernel(probe: Any, is_flat: bool) -> Any:
 
 @cache
 def around_kernel(probe: Any, is_flat: bool) -> Any:
-    """Makes a kernel `around(relief, point)`: `look` at the highest sand under and beside a point.
+    """Make a kernel `around(relief, point)`: `look` at the highest sand under and beside a point.
 
     For elements without a face, such as the axis of a rod: sand on any side resists them.
     """
@@ -158,7 +158,7 @@ def around_kernel(probe: Any, is_flat: bool) -> Any:
 
 @cache
 def ceiling_kernel(probe: Any) -> Any:
-    """Makes a kernel `ceiling(relief, point)`: the plane above all that is heaped up."""
+    """Make a kernel `ceiling(relief, point)`: a plane above all heaps."""
 
     @compiled
     def ceiling(relief, point):

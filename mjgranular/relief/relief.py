@@ -1,4 +1,4 @@
-"""`Relief`: a surface that remembers, as laws and schemes see it."""
+"""`Relief`: a surface with memory, as laws and schemes see it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from mjgranular.relief.probe import around_kernel, ceiling_kernel, toward_kernel
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 
 SLACK = 0.1
-"""Depth of what stands in its print below the sand that it has pressed down [cells]. Chosen."""
+"""Depth of a body standing in its track below the sand that it has pressed down [cells]. Chosen."""
 
 
 @cache
 def relief_dtype(base: np.dtype) -> np.dtype:
-    """The record of a relief over a surface with that record."""
+    """Return the record of a relief over a surface with that record."""
     vectors = [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
     numbers = ("cell", "slack", "repose", "bulking", "half_along", "half_across")
-    # Addresses: of the state (`grid`), of points of the skin and of bodies (`footprint`).
+    # Addresses: of the state (`grid`), of surface points and of bodies (`footprint`).
     integers = ("size", "blocks", "state", "points", "feet", "foot_count")
     return np.dtype(
         [
@@ -38,16 +38,15 @@ def relief_dtype(base: np.dtype) -> np.dtype:
 
 @dataclass(frozen=True)
 class Relief(Surface):
-    """A surface that remembers.
+    """A surface with memory.
 
     Attributes:
         base: the surface without memory.
-        memory: how it remembers.
-        surroundings: how far around a place the sand counts for its level [m].
+        memory: its memory.
+        surroundings: distance up to which sand counts for the level around a point [m].
 
     Raises:
-        InputError: a surface of a kind that has no plane to have heights over, or an extent that is
-            too small.
+        InputError: a kind of surface without a plane under the heights, or too small an extent.
     """
 
     base: Surface
@@ -77,7 +76,7 @@ class Relief(Surface):
 
     @property
     def is_flat(self) -> bool:
-        """Tells whether the surface itself is plane where it is."""
+        """Return True if the surface itself is locally plane."""
         return isinstance(self.base, (Plane, Bed))
 
     def record(self, model: mujoco.MjModel) -> np.ndarray:
@@ -105,11 +104,11 @@ class Relief(Surface):
 
 
 def frame_of(surface: Surface, record: Any) -> dict[str, Any]:
-    """The plane that heights are over: its origin and axes, world, and half its extents [m].
+    """Return the plane under the heights: its origin and axes, world, and half its extents [m].
 
     Args:
-        surface: without memory.
-        record: of it.
+        surface: the surface without memory.
+        record: its record.
     """
     if isinstance(surface, Plane):
         normal = record["normal"]
@@ -141,7 +140,7 @@ def frame_of(surface: Surface, record: Any) -> dict[str, Any]:
 def place_in_plane(
     surface: Surface, model: mujoco.MjModel, point: np.ndarray
 ) -> tuple[float, float]:
-    """The place of a point [m], world, along the axes of the plane that heights are over."""
+    """Return the position of a point [m], world, along the axes of the plane under the heights."""
     frame = frame_of(surface, surface.record(model)[0])
     away = point - frame["origin"]
     return float(away @ frame["along"]), float(away @ frame["across"])

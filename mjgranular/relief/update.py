@@ -1,8 +1,8 @@
-"""What a step leaves behind: bodies press sand down, it is heaped up beside them, and flows.
+"""Update of the heights after a step: bodies press sand down, rims are deposited, sand flows.
 
-Once a step, after the forces of that step, at the places where bodies are then: forces are those
-of the sand as the last step has left it. So a force is a function of the state alone, however often
-it is asked for.
+It runs once per step, after the forces of that step, with the present poses of bodies: forces are
+those of the sand as the last step left it. So a force is a function of the state alone, however
+often it is evaluated.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ from mjgranular.surface import Surface
 
 _feet = records(FOOT_DTYPE)
 
-# A rate goes with the time gone by, and so not with the time step.
+# Rates depend on elapsed time, so not on the time step.
 PRESSED_AFTER, FLOWS_AFTER = 0.3, 1.0
-"""Time that goes by until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for
-cells of 10 mm: what is done once in several steps costs a part of it. Chosen: with half of it the
-way of a walking hexapod is the same within 1 %."""
+"""Time until bodies press and sand flows again, in units of sqrt(cell / g), 32 ms for cells of 10
+mm: an update every few steps costs less. Chosen: with half of it the path of a walking hexapod is
+the same within 1 %."""
 
 STILL = 1e-3
-"""How far skin may move until bodies press again [cells], where nothing flows. Chosen: a tenth of
-what is not pressed down at once (`press.LEAST`)."""
+"""How far a surface point may move until bodies press again [cells], while nothing flows. Chosen: a
+tenth of the height that is not pressed down at once (`press.LEAST`)."""
 
 FASTEST = 1.5
-"""Greatest rate at which sand flows. Chosen below 2, where it would not come to rest."""
+"""Greatest rate of flow. Chosen below 2, where sand would not come to rest."""
 
 
 @partial(compiled, inline=True)
 def pose_in_plane(table, relief, body):
-    """Axes of the plane in a body's frame, a matrix, and the frame's place along them [m]."""
+    """Return the plane's axes in a body frame, a matrix, and that frame's position on them [m]."""
     axes = vector(
         read_vector(relief.along, 0), read_vector(relief.across, 0), read_vector(relief.normal, 0)
     )
@@ -66,7 +66,7 @@ def pose_in_plane(table, relief, body):
 
 @compiled
 def are_still(table, state, relief, feet):
-    """Return True if no skin has moved since its pose was noted; note the poses of what has."""
+    """Return True if no surface point has moved since its pose was stored; store changed poses."""
     number, body, result = -1, -1, True
     for n in range(len(feet)):
         foot = feet[n]
@@ -89,11 +89,11 @@ def are_still(table, state, relief, feet):
 
 @cache
 def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
-    """Makes the program `update(table, lead)`: 1 if done.
+    """Make the program `update(table, lead)`, which returns 1 when done.
 
     Args:
-        probe: of the surface without memory.
-        is_flat: whether it is plane where it is.
+        probe: probe of the surface without memory.
+        is_flat: whether that is locally plane.
         scene_dtype: record of law and surface.
     """
     level, scene_records = level_kernel(probe, is_flat), records(scene_dtype)
@@ -147,7 +147,7 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
 
 
 def update_program(surface: Surface, scene_dtype: np.dtype) -> int:
-    """The address of the program that updates a relief; 0 for a surface without memory.
+    """Return the address of the program that updates a relief; 0 for a surface without memory.
 
     Args:
         surface: the surface.

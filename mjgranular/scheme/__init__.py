@@ -1,4 +1,4 @@
-"""Schemes, by which forces become a step."""
+"""Schemes: time integration of the sand's forces."""
 
 from mjgranular.scheme.auto import Auto as Auto
 from mjgranular.scheme.explicit import Explicit as Explicit

@@ -1,19 +1,19 @@
-"""Momentum of the sand that moves along with elements, taken implicitly.
+"""Momentum of the sand that moves with elements (added mass), taken implicitly.
 
 Derivation and proof of passivity: docs/laws/rft.md, "Sand that moves along". In short: in front of
-an element with the outward normal n a mass m of sand moves at s = max(n.v, 0). Over a step the
-element pays for what its sand gains,
+an element with the outward normal n a mass m of sand moves at s = max(n.v, 0). In a step the
+element pays for the momentum that its sand gains,
 
     h a = m' s_b - m s',    f_total = f + a n,                                    (A2), (A3)
 
-where s' belongs to the velocity sought, and m' s_b is what this sand had at the end of the last
-step: m' of it was in front of the element then, and of s the energy of a body's sand is no more
-than before the body turned in the last step (A4). Sand has no tension: where a is positive, sand
-that slows down gives momentum back, and that makes it resist less, at most to nothing,
+where s' belongs to the unknown velocity, and m' s_b is the momentum of this sand at the end of the
+last step: its mass was m' then, and its speed is reduced so that the energy of a body's sand does
+not exceed that before the body turned in the last step (A4). Sand has no tension: where a is
+positive, decelerating sand returns momentum, which reduces its resistance, at most to zero,
 
     a <= min(-n.f, -f.v'/s').                                                     (A5)
 
-So no element ever takes energy from the sand, whatever its motion is.
+So an element never takes energy from the sand, for any motion.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.dense import add_scaled, clear
 from mjgranular.scheme.layout import ARM, FORCE, SAMPLE, SLACK, SLOPE, VELOCITY, added_row
 
-_NOTHING = 1e-150  # a speed that may be divided by
+_NOTHING = 1e-150  # smallest speed to divide by
 
 
 class Momentum(NamedTuple):
-    """What a tile keeps of the sand that moves along: a = start - rate max(n.v', 0)."""
+    """Momentum of moving sand, as stored in a tile: a = start - rate max(n.v', 0)."""
 
     normal: Vector
     rate: float  # m / h [kg/s]
@@ -44,7 +44,7 @@ class Momentum(NamedTuple):
 
 @partial(compiled, inline=True)
 def one_of(mask, a, b):
-    """Return a vector by lanes: of `a` where the mask holds, else of `b`."""
+    """Select a vector by lane: from `a` where the mask holds, else from `b`."""
     return vector(choose(mask, a.x, b.x), choose(mask, a.y, b.y), choose(mask, a.z, b.z))
 
 
@@ -63,7 +63,7 @@ def momentum_of(sand, v, h):
 
 @partial(compiled, inline=True)
 def most_given(n, force, v):
-    """Return the bound of a in (A5), not negative, and what its derivative by v needs.
+    """Return the bound on a in (A5), not negative, and the values that its derivative by v needs.
 
     Args:
         n: normal of the element.
@@ -71,7 +71,7 @@ def most_given(n, force, v):
         v: velocity of the element.
 
     Returns:
-        The bound, whether it is that of power, and 1 / (n.v) or 0 where the element does not lead.
+        The bound; whether it is the bound of power; and 1 / (n.v), or 0 where the element trails.
     """
     s = dot(n, v)
     leads = s > _NOTHING
@@ -84,7 +84,7 @@ def most_given(n, force, v):
 
 @partial(compiled, inline=True)
 def share_after_turn(now, before):
-    """Return by how much a body's sand is slower than its elements say (A4).
+    """Return the factor by which a body's sand is slower than its elements' speeds (A4).
 
     Args:
         now: energy of its sand at these speeds.
@@ -95,11 +95,11 @@ def share_after_turn(now, before):
 
 @compiled
 def motion_before_turn(w, body):
-    """Set the motion of a body, at the velocities of now, as it was where the last step began.
+    """Set the motion of a body at present velocities, with the axes of the last step's start.
 
-    Velocities of joints are those that the last step has moved with. `cdof_dot` says how the axes
-    of the joints turn, so that a normal and a point's velocity, both fixed to the body, had the
-    product n.(V + W x r) with this motion a step ago, to first order in the time step.
+    Joint velocities are those that the last step moved with. `cdof_dot` gives the rate of change of
+    the joint axes, so that a normal and a point's velocity, both fixed to the body, had the product
+    n.(V + W x r) with this motion one step ago, to first order in the time step.
     """
     motion = w.before[body]
     clear(motion)
@@ -115,10 +115,10 @@ def motion_before_turn(w, body):
 
 @cache
 def momentum_kernel(kernel: LawKernel) -> Any:
-    """Make a kernel `note_momentum(w, body, tile, live, is_first)`: what elements move along.
+    """Make a kernel `note_momentum(w, body, tile, live, is_first)` that stores moving sand.
 
-    It is called at the start of a step, when velocities in tiles are those. Of the first `live`
-    elements it adds the energy of their sand, now and before the body turned, to `w.energy`.
+    It is called at the start of a step, when tiles hold the velocities of that time. It adds the
+    energy of the first `live` elements' sand, now and before the body turned, to `w.energy`.
     """
     added, lanes, first = kernel.added, kernel.lanes, added_row(kernel) * kernel.lanes
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
@@ -144,7 +144,7 @@ def momentum_kernel(kernel: LawKernel) -> Any:
 
 @cache
 def turn_kernel(kernel: LawKernel) -> Any:
-    """Make a kernel `charge_turns(w)`: sand has no more energy than before its body turned.
+    """Make a kernel `charge_turns(w)`: turning a body adds no energy to its sand.
 
     Energies are those of rigid bodies, and are cleared for the next step.
     """
@@ -167,7 +167,7 @@ def turn_kernel(kernel: LawKernel) -> Any:
 
 @cache
 def added_kernel(kernel: LawKernel) -> Any:
-    """Make a kernel `add_momentum(tile)`: adds a n to forces and derivatives of a tile."""
+    """Make a kernel `add_momentum(tile)`: add a n to forces and derivatives of a tile."""
     lanes, first = kernel.lanes, added_row(kernel) * kernel.lanes
     vectors, slopes = rows(Vector, lanes), rows(Matrix, lanes)
     read, write = vectors.read, vectors.write
@@ -201,7 +201,7 @@ def added_kernel(kernel: LawKernel) -> Any:
 def kink_kernel(kernel: LawKernel) -> Any:
     """Make a kernel `is_near_kink(tile, lane, by_v, by_force)`: whether (A5) may begin or end.
 
-    Args of the kernel: a tile and a lane; by how much velocity and force change there.
+    Args of the kernel: a tile and a lane; the changes of velocity and force there.
     """
     lanes, first = kernel.lanes, added_row(kernel) * kernel.lanes
     read = column(Momentum, lanes).read

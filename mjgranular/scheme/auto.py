@@ -1,4 +1,4 @@
-"""The choice between the schemes, for those who do not want to think about it."""
+"""Automatic choice of the scheme."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from mjgranular.scheme.scheme import Scheme, SchemeChoice, refuse_runge_kutta, s
 _logger = logging.getLogger(__name__)
 
 # Both chosen. Below this step the paper's link creeps by less than 0.5 mm/s with the explicit
-# scheme, which is of second order there (docs/scheme.md); above this number of elements a step of
-# the implicit one costs milliseconds.
+# scheme, which is of second order there (docs/scheme.md). Above this number of elements a step of
+# the implicit scheme takes milliseconds.
 FINE_STEP = 2e-5  # [s]
 MANY_ELEMENTS = 5000
 _FINE_OF_MANY = 1e-4  # [s]
 
 
 def choose_scheme(timestep: float, elements: int, adds_mass: bool) -> tuple[Scheme, str]:
-    """Chooses the scheme for a time step [s], a number of elements and a law, and says why."""
+    """Choose the scheme for a time step [s], a number of elements and a law; also return why."""
     if adds_mass:
         return Implicit(), "the law moves sand along, which the explicit scheme cannot"
     if timestep <= FINE_STEP:
@@ -40,9 +40,9 @@ def choose_scheme(timestep: float, elements: int, adds_mass: bool) -> tuple[Sche
 
 @dataclass(frozen=True)
 class Auto(SchemeChoice):
-    """`Implicit`, unless the time step is fine or the elements are many: then `Explicit`.
+    """`Implicit`, unless the time step is small or the elements are many: then `Explicit`.
 
-    A law that moves sand along, as those for fast motion do, always has `Implicit`.
+    Laws with added mass, as those for fast motion, always use `Implicit`.
     """
 
     name: ClassVar[str] = "auto"

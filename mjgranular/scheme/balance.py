@@ -3,11 +3,11 @@
     R(v')  = A (v' - v) - h (q + q_c(v') + J^T f(v'))
     R'(v') = A + h sum_b J_b^T K_b J_b + (sum_i D_i J_i^T J_i) K
 
-A = M + C is the inertia and what the integrator adds to it, q are MuJoCo's smooth forces, q_c those
-of its constraints (with D_i, J_i, K: see `scheme.constraints`), f those of the sand on its
-elements. For each body b the sand gives a wrench and minus its derivative by the body's spatial
-velocity, the 6 x 6 matrix K_b; J_b has the columns of `cdof` of the joints below it. Like inertias
-they are summed down the tree.
+A = M + C is the inertia plus the integrator's implicit terms, q are MuJoCo's smooth forces, q_c its
+constraint forces (for D_i, J_i, K see `scheme.constraints`), f the sand's forces on its elements.
+For each body b the sand gives a wrench and minus its derivative by the body's spatial velocity, the
+6 x 6 matrix K_b; J_b has the columns of `cdof` of the joints that move it. Both are summed toward
+the root like inertias.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ poly_numbers = scratch(POLY)
 
 @compiled
 def prepare_inertia(w):
-    """Sets A = M + C.
+    """Set A = M + C.
 
-    With Euler C is h times the derivative of joints' damping; with the implicit integrators -h
-    times the derivative of all smooth forces by velocity; with `discrete` all that makes M the
-    effective metric.
+    With Euler C is h times the derivative of joint damping; with the implicit integrators -h times
+    the derivative of all smooth forces by velocity; with `discrete` everything that turns M into
+    the effective metric.
     """
     nv, inertia = w.nv, w.inertia
     for i in range(nv):
@@ -57,8 +57,8 @@ def prepare_inertia(w):
     elif w.integrator == DISCRETE:
         add_metric(w)
     elif w.integrator != EULER:
-        # implicitfast leaves out the derivative of the bias, and reads the lower half of what is
-        # left; but of lone free bodies it takes all.
+        # implicitfast omits the derivative of the bias and reads the lower half of the rest; for
+        # lone free bodies it uses all of it.
         smooth_derivative(w.model, w.data, 0)
         read_derivative(w, w.dofs)
         for i in range(nv):
@@ -74,7 +74,7 @@ def prepare_inertia(w):
 
 @compiled
 def read_joint_damping(w):
-    """Sets C to h times the derivative of the damping of joints, that of their actuators included.
+    """Set C to h times the derivative of the damping of joints and their actuators.
 
     Damping of a joint at the speed v is (b + p_1 |v| + p_2 v^2) v.
     """
@@ -94,7 +94,7 @@ def read_joint_damping(w):
 
 @compiled
 def read_derivative(w, dofs):
-    """Sets rows of C to -h times the derivative of the smooth forces that MuJoCo has found."""
+    """Set rows of C to -h times the derivative of the smooth forces that MuJoCo computed."""
     for i in dofs:
         for k in range(w.D_rowadr[i], w.D_rowadr[i] + w.D_rownnz[i]):
             w.damping[i, w.D_colind[k]] = -w.h * w.qDeriv[k]
@@ -102,7 +102,7 @@ def read_derivative(w, dofs):
 
 @compiled
 def find_motions(w, velocity):
-    """Sets the spatial velocities of the bodies about the centres of their trees."""
+    """Set the spatial velocities of the bodies about the centers of their trees."""
     motion, cdof = w.motion, w.cdof
     clear(motion[0])
     for b in range(1, w.nbody):
@@ -114,13 +114,13 @@ def find_motions(w, velocity):
 
 @partial(compiled, inline=True)
 def motion_of(w, body):
-    """The spatial velocity of a body, of those that `find_motions` has found."""
+    """Return the spatial velocity of a body, as set by `find_motions`."""
     return read_motion(w.motion[body], 0)
 
 
 @compiled
 def size_of(w, momentum):
-    """Size of a momentum: the square root of about twice its energy."""
+    """Return the size of a momentum: the square root of about twice its energy."""
     total = 0.0
     for j in range(w.nv):
         total += momentum[j] * momentum[j] * w.weight[j]
@@ -129,11 +129,11 @@ def size_of(w, momentum):
 
 @compiled
 def balance(w, update):
-    """Sets the residual at the velocity `w.velocity`, and all of its Jacobian but the sand's part.
+    """Set the residual at the velocity `w.velocity`, and its Jacobian without the sand's part.
 
     Args:
         w: the workspace, with the sand's wrenches on bodies.
-        update: of friction multipliers: `FRESH`, `NEXT`, `SAME`.
+        update: origin of friction multipliers: `FRESH`, `NEXT`, `SAME`.
 
     Returns:
         (size of the residual, greatest mismatch of a friction loss).
@@ -152,9 +152,9 @@ def balance(w, update):
 
 @compiled
 def sum_wrenches(w):
-    """Sets h J^T f: what acts on a body acts on all joints below it.
+    """Set h J^T f: a wrench on a body acts on all joints that move it.
 
-    Wrenches about the centre of one tree can be summed.
+    Wrenches about the center of one tree can be summed.
     """
     carried, wet = w.carried, w.wet
     for b in range(w.nbody):
@@ -169,7 +169,7 @@ def sum_wrenches(w):
 
 @compiled
 def add_stiffness(w):
-    """Adds h sum_b J_b^T K_b J_b to the Jacobian, as composite inertias are found."""
+    """Add h sum_b J_b^T K_b J_b to the Jacobian, with the recursion for composite inertias."""
     stiffness, wet, jacobian, cdof = w.stiffness, w.wet, w.jacobian, w.cdof
     for b in range(w.nbody - 1, 0, -1):
         if wet[b] != 0:
@@ -181,7 +181,7 @@ def add_stiffness(w):
         k = stiffness[body]
         a, b, c, d = block_of(k, 0), block_of(k, 3), block_of(k, 18), block_of(k, 21)
         turning, moving = w.h * read_vector(cdof[j], 0), w.h * read_vector(cdof[j], 3)
-        # h K_b cdof_j and h K_b^T cdof_j: K_b need not be symmetric.
+        # h K_b cdof_j and h K_b^T cdof_j: K_b may be asymmetric.
         moment, force = a @ turning + b @ moving, c @ turning + d @ moving
         across_moment = transposed(a) @ turning + transposed(c) @ moving
         across_force = transposed(b) @ turning + transposed(d) @ moving
@@ -196,5 +196,5 @@ def add_stiffness(w):
 
 @partial(compiled, inline=True)
 def block_of(k, first):
-    """A block of 3 x 3 of a 6 x 6 matrix, from its number `first` on."""
+    """Return a 3 x 3 block of a 6 x 6 matrix, from its element `first` on."""
     return vector(read_vector(k, first), read_vector(k, first + 6), read_vector(k, first + 12))

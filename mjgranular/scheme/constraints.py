@@ -1,16 +1,16 @@
-"""MuJoCo's constraints in the balance of momentum, as the implicit scheme foresees them.
+"""MuJoCo's constraints in the balance of momentum, as the implicit scheme predicts them.
 
 They are soft: the force of a row J_i is a function of the acceleration along it, within bounds,
 
     q_c = sum_i J_i^T f_i,    f_i = -D_i x_i,    x_i = J_i a - a_i^ref,
 
-where a is the acceleration in front of the integrator's own damping C = A - M,
+where a is the acceleration without the integrator's own damping C = A - M,
 
     M a = A (v' - v) / h,    a = K (v' - v) / h,    K = 1 + M^-1 C,
 
 and with `discrete`, which solves for them in the metric A itself, K = 1. So they add (sum_i D_i
 J_i^T J_i) K to the Jacobian of the balance. Equalities, friction losses, limits, and contacts with
-pyramidal and elliptic cones, as in the engine's documentation.
+pyramidal and elliptic cones follow the engine's documentation.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ numbers_of_contact = scratch(6)
 
 @compiled
 def prepare_constraints(w):
-    """Finds the rows of K that constraints touch."""
+    """Find the rows of K that constraints touch."""
     touched, undamped, damping = w.touched, w.undamped, w.damping
     unit, product = w.trial, w.product
     for j in range(w.nv):
@@ -59,7 +59,7 @@ def prepare_constraints(w):
 
 @compiled
 def row_at(w, i):
-    """J_i. Where the rows are sparse it is written to `w.row`, and lasts until the next one."""
+    """Return J_i. Sparse rows are written to `w.row`, which is valid until the next call."""
     if not w.sparse:
         return w.efc_J[i * w.nv : (i + 1) * w.nv]
     row, start = w.row, w.efc_J_rowadr[i]
@@ -71,11 +71,11 @@ def row_at(w, i):
 
 @compiled
 def add_constraints(w, update):
-    """Sets h q_c at the velocity `w.velocity`, and adds its derivative to the Jacobian.
+    """Set h q_c at the velocity `w.velocity`, and add its derivative to the Jacobian.
 
     Args:
         w: the workspace.
-        update: of friction multipliers: `FRESH`, `NEXT`, `SAME`.
+        update: origin of friction multipliers: `FRESH`, `NEXT`, `SAME`.
 
     Returns:
         The greatest mismatch of a friction loss (`friction_loss`).
@@ -91,7 +91,7 @@ def add_constraints(w, update):
     for j in range(w.nv):
         w.acceleration[j] = inner(undamped[j], rate) if w.touched[j] != 0 else 0.0
     losses = 0
-    i = np.int64(0)  # a literal would be compiled for on its own
+    i = np.int64(0)  # numba would compile a separate function for a literal
     while i < w.nefc:
         kind = w.efc_type[i]
         if kind == _ELLIPTIC:
@@ -121,7 +121,7 @@ def add_constraints(w, update):
 
 @compiled
 def add_row(w, row, force, spring):
-    """Adds a force along a row, and minus its derivative by the acceleration there."""
+    """Add a force along a row, and minus its derivative by the acceleration there."""
     if force != 0.0:
         add_scaled(w.constraint, w.h * force, row)
     if spring != 0.0:
@@ -130,21 +130,21 @@ def add_row(w, row, force, spring):
 
 @compiled
 def friction_loss(last, x, limit, mass, update):
-    """Friction with a limit, f = -L x / max(|x|, L / D), and minus its derivative.
+    """Return friction with a limit, f = -L x / max(|x|, L / D), and minus its derivative.
 
-    From one side of rest to the other Newton's method could leap for ever, as it could with the
-    sand's: the multiplier p = -x / max(|x|, L / D) is unknown beside x (`law.kernel`; for this
+    Newton's method could cycle between both sides of rest, as with the sand's friction. So the
+    multiplier p = -x / max(|x|, L / D) is an unknown in addition to x (`law.kernel`; for this
     function M. Hintermueller, G. Stadler, SIAM J. Sci. Comput. 28 (2006)).
 
     Args:
-        last: x and p that were last looked at; will be those of now.
-        x: acceleration along the row, less its reference.
+        last: x and p of the last evaluation; overwritten with the present ones.
+        x: acceleration along the row minus its reference.
         limit: L.
         mass: D, of the row while it holds.
         update: `FRESH`, `NEXT`, `SAME`.
 
     Returns:
-        (force, minus its derivative, square of the difference of p and the one of x itself).
+        (force, minus its derivative, square of the difference between p and the multiplier of x).
     """
     edge = limit / mass
     size = max(abs(x), edge)
@@ -163,11 +163,14 @@ def friction_loss(last, x, limit, mass, update):
 
 @compiled
 def add_cone(w, first, contact):
-    """Adds a contact with an elliptic cone, rows `first` to `first + dim`.
+    """Add a contact with an elliptic cone, rows `first` to `first + dim`.
 
-    In coordinates scaled by friction, U = (mu x_0, friction_k x_k), N the first of them and T the
-    size of the others: above the cone (N >= mu T) nothing; below its polar (mu N + T <= 0) all
-    rows are springs; between, one spring D_m along the distance d = N - mu T from the cone,
+    In coordinates scaled by friction, U = (mu x_0, friction_k x_k), N is the first of them and T
+    the
+    size of the others: above the cone (N >= mu T) there is no force; below its polar (mu N + T <=
+    0)
+    all rows are springs; between, one spring D_m acts along the distance d = N - mu T from the
+    cone,
 
         f = -D_m d grad d,    -f' = D_m (grad d grad d^T - d mu T''),
         T'' = (diag(friction_k^2) - grad T grad T^T) / T.
@@ -202,7 +205,7 @@ def add_cone(w, first, contact):
 
 @compiled
 def sum_of_rows(w, first, dim, factors):
-    """A sum of multiples of so many rows, in `w.trial`."""
+    """Sum `dim` rows times their factors, in `w.trial`."""
     total = w.trial
     clear(total)
     for k in range(dim):

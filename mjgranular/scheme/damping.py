@@ -1,13 +1,14 @@
-"""Forces as damping by their secants: slower than Newton's method, and never lost.
+"""Forces as damping, by their secants: slower than Newton's method, but it never diverges.
 
 With C the secants of the forces at a velocity (`law.secant`), the balance
 
     A (v' - v) = h (q + q_c(v') - J^T C J v')
 
-is linear but for MuJoCo's constraints, and whatever v' it gives, the sand takes energy. Forces and
-secants are looked at there, and so on: a fixed point has the law's own forces. The way from one
-velocity to the next is prolonged (as D. G. Anderson, J. ACM 12 (1965), mixes them, of depth one):
-where an element comes to a stop in the step its velocity shrinks by a factor each time.
+is linear except for MuJoCo's constraints, and the sand dissipates energy for any v' it gives.
+Forces and secants are then evaluated at v', and so on: a fixed point has the law's own forces. The
+iteration is extrapolated by Anderson mixing of depth one (D. G. Anderson, J. ACM 12 (1965)),
+because
+the velocity of an element that stops in the step shrinks by only a factor per iteration.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from mjgranular.scheme.evaluation import evaluation_kernel, following_kernel
 from mjgranular.scheme.forces import FRESH
 
 FURTHEST = 3.0
-"""How far beyond the velocity found the next one may be, in parts of the change between the last
-two. Chosen; steps in MuJoCo Warp are alike with 1 and 10. Never between the two: a box that slides
-to a stop is wrong by half as much again then."""
+"""How far the next velocity may lie beyond the one found, as a multiple of the change between the
+last two. Chosen; steps in MuJoCo Warp are alike with 1 and 10. Never negative (between the two):
+that increases the error of a box sliding to a stop by half."""
 
 
 @cache
 def damping_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Makes the kernel `damp(table, w, eps, steps)` for a law and a surface.
+    """Make the kernel `damp(table, w, eps, steps)` for a law and a surface.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         scene_dtype: record of law and surface.
     """
     evaluate = evaluation_kernel(kernel, scene_dtype, damped=True)
@@ -43,22 +44,22 @@ def damping_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
     @compiled
     def damp(table, w, eps, steps):
-        """Goes some steps from `w.velocity`; ends where damping balances the momenta.
+        """Iterate from `w.velocity`; end at a velocity where damping balances the momenta.
 
         Args:
-            table: of addresses.
+            table: table of addresses.
             w: the workspace.
             eps: softness [m/s].
-            steps: how many, each an evaluation.
+            steps: number of iterations, each with one evaluation.
 
         Returns:
-            The residual with the law's own forces, one step before the last.
+            The residual with the law's own forces, one iteration before the last.
         """
         error = 0.0
         for step in range(steps):
             error, _ = evaluate(table, w, eps, FRESH, eps)
             solved = solve(w.jacobian, w.residual, w.change)
-            if not (solved and inner(w.change, w.change) < math.inf):  # forces that are no numbers
+            if not (solved and inner(w.change, w.change) < math.inf):  # forces that are not finite
                 break
             beyond = beyond_the_last(w) if 0 < step < steps - 1 else 0.0
             copy(w.gap, w.change)
@@ -75,7 +76,7 @@ def damping_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
 @compiled
 def beyond_the_last(w):
-    """The part by which the way from the last velocity found to this one is prolonged."""
+    """Return the extrapolation factor from the last velocity found to this one."""
     product = square = 0.0
     for j in range(w.nv):
         fall = w.gap[j] - w.change[j]
@@ -86,11 +87,11 @@ def beyond_the_last(w):
 
 @partial(compiled, inline=True)
 def prolonged(product, square):
-    """The part by which a way is prolonged, from 0 to `FURTHEST`: there the next gap is least.
+    """Return the extrapolation factor, from 0 to `FURTHEST`, that minimizes the next gap.
 
     Args:
-        product: of the gap between the velocity looked at and the one found there, and what that
-            gap has fallen by since the step before; both as momenta.
-        square: of what it has fallen by, likewise.
+        product: inner product of the gap between the velocity evaluated and the one found, and the
+            decrease of that gap since the iteration before; both as momenta.
+        square: square of that decrease, as a momentum.
     """
     return min(max(product / square, 0.0), FURTHEST) if square > 0.0 else 0.0

@@ -24,12 +24,12 @@ from mjgranular.scheme.wrenches import gravity_of
 
 @cache
 def evaluation_kernel(kernel: LawKernel, scene_dtype: np.dtype, *, damped: bool = False) -> Any:
-    """Makes the kernel `evaluate(table, w, eps, update, loose)`.
+    """Make the kernel `evaluate(table, w, eps, update, loose)`.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         scene_dtype: record of law and surface.
-        damped: whether the Jacobian has the secants of forces in place of their derivatives.
+        damped: whether the Jacobian contains the secants of forces instead of their derivatives.
     """
     of_tiles = tile_kernels(kernel, scene_dtype)
     move, add = of_tiles.move, of_tiles.add
@@ -38,15 +38,15 @@ def evaluation_kernel(kernel: LawKernel, scene_dtype: np.dtype, *, damped: bool 
 
     @compiled
     def evaluate(table, w, eps, update, loose):
-        """Sets residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
+        """Set residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
 
         Args:
-            table: of addresses.
+            table: table of addresses.
             w: the workspace.
             eps: softness [m/s].
-            update: of multipliers: `NEXT`, those after a step of Newton's method to this velocity;
+            update: origin of multipliers: `NEXT`, those after a Newton step to this velocity;
                 `FRESH` and `SAME` as for a `Search`.
-            loose: see there [m/s].
+            loose: softness of the first multipliers, `Search.loose` [m/s].
 
         Returns:
             (size of the residual, greatest mismatch).
@@ -74,14 +74,14 @@ def evaluation_kernel(kernel: LawKernel, scene_dtype: np.dtype, *, damped: bool 
 
 @cache
 def following_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Makes the kernel `follow_all(w, eps)`; arguments as for `evaluation_kernel`."""
+    """Make the kernel `follow_all(w, eps)`; arguments as for `evaluation_kernel`."""
     follow = tile_kernels(kernel, scene_dtype).follow
 
     @compiled
     def follow_all(w, eps):
-        """Sets the residual at `w.velocity` with forces that follow it as the Jacobian says.
+        """Set the residual at `w.velocity` with forces extrapolated by the Jacobian.
 
-        The forces of `evaluate` at the velocity before are changed to these.
+        The forces that `evaluate` computed at the velocity before are replaced by these.
 
         Returns:
             (size of the residual, greatest turn: `law.kernel`).

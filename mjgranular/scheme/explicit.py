@@ -1,11 +1,11 @@
-"""The explicit scheme: the law at the current state, once a step.
+"""The explicit scheme: the law at the current state, once per step.
 
-MuJoCo's Euler integrator is the leapfrog in disguise. It computes `v' = v + h a(x, v)` and then
-`x' = x + h v'`: with positions at the times `t`, the velocities belong to `t - h/2`. For forces of
-position alone that is second order. Drag is a force of velocity, and taken at `v` it is half a step
-late; on the paper's 10 m/s impact at 1e-4 s this alone costs 1 % of the depth. So velocities are
-led by half a step, `v + (h/2) a` with `a` the acceleration of the last step (Adams-Bashforth of
-second order for the velocity, leapfrog for the position). It costs one sum along the joint chain.
+MuJoCo's Euler integrator is a leapfrog scheme: it computes `v' = v + h a(x, v)` and then
+`x' = x + h v'`, so with positions at times `t` the velocities belong to `t - h/2`. For forces of
+position alone that is second order. Drag depends on velocity, and at `v` it is half a step late; on
+the paper's 10 m/s impact at 1e-4 s this alone costs 1 % of the depth. So velocities are advanced by
+half a step, `v + (h/2) a` with `a` the acceleration of the last step (Adams-Bashforth of second
+order for the velocity, leapfrog for the position). It costs one sum along the joint chain.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ class Explicit(Scheme):
     """The law at the current state.
 
     Attributes:
-        half_step: take velocities where positions are, half a step ahead of `qvel`. Without it
-            the scheme is of first order in depth too.
-        longest_step: the longest time step that may be set later [s]: the sand then refuses to go
-            on, since longer ones may give energy.
-        prescribed: bodies are led, not pushed: the law at the velocity that they have. Then sand
-            that is moved along, which answers to accelerations, is left out.
+        half_step: advance velocities by half a step from `qvel`, to the time of the positions.
+            Without it the scheme is of first order in depth too.
+        longest_step: the longest time step that may be set later [s]; longer steps raise an error,
+            since they may add energy.
+        prescribed: bodies follow a prescribed motion: the law at the velocity that they have. Then
+            added mass, which depends on accelerations, is omitted.
     """
 
     name: ClassVar[str] = "explicit"
@@ -101,7 +101,7 @@ schemes.add(Explicit.name, Explicit)
 
 @cache
 def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """One compiled call for law and scheme: the wrenches of the law, added to `xfrc_applied`."""
+    """Compile law and scheme as one call that adds the law's wrenches to `xfrc_applied`."""
     lanes, size = kernel.lanes, tile_size(kernel)
     force_on, scene_records, room = force_kernel(kernel), records(scene_dtype), scratch(size)
     read_all, write_all = rows(Vector, lanes).read, rows(Vector, lanes).write
@@ -109,11 +109,11 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
     @partial(compiled, inline=True)
     def act(table, workspace, body, place, g, tile, number, live, is_first, lead):
-        """Finds the forces on a tile, and adds them to its body's wrench."""
+        """Compute the forces on a tile, and add them to its body's wrench."""
         if is_first:  # most bodies of a robot are above the sand
             write_motion(body.change, 0, velocity_change(table, body.last_dof, lead))
-        # Drag takes the velocity ahead, static resistance the direction of the velocity now: led as
-        # well, it creeps five times faster under load.
+        # Drag takes the velocity ahead, static resistance the direction of the present velocity:
+        # with the velocity ahead it creeps five times faster under load.
         arm = read_all(tile, ARM * lanes)
         led = velocity_at(read_motion(body.change, 0), arm)
         write_all(tile, LED * lanes, read_all(tile, VELOCITY * lanes) + led)
@@ -144,10 +144,10 @@ def explicit_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
 
 def largest_step(rate: float) -> float:
-    """The largest step at which an explicit drag cannot overshoot [s].
+    """Return the largest step at which an explicit drag cannot overshoot [s].
 
     Args:
-        rate: the drag's derivative by velocity over the mass it acts on [1/s].
+        rate: the drag's derivative by velocity, over the mass it acts on [1/s].
 
     Returns:
         1 / rate: Adams-Bashforth of second order is stable for `h * rate <= 1`.

@@ -1,4 +1,4 @@
-"""Forces on tiles of elements, their derivatives, and what they add up to on a body."""
+"""Forces on tiles of elements, their derivatives, and their sums per body."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from mjgranular.scheme.layout import (
 )
 from mjgranular.scheme.sampling import sampling_kernel
 
-# Not literals, for each of which numba would compile a function anew.
+# Not literals: numba would compile a function for each of them.
 FRESH, NEXT, SAME = (np.int64(n) for n in (0, 1, 2))
-"""Origins of multipliers: the velocity itself, a step of Newton's method to it, those there."""
+"""Origins of multipliers: the velocity itself, a Newton step to it, the stored ones."""
 
-# As good as no softness [m/s], but for a speed of zero. Chosen: far below any motion, far above the
+# In effect no softness [m/s], except at zero speed. Chosen: far below any motion, far above the
 # square root of the smallest number.
 _HARD = 1e-150
 
 
 class Response(NamedTuple):
-    """Answer of a law to a velocity and a multiplier, to first order in both."""
+    """Response of a law to a velocity and a multiplier, to first order in both."""
 
     force: Vector  # [N]
     slope: Matrix  # minus its derivative by the velocity [N s/m]
-    mismatch: float  # square of the difference between the velocity's multiplier and that
+    mismatch: float  # square of the difference between this multiplier and the velocity's
 
 
 @dataclass(frozen=True)
@@ -56,16 +56,16 @@ class TileKernels:
 
     Attributes:
         size: numbers in a tile.
-        sample: kernel `sample(table, w)`: fills the workspace's tiles with the elements in the
-            sand, and sets `w.count`.
-        move: kernel `move(tile, motion, multipliers, eps, loose)`: velocities in a tile from its
-            body's spatial velocity, and multipliers.
-        respond: kernel `respond(tile, law, g, eps)`: forces and derivatives.
-        add: kernel `add(tile, wrench, stiffness)`: adds these to those of the body; the greatest
-            mismatch.
-        follow: kernel `follow(tile, motion, wrench, eps)`: the forces that the derivatives say for
-            the body's motion, and adds these to those of the body; the greatest `turn`.
-        damp: as `respond`, with secants of the forces (`law.secant`) in place of derivatives.
+        sample: kernel `sample(table, w)`: fill the workspace's tiles with the elements in the sand,
+            and set `w.count`.
+        move: kernel `move(tile, motion, multipliers, eps, loose)`: set the velocities in a tile
+            from its body's spatial velocity, and the multipliers.
+        respond: kernel `respond(tile, law, g, eps)`: set forces and derivatives.
+        add: kernel `add(tile, wrench, stiffness)`: add these to those of the body; return the
+            greatest mismatch.
+        follow: kernel `follow(tile, motion, wrench, eps)`: extrapolate forces by the derivatives to
+            the body's motion, and add them to those of the body; return the greatest `turn`.
+        damp: as `respond`, with secants of the forces (`law.secant`) instead of derivatives.
     """
 
     size: int
@@ -94,10 +94,10 @@ def _no_kink(tile, lane, by_v, by_force):
 
 @cache
 def tile_kernels(kernel: LawKernel, scene_dtype: np.dtype) -> TileKernels:
-    """The implicit scheme's loops over a law's tiles.
+    """Make the implicit scheme's loops over a law's tiles.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         scene_dtype: record of law and surface.
     """
     size = tile_size(kernel)
@@ -156,10 +156,10 @@ def move_kernel(kernel: LawKernel) -> Any:
 
 @cache
 def linearized(kernel: LawKernel, respond: Any) -> Any:
-    """Makes a kernel `linearize(sample, law, g, v, p, eps)` that gives a `Response`.
+    """Make a kernel `linearize(sample, law, g, v, p, eps)` that returns a `Response`.
 
-    With `w` the velocity's own multiplier, static resistance is F(w) in the end. On the way there,
-    `F(p) + F'(p) (w - p)` is taken for it, which is `F'(p) w`, since `F(p)` is `F'(p) p`.
+    With `w` the velocity's own multiplier, static resistance is F(w) at convergence. Until then
+    `F(p) + F'(p) (w - p)` replaces it, which equals `F'(p) w`, since `F(p)` is `F'(p) p`.
     """
     own, by_velocity = kernel.multiplier.own, kernel.multiplier.by_velocity
 
@@ -175,7 +175,7 @@ def linearized(kernel: LawKernel, respond: Any) -> Any:
 
 @cache
 def unsoftened(kernel: LawKernel, respond: Any) -> Any:
-    """Makes a kernel `force_of(sample, law, g, v, led)`: the force of the law itself, no softer.
+    """Make a kernel `force_of(sample, law, g, v, led)`: the force of the law without softening.
 
     Static resistance takes the direction of the velocity `v`, drag the velocity `led`.
     """
@@ -191,17 +191,17 @@ def unsoftened(kernel: LawKernel, respond: Any) -> Any:
 
 @partial(compiled, inline=True)
 def no_response(sample, law, g, v, p, eps):
-    """Of an element that feels nothing (see `LawKernel.complexity`)."""
+    """Return the zero response of an unloaded element (see `LawKernel.complexity`)."""
     return vector(0.0, 0.0, 0.0), diagonal(0.0), vector(0.0, 0.0, 0.0), diagonal(0.0)
 
 
 def by_complexity(kernel: LawKernel, in_lanes: Any, *, soft: bool) -> Any:
-    """Makes a kernel `respond(tile, law, g, eps)`: the quickest that answers for all lanes.
+    """Make a kernel `respond(tile, law, g, eps)` that picks the fastest variant valid in all lanes.
 
     Args:
-        kernel: of the law.
-        in_lanes: makes such a kernel of a law's `respond`.
-        soft: whether there is a softness.
+        kernel: kernel of the law.
+        in_lanes: makes such a kernel from a law's `respond`.
+        soft: whether rest is softened.
     """
     respond_all = in_lanes(kernel.respond)
     if kernel.complexity is None:
@@ -234,7 +234,7 @@ def respond_kernel(kernel: LawKernel) -> Any:
 
 
 def damp_kernel(kernel: LawKernel) -> Any:
-    """See `TileKernels.damp`. Multipliers have to be those of the velocities."""
+    """Make the kernel `TileKernels.damp`; multipliers must be those of the velocities."""
     resist, lanes = resistance_kernel(kernel), kernel.lanes
     read, slopes = column(Vector, lanes).read, column(Matrix, lanes)
     read_slope, write_slope = slopes.read, slopes.write
@@ -245,7 +245,7 @@ def damp_kernel(kernel: LawKernel) -> Any:
         for lane in range(lanes):
             v = read(tile, VELOCITY * lanes + lane)
             speed = norm(v)
-            # What has no velocity has no secant: softened rest has its derivative there.
+            # At zero velocity there is no secant; softened rest has its derivative there.
             moves = speed > _HARD
             inverse = 1.0 / speed if moves else 0.0
             force = inverse * read(tile, FORCE * lanes + lane)
@@ -258,7 +258,7 @@ def damp_kernel(kernel: LawKernel) -> Any:
 
 @cache
 def resistance_kernel(kernel: LawKernel) -> Any:
-    """Makes a kernel `resist(tile, law, g, eps)`: `respond` without sand that is moved along."""
+    """Make a kernel `resist(tile, law, g, eps)`: `respond` without added mass."""
     lanes = kernel.lanes
     read, read_sample = column(Vector, lanes).read, column(kernel.samples, lanes).read
     write = column(Response, lanes).write
@@ -281,7 +281,7 @@ def resistance_kernel(kernel: LawKernel) -> Any:
 
 
 def with_momentum(kernel: LawKernel, respond: Any) -> Any:
-    """A kernel of forces on a tile that has sand that is moved along in it."""
+    """Extend a kernel for forces on a tile by added mass."""
     if kernel.added is None:
         return respond
     add_momentum = added_kernel(kernel)
@@ -295,9 +295,9 @@ def with_momentum(kernel: LawKernel, respond: Any) -> Any:
 
 
 def force_kernel(kernel: LawKernel) -> Any:
-    """Makes the explicit scheme's kernel `force(tile, law, g, eps)`, of which `eps` is 0.
+    """Make the explicit scheme's kernel `force(tile, law, g, eps)`, with `eps` 0.
 
-    Static resistance takes the direction of the velocity now, drag the velocity that leads.
+    Static resistance takes the direction of the present velocity, drag the velocity ahead.
     """
     lanes = kernel.lanes
     vectors, read_sample = column(Vector, lanes), column(kernel.samples, lanes).read
@@ -321,7 +321,7 @@ def force_kernel(kernel: LawKernel) -> Any:
 
 @partial(compiled, inline=True)
 def add_total(array, first, v):
-    """Adds a vector, of lanes the sum over them, to three numbers of an array."""
+    """Add a vector (summed over lanes) to three numbers of an array."""
     array[first] += total_of(v.x)
     array[first + 1] += total_of(v.y)
     array[first + 2] += total_of(v.z)
@@ -358,7 +358,7 @@ def add_kernel(lanes: int) -> Any:
 
 @partial(compiled, inline=True)
 def add_row(stiffness, first, arm, row):
-    """Adds row (-[r]x, 1)."""
+    """Add row (-[r]x, 1)."""
     add_total(stiffness, first, cross(arm, row))
     add_total(stiffness, first + 3, row)
 

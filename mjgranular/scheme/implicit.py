@@ -1,28 +1,27 @@
-"""The implicit scheme: forces at the velocities of the end of the step, found before it is made.
+"""The implicit scheme: forces at the velocities of the end of the step, predicted before it.
 
-Static resistance is dry friction with a limit. Taken at the start of a step it chatters, creeps or
-explodes; taken at the end of it, it holds what it can hold. With v' the velocities at the end, f
-the sand's forces on its elements and J their Jacobian, one step of MuJoCo is
+Static resistance is dry friction with a limit. Evaluated at the start of a step it chatters, creeps
+or explodes; evaluated at its end, it holds any load up to its limit. With v' the velocities at the
+end, f the sand's forces on its elements and J their Jacobian, one step of MuJoCo is
 
     A (v' - v) = h (q + q_c(v') + J^T f(v'))
 
 where A is the inertia (with the integrator's own implicit damping), q all smooth forces and q_c
-those of MuJoCo's constraints, which answer to the sand as the sand does to them. In the order of
-reading:
+those of MuJoCo's constraints, which are coupled to the sand's. In reading order:
 
     workspace      all arrays by name, MuJoCo's and the scheme's
-    metric         A with MuJoCo's integrator `discrete`, which makes it itself
+    metric         A with MuJoCo's integrator `discrete`, which computes it itself
     balance        residual R(v') and Jacobian R'(v') of this equation: nv numbers, nv x nv,
-                   whatever the number of elements
-    constraints    what MuJoCo's constraints add to them
+                   for any number of elements
+    constraints    the contribution of MuJoCo's constraints
     newton         Newton's method, with friction multipliers
-    damping        forces as damping: slower, and never lost
-    solver         who of the two looks from where, and how soft rest is: forces that hold grow to
-                   their limit over a speed far below anything visible
-    passivity      where they stop short: no energy from the sand
+    damping        forces as damping: slower, but never diverges
+    solver         which of the two runs from which velocity, and how soft rest is: friction grows
+                   to its limit over a speed far below anything visible
+    passivity      where they stop early: no energy from the sand
 
-Nothing of our own is carried from step to step: the force is a function of MuJoCo's state, so that
-what is copied, saved or reset goes on alike, to the last bit.
+The scheme carries no state from step to step: the force is a function of MuJoCo's state, so that
+copied, saved or reset states continue identically, to the last bit.
 """
 
 from __future__ import annotations
@@ -78,17 +77,17 @@ from mjgranular.scheme.workspace import (
 )
 from mjgranular.scheme.wrenches import add_wrenches, is_bad, withdraw_wrenches
 
-_UNFINISHED = 1e-6  # residual in parts of the momentum at hand, above which a step is counted so
-_NOTHING = 1e-150  # a momentum that may be divided by
+_UNFINISHED = 1e-6  # relative residual of the momentum above which a step counts as unfinished
+_NOTHING = 1e-150  # smallest momentum to divide by
 
 
 @dataclass(frozen=True)
 class Implicit(Scheme):
-    """Forces at the end of the step: holds still, for steps of any size.
+    """Forces at the end of the step: bodies rest without motion, for steps of any size.
 
     Attributes:
-        evaluations: of all forces in one step, after which a step for which the law's forces are
-            not found is made with a damping near them, and counted (`Report.solver`).
+        evaluations: limit on evaluations of all forces per step. If the law's forces are not found
+            by then, the step uses damping close to them, and is counted (`Report.solver`).
     """
 
     name: ClassVar[str] = "implicit"
@@ -131,12 +130,12 @@ schemes.add(Implicit.name, Implicit)
 
 @cache
 def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
-    """One compiled call for law and scheme: the wrenches that the end of the step asks for.
+    """Compile law and scheme as one call that computes the wrenches at the end of the step.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         scene_dtype: record of law and surface.
-        most: evaluations after which a step that is lost is made with damping.
+        most: evaluations after which a diverged step uses damping.
     """
     sample_all = tile_kernels(kernel, scene_dtype).sample
     find_velocity = solver_kernel(kernel, scene_dtype, most)
@@ -186,9 +185,9 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
 
 @compiled
 def find_smooth_forces(w):
-    """Has the engine find q, all smooth forces but the sand's, and their accelerations."""
+    """Have the engine compute q, all smooth forces except the sand's, and their accelerations."""
     model, data = w.model, w.data
-    if w.within != 0:  # what comes after passive forces in the step is not there yet
+    if w.within != 0:  # inside the step, what follows passive forces is not yet computed
         constraint_references(model, data)
         bias_forces(model, data, 0, w.qfrc_bias.ctypes.data)
         tendon_bias_forces(model, data, w.qfrc_bias.ctypes.data)
@@ -202,7 +201,7 @@ def find_smooth_forces(w):
 
 @compiled
 def mark_wet(w):
-    """Marks the bodies that have an element in the sand, and those that carry them."""
+    """Flag the bodies with an element in the sand, and their ancestors."""
     wet = w.wet
     for body in range(w.nbody):
         wet[body] = 0
@@ -221,10 +220,9 @@ def turns(w, j):
 
 @compiled
 def begin(w):
-    """Read v and h q; v' begins with v. The momentum at hand is that of both.
+    """Read v and h q; v' starts as v. `w.scale` is the size of both momenta.
 
-    It is a sum over joints. What is along the three axes of a free joint, which are those of the
-    world, counts by its norm.
+    It is a sum over joints. The three world-aligned axes of a free joint count by their norm.
     """
     scale, pushes, speeds = 0.0, 0.0, 0.0
     for j in range(w.nv):
@@ -245,12 +243,11 @@ def begin(w):
 
 @compiled
 def warm_start(w):
-    """Has the engine's constraint solver begin at the acceleration that has been foreseen.
+    """Start the engine's constraint solver at the predicted acceleration.
 
-    By itself it stops when it is within some 1e-6 of it, which is little where things move, but at
-    rest a kick, beside what the sand holds. From here it has nothing to do but to see that it is
-    there. It solves for the acceleration in front of the integrator's own damping C, which is
-    (1 + M^-1 C) (v' - v) / h.
+    From elsewhere it stops within about 1e-6 of the solution. That is little in motion, but at rest
+    it disturbs the forces that the sand holds. From here it only confirms the solution. It solves
+    for the acceleration without the integrator's own damping C: (1 + M^-1 C) (v' - v) / h.
     """
     if w.nefc == 0:
         return
@@ -267,7 +264,7 @@ def warm_start(w):
 
 @compiled
 def write_body_wrenches(w, bodies, share):
-    """Writes the bodies' wrenches about their own centres of mass, force before moment."""
+    """Write the bodies' wrenches about their own centers of mass, force before moment."""
     for slot in range(len(bodies)):
         body = bodies[slot]
         if w.wet[body.body] == 0:
@@ -281,7 +278,7 @@ def write_body_wrenches(w, bodies, share):
 
 @compiled
 def write_contacts(table, w, share):
-    """Writes the forces on elements to their contacts."""
+    """Write the forces on elements to their contacts."""
     contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
     for i in range(w.count):
         tile = w.tiles[i]

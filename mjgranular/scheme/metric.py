@@ -4,10 +4,11 @@ This integrator solves for constraints and velocity at once,
 
     A (v' - v) / h = q + c + q_c,    A = M + h D + h^2 K,    c = -h K v,
 
-with damping D and stiffness K of joints, tendons, actuators, fluid and flexes, none of which is
-negative; a is (v' - v) / h as it stands. Metric, shift c and the rows of the constraints, whose
-softness depends on the metric, are made after the actuators' forces, between two functions of
-MuJoCo's interface; of this interface inverse dynamics alone makes them too, and no more than them.
+with damping D and stiffness K of joints, tendons, actuators, fluid and flexes, none of them
+negative; a is (v' - v) / h itself. Metric, shift c and the rows of the constraints, whose softness
+depends on the metric, are computed after the actuators' forces, between two functions of MuJoCo's
+interface. Inverse dynamics is the only other function of this interface that computes exactly
+these.
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ numbers_of_block = scratch(36)
 
 @compiled
 def is_unforeseen(integrator, solver, enableflags):
-    """Tells whether the options make this integrator's step another than the one above.
+    """Return True if the options change this integrator's step from the one above.
 
-    The dual solver works with what the engine does not make for others than itself, and the flag
-    `ipc` has steps of its own.
+    The dual solver needs quantities that the engine computes for no other solver, and the flag
+    `ipc` has its own steps.
     """
     return integrator == _INTEGRATOR and (solver == _DUAL or enableflags & _IPC != 0)
 
 
 @compiled
 def make_metric(w):
-    """Has the engine make the metric of this step; reads the shift c.
+    """Have the engine compute the metric of this step; read the shift c.
 
-    What it needs of the metric for its own solvers is factored; inverse dynamics leaves that out.
+    The engine's solvers need the metric factored, which inverse dynamics omits; it is done here.
     """
     model, data, shift = w.model, w.data, w.shift
-    if w.within != 0:  # it comes after passive forces in the step
+    if w.within != 0:  # it follows passive forces in the step
         metric_shift(model, data)
     inverse_dynamics(model, data, _AFTER_VELOCITY, 1)
     if w.factored == 0 and w.efm_diag.ctypes.data != 0:
@@ -72,10 +73,10 @@ def make_metric(w):
 
 @compiled
 def add_metric(w):
-    """Adds to A, which is M, what makes it the metric.
+    """Add the metric's terms to A, which is M.
 
-    Free bodies that carry no joint and that nothing else touches have their gyroscopic moment
-    implicitly, without symmetry.
+    Free bodies that carry no joint and that nothing else touches have an implicit gyroscopic
+    moment, without symmetry.
     """
     unit, inertia = w.trial, w.inertia
     clear(unit)

@@ -2,9 +2,9 @@
 
     R'(v') c = R(v'),    v' <- v' - c
 
-Unknown beside v' are the elements' friction multipliers p, tied to their velocities v by
-sqrt(v^2 + eps^2) p = v. That equation is linearized too, and p eliminated element by element
-(`law.kernel`), so that nv equations are left.
+Unknowns besides v' are the elements' friction multipliers p, tied to their velocities v by
+sqrt(v^2 + eps^2) p = v. That equation is linearized too, and p is eliminated element by element
+(`law.kernel`), so that nv equations remain.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from mjgranular.scheme.dense import add_scaled, inner, solve
 from mjgranular.scheme.evaluation import evaluation_kernel, following_kernel
 from mjgranular.scheme.forces import NEXT
 
-# Square of the difference of a multiplier and its velocity's: where the force may be taken for the
-# law's, and where the residual may be trusted to fall along a step. Chosen.
+# Square of the difference between a multiplier and its velocity's: below the first the force counts
+# as the law's, below the second the residual is expected to decrease along a step. Chosen.
 _MATCHED, _STRAIGHT = 1e-8, 1e-6
 _STUCK = 4  # steps that do not halve the residual
-# How far forces that follow by their derivative may be from the law's: the square of that, in parts
-# of the limit, and where it is worth a look, by the velocities of the joints instead of those of
-# the elements. Chosen: in 2,990 steps of four robots driven at random what the law itself would
-# have left was 1e-9 of the momentum at hand in the median, and 3e-6 in 99 of 100.
+# Allowed error of linearly extrapolated forces, squared, relative to the limit; and the error
+# estimated from joint velocities instead of element velocities below which it is evaluated at all.
+# Chosen: in 2,990 steps of four robots driven at random the law itself would have left 1e-9 of the
+# momentum in the median, and 3e-6 in 99 of 100.
 _MISFIT, _NEARLY = 1e-8, 1e-6
 _SHORTEST = 0.1  # of a step
-_NOTHING = 1e-150  # a speed that may be divided by
+_NOTHING = 1e-150  # smallest speed to divide by
 
 Search = namedtuple("Search", ["update", "loose", "eps", "goal", "steps", "most_mismatch"])
 Search.__doc__ = """Options of one run of Newton's method.
@@ -50,10 +50,10 @@ Attributes:
 
 @cache
 def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Makes the kernel `newton(table, w, search)` for a law and a surface.
+    """Make the kernel `newton(table, w, search)` for a law and a surface.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         scene_dtype: record of law and surface.
     """
     evaluate = evaluation_kernel(kernel, scene_dtype)
@@ -61,25 +61,24 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
     @compiled
     def newton(table, w, search):
-        """Newton's method from `w.velocity`, which ends where it got to.
+        """Run Newton's method from `w.velocity`; leave it at the last iterate.
 
-        Steps are taken whole: multipliers that turn are how it finds out what holds and what
-        slides, and the residual grows on the way. Only where multipliers have stopped turning, and
-        the residual grows still, is there a kink between here and there, and half of the step is
-        taken back.
+        Full steps are taken: turning multipliers are how the method finds out what holds and what
+        slides, and the residual grows meanwhile. Only if multipliers have stopped turning and the
+        residual still grows is there a kink in between, and the step is halved.
 
-        The last step is not looked at again. Where it is so short that the law is a straight line
-        over it (`misfit`), forces follow by their derivative: the momenta balance with them, and
-        they are the law's to within what is allowed. That the momenta balance is looked at, for one
-        of MuJoCo's constraints may begin or end on the way.
+        The last step is not evaluated with the law. If it is so short that the law is linear over
+        it (`misfit`), forces are extrapolated by their derivative: the momenta balance with them,
+        and they equal the law's within the tolerance. The balance itself is checked, since one of
+        MuJoCo's constraints may begin or end on the way.
 
         Args:
-            table: of addresses.
+            table: table of addresses.
             w: the workspace.
-            search: how to go.
+            search: options of the search.
 
         Returns:
-            (evaluations, residual; infinite where it says nothing yet).
+            (evaluations, residual; infinite while it is not meaningful).
         """
         velocity, change, eps = w.velocity, w.change, search.eps
         error, mismatch = evaluate(table, w, eps, search.update, search.loose)
@@ -121,18 +120,19 @@ def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 
 @compiled
 def misfit(turn, mismatch):
-    """Estimates what is lost where a law is taken for a straight line over a step.
+    """Estimate the error of linearizing a law over a step.
 
-    With delta = |c| / s and beta = |v / s - p|, beta^2 + delta (delta + beta): a stress turns with
-    the multiplier, which has to make up for its mismatch; and speed and multiplier change together,
-    in a product of which only the parts of first order are known.
+    With delta = |c| / s and beta = |v / s - p| the estimate is beta^2 + delta (delta + beta). A
+    stress turns with the multiplier, which has to make up for its mismatch; and speed and
+    multiplier change together, in a product that is known only to first order.
 
     Args:
-        turn: delta^2, square of the change in parts of the speed s over which the law turns.
+        turn: delta^2, square of the velocity change relative to the speed s over which the law
+            turns.
         mismatch: beta^2, square of the difference between the multiplier and the velocity's own.
 
     Returns:
-        Square of the force that is lost, in parts of the limit.
+        Square of the error of the force, relative to the limit.
     """
     delta, beta = math.sqrt(turn), math.sqrt(mismatch)
     return (mismatch + delta * (delta + beta)) ** 2

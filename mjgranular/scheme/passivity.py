@@ -1,9 +1,9 @@
-"""Passivity: over a step the sand gives no energy, also where the solver stops short.
+"""Passivity: the sand adds no energy in a step, even if the solver stops early.
 
-With the sand's momentum j = h J^T f and the velocity v' that the step ends with, its work is
-j . v'. At a solution no element's force has a positive part in it. Where the solver stops short,
-forces are bounded by the law's, but need not oppose the velocities that they lead to: then the
-largest share sigma of them is taken with
+With the sand's momentum j = h J^T f and the final velocity v' of the step, its work is j . v'. At a
+solution no element's force contributes a positive part. If the solver stops early, forces are
+bounded by the law's, but may not oppose the velocities that result. Then the largest share sigma of
+them is used with
 
     j . v'(sigma) <= 0,    A (v'(sigma) - v) = h (q + q_c(v'(sigma))) + sigma j.
 """
@@ -20,29 +20,28 @@ from mjgranular.scheme.forces import SAME
 from mjgranular.scheme.workspace import DISCRETE
 
 _NO_ENERGY = 1e-14  # [J]; chosen
-_TRUSTED = 1e-8  # a residual that still says something about the energy
+_TRUSTED = 1e-8  # largest residual that still bounds the energy
 _ROUNDING = 1e-15  # of a share
 
 
 @compiled
 def passive_share(w, error):
-    """The share of the sand's momentum that gives no more energy than there is; 1 if all does.
+    """Return the largest share of the sand's momentum that adds no energy; 1 if all of it does not.
 
-    First by the velocity found and its residual, whose size is measured with the diagonal of the
-    inertia alone, which may be far too little for long chains of light bodies: a margin of a
-    thousand, and no trust in large residuals. Nor in what a solver of the engine's finds that does
-    not only descend from where it is put (`implicit.warm_start`): it stops anywhere.
+    The first test uses the velocity found and its residual. The residual's size is measured with
+    the diagonal of the inertia alone, which may be far too small for long chains of light bodies:
+    hence a margin of a thousand, and large residuals are not trusted. Neither is a constraint
+    solver that may end farther from the solution than it starts (`implicit.warm_start`).
 
-    Then by the velocity that a share leads to, which the engine itself is asked for where it has
-    constraints. Its product with j grows with the share, along a straight line where there are
-    none. So what has to be taken off is known from both ends, and doubled until what is left gives
-    nothing. What is returned has been asked for. It has to be no more than needed: at rest, where
-    rounding alone decides whether there is energy, a share less by one in a million would be a
-    kick.
+    The second test uses the velocity that a share leads to, computed by the engine itself if there
+    are constraints. Its product with j grows with the share, linearly if there are none. So the
+    reduction needed is known from both ends, and is doubled until the rest adds no energy. The
+    returned share has been tested. It must be no smaller than needed: at rest, where rounding alone
+    decides the sign of the energy, a share smaller by one in a million would disturb the balance.
 
     Args:
         w: the workspace, with the velocity that was found.
-        error: size of its residual, in parts of `w.scale`.
+        error: size of its residual, relative to `w.scale`.
     """
     if (w.descends != 0 or w.nefc == 0) and error < _TRUSTED:
         work = inner(w.sand, w.velocity)
@@ -66,12 +65,11 @@ def passive_share(w, error):
 
 @compiled
 def expected_work(w):
-    """The sand's work with the velocity that the step will end with, at most [J].
+    """Return an upper bound on the sand's work with the step's final velocity [J].
 
-    That is the velocity found, less what would make up for the residual if the sand's forces stay
-    as they are: R over its Jacobian. Whether the engine's constraints answer to that, or its solver
-    finds that it has nothing to do, is not known: both are looked at. Destroys residual and
-    Jacobian.
+    That velocity is the one found minus the correction for the residual if the sand's forces stay
+    as they are: R over its Jacobian. Whether the engine's constraints respond to that, or its
+    solver stays at its start, is unknown: both are evaluated. Destroys residual and Jacobian.
     """
     balance(w, SAME)
     copy(w.product, w.residual)
@@ -85,7 +83,7 @@ def expected_work(w):
 
 @compiled
 def work_without(w, matrix, momentum):
-    """The sand's work with the velocity less a momentum over a matrix [J]. Destroys both."""
+    """Return the sand's work with the velocity less a momentum over a matrix [J]. Destroys both."""
     if not solve(matrix, momentum, w.solution):
         return math.inf
     add_scaled(w.solution, -1.0, w.velocity)
@@ -94,9 +92,9 @@ def work_without(w, matrix, momentum):
 
 @compiled
 def work_of_share(w, share):
-    """The sand's momentum times the velocity that a share of it leads to [J].
+    """Return the sand's momentum times the velocity that a share of it leads to [J].
 
-    Leaves the engine's state as it was, but for what its step computes anew.
+    The engine's state is preserved, except for what its step recomputes.
     """
     trial, change, constrained = w.trial, w.solution, w.nefc > 0
     for j in range(w.nv):
@@ -106,8 +104,8 @@ def work_of_share(w, share):
         copy(w.product, w.qacc_warmstart)
         forward_constraint(w.model, w.data)
         copy(w.qacc_warmstart, w.product)
-    # Where no damping is behind the constraints the engine's accelerations are taken, else its
-    # forces: not the same where its solver has stopped short.
+    # If the integrator adds no damping to the constraints, the engine's accelerations are used,
+    # else its forces: they differ where its solver stopped early.
     if constrained and w.damped == 0:
         for j in range(w.nv):
             change[j] = w.h * w.qacc[j]
@@ -125,7 +123,7 @@ def work_of_share(w, share):
 
 @compiled
 def find_smooth_acceleration(w):
-    """Sets the acceleration without constraints of `w.qfrc_smooth`, as the engine has it."""
+    """Set the unconstrained acceleration of `w.qfrc_smooth`, as the engine computes it."""
     if w.integrator != DISCRETE:
         solve_inertia(w.model, w.data, w.qacc_smooth.ctypes.data, w.qfrc_smooth.ctypes.data, 1)
         return

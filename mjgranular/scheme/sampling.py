@@ -1,4 +1,4 @@
-"""Elements in the sand, found and put into tiles: the loop over elements of both schemes."""
+"""Find the elements in the sand and fill tiles with them: both schemes' loop over elements."""
 
 from __future__ import annotations
 
@@ -47,23 +47,23 @@ def _no_level(surface, pose):
 
 
 def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, compact: bool) -> Any:
-    """Makes a kernel `sample_all(table, workspace, tiles, step, lead)`.
+    """Make a kernel `sample_all(table, workspace, tiles, step, lead)`.
 
-    It looks at all elements, notes their depths in their contacts, fills tiles with those in the
-    sand, body by body, and gives the number of tiles.
+    It visits all elements, stores their depths in their contacts, fills tiles with those in the
+    sand, body by body, and returns the number of tiles.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         scene_dtype: record of law and surface.
         finish: kernel `finish(table, workspace, body, place, g, tile, number, live, is_first,
-            lead)`, which is handed each tile: its number, how many elements are in it, and whether
-            it is the first of its body. Forces that it leaves in the tile are put in the contacts.
-        compact: put together what is in the sand of several packed tiles. It pays where forces are
-            asked for several times.
+            lead)`, called with each tile: its index, the number of elements in it, and whether it
+            is the first of its body. Forces that it leaves in the tile are written to the contacts.
+        compact: merge the immersed elements of several packed tiles. It pays if forces are
+            evaluated several times.
 
-    The arguments of `sample_all` are the simulation's table, whatever `finish` knows as its
-    workspace, the address of the first tile, the distance from one to the next in bytes (0 if one
-    is to be used for all), and the scheme's lead [s].
+    The arguments of `sample_all` are the simulation's table, whatever workspace `finish` expects,
+    the address of the first tile, the distance between tiles in bytes (0 to reuse one tile), and
+    the scheme's lead [s].
     """
     lanes, size = kernel.lanes, tile_size(kernel)
     packed_size = size_of(kernel.element) * lanes
@@ -78,7 +78,7 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
 
     @partial(compiled, inline=True)
     def complete(table, workspace, body, place, g, address, number, live, is_first, lead):
-        """Hands on a tile, and writes its elements' contacts."""
+        """Pass a tile to `finish`, and write its elements' contacts."""
         contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
         tile, pose = floats(address, size), pose_at(place)
         arm = read_all(tile, POINT * lanes) - pose.tree
@@ -135,11 +135,11 @@ def sampling_kernel(kernel: LawKernel, scene_dtype: np.dtype, finish: Any, *, co
 
 
 def _look_at_all(kernel: LawKernel) -> Any:
-    """Makes the kernel `look` for laws whose `cull` takes all lanes at once."""
+    """Make the kernel `look` for laws whose `cull` takes all lanes at once."""
     lanes, cull = kernel.lanes, kernel.cull
     read_elements, all_depths = rows(kernel.element, lanes).read, rows(float, lanes)
     write_depths = all_depths.write
-    # Of a loop the compiler makes scattered stores, which take longer than single ones.
+    # The compiler turns a loop into scattered stores, which are slower than single ones.
     contact_size = CONTACT_DTYPE.itemsize
     stride = contact_size // 8  # the depth comes first
     read_depths, note_depths = column(lanes, 1).read, column(lanes, stride).write
@@ -161,11 +161,11 @@ def _look_at_all(kernel: LawKernel) -> Any:
 
 
 def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any]:
-    """Makes kernels `look`, `take` and `close`, for laws and surfaces that take numbers.
+    """Make kernels `look`, `take` and `close`, for laws and surfaces that take numbers.
 
-    `look` says whether anything of a packed tile may be in the sand. `take` looks at its elements,
-    from a lane on, until the tile is full; it gives the lane to go on from, and how many elements
-    the tile has. `close` fills up a tile.
+    `look` returns whether any element of a packed tile may be in the sand. `take` visits its
+    elements, from a lane on, until the tile is full; it returns the lane to continue from, and the
+    number of elements in the tile. `close` fills the unused lanes of a tile.
     """
     lanes, sample = kernel.lanes, kernel.sample
     read_element, samples = column(kernel.element, lanes).read, column(kernel.samples, lanes)
@@ -211,7 +211,7 @@ def _one_by_one(kernel: LawKernel, scene_dtype: np.dtype) -> tuple[Any, Any, Any
 
 
 def _side_by_side(kernel: LawKernel, scene_dtype: np.dtype, compact: bool) -> tuple[Any, Any, Any]:
-    """Makes the same kernels for laws and surfaces that take all lanes at once."""
+    """Make the same kernels for laws and surfaces that take all lanes at once."""
     lanes, sample, look = kernel.lanes, kernel.sample, _look_at_all(kernel)
     elements, one = rows(kernel.element, lanes), column(kernel.element, lanes)
     read_elements, read_element, write_element = elements.read, one.read, one.write

@@ -1,4 +1,4 @@
-"""The interface of schemes, and their register."""
+"""The interface of schemes, and their registry."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.status import refusal
 
 schemes: Registry[type[SchemeChoice]] = Registry("scheme")
-"""Classes of schemes by their names."""
+"""Scheme classes by name."""
 
 STEP = "int64(int64, float64)"
 """Signature of the program of a scheme."""
@@ -28,7 +28,7 @@ _SPELLED = {"EULER": "Euler"}
 
 @dataclass(frozen=True)
 class Workspace:
-    """Memory of a scheme for one simulation: made once, so that no step allocates.
+    """Memory of a scheme for one simulation, allocated once, so that no step allocates.
 
     Attributes:
         record: sizes and addresses, as the scheme's program reads them; words of 8 bytes.
@@ -42,10 +42,10 @@ class Workspace:
 
 
 class SchemeChoice(ABC):
-    """Choice of a scheme: one, or one among several by the model.
+    """Choice of a scheme: a fixed one, or one that depends on the model.
 
     Attributes:
-        name: the name it is known by.
+        name: name in the registry.
         title: one line for lists.
     """
 
@@ -56,24 +56,24 @@ class SchemeChoice(ABC):
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False
     ) -> Scheme:
-        """The scheme for a model with so many elements, and for a law (`Law.adds_mass`)."""
+        """Return the scheme for a model, its number of elements, and its law (`Law.adds_mass`)."""
 
     @abstractmethod
     def check(self, model: mujoco.MjModel) -> None:
-        """Refuses a model that the scheme cannot step.
+        """Check that the scheme can step a model.
 
         Raises:
-            InputError: says why, and what to set instead.
+            InputError: it cannot; says why, and what to set instead.
         """
 
 
 class Scheme(SchemeChoice):
-    """Way in which forces become a step. A final scheme is a frozen dataclass of its options.
+    """How forces enter a step. A final scheme is a frozen dataclass of its options.
 
     Attributes:
         whole_state: whether its forces depend on more than `qpos` and `qvel`: on actuators, applied
             and passive forces, constraints.
-        integrators: of MuJoCo's that can be stepped from outside.
+        integrators: MuJoCo integrators that support forces computed outside the step.
     """
 
     whole_state: ClassVar[bool] = False
@@ -81,11 +81,11 @@ class Scheme(SchemeChoice):
 
     @property
     def step_limit(self) -> float:
-        """The longest time step that may be set later [s]."""
+        """Return the longest time step that may be set later [s]."""
         return math.inf
 
     def refusal(self, status: int) -> str:
-        """Says what the program has refused (`scheme.status.REFUSED`), and what it would take."""
+        """Say why the program returned a status of `scheme.status.REFUSED`, and what to change."""
         *first, last = (_SPELLED.get(name, name.lower()) for name in self.integrators)
         return refusal(
             status,
@@ -96,19 +96,19 @@ class Scheme(SchemeChoice):
     @property
     @abstractmethod
     def lead(self) -> float:
-        """Time by which velocities are taken ahead of the state, as a fraction of the time step."""
+        """Return how far velocities lead the state, as a fraction of the time step."""
 
     @abstractmethod
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        """One compiled call that takes a law's kernels to `xfrc_applied`.
+        """Compile one call from a law's kernels to `xfrc_applied`.
 
         Called as `program(address, lead)` with the address of the simulation's table
-        (`kernel.memory`) and the lead in seconds; returns one of `scheme.status`, or the row of
+        (`kernel.memory`) and the lead in seconds; it returns one of `scheme.status`, or the row of
         the first body whose wrench is not finite.
 
         Args:
-            kernel: of the law.
-            scene: record of two: `law`, made by its `parameters`, and `surface`.
+            kernel: kernel of the law.
+            scene: record with the fields `law`, made by its `parameters`, and `surface`.
         """
 
     def scheme_for(
@@ -125,26 +125,26 @@ class Scheme(SchemeChoice):
         *,
         within: bool = False,
     ) -> Workspace:
-        """The memory that the program works with in one simulation, if it needs any.
+        """Allocate the memory that the program needs in one simulation, if any.
 
         Args:
             model: the model.
             data: the simulation.
-            elements: of the law.
-            kernel: of the law.
+            elements: elements of the law.
+            kernel: kernel of the law.
             within: whether the program runs among MuJoCo's passive forces, inside its step.
         """
         return Workspace(np.zeros(0, np.int64))
 
 
 def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
-    """The scheme of that name or class, or `scheme` itself.
+    """Return the scheme of that name or class, or `scheme` itself.
 
-    A name may have options behind it, such as "implicit evaluations=9"; others are the defaults.
+    A name may be followed by options, such as "implicit evaluations=9"; others keep their defaults.
 
     Raises:
-        UnknownNameError: no such scheme; lists those that exist.
-        InputError: an option that the scheme does not have, or a value of a wrong type.
+        UnknownNameError: no such scheme; lists the existing ones.
+        InputError: the scheme does not have that option, or its value has a wrong type.
     """
     if isinstance(scheme, type) and issubclass(scheme, SchemeChoice):
         return scheme()
@@ -157,7 +157,7 @@ def get_scheme(scheme: str | SchemeChoice | type[SchemeChoice]) -> SchemeChoice:
 
 
 def refuse_runge_kutta(model: mujoco.MjModel) -> None:
-    """Refuses the one integrator that cannot be stepped with a force from outside.
+    """Check that the integrator supports forces computed outside the step; RK4 does not.
 
     Raises:
         InputError: the model's integrator is RK4.

@@ -1,13 +1,13 @@
-"""The way to the velocity at the end of the step, and how softly rest is held.
+"""Strategy of the search for the velocity at the end of the step, and the softness of rest.
 
 A static force that holds grows to its limit L over a small speed eps,
 
-    f = -L v / sqrt(v^2 + eps^2),    v = eps P / sqrt(L^2 - P^2) under a load P,
+    f = -L v / sqrt(v^2 + eps^2),    v = eps P / sqrt(L^2 - P^2) under a load P.
 
-which is far below anything visible, and grows with speeds that cancel in an element's own, whose
-rounding a finer hold would drown in. Newton's method finds nearly all velocities. Where it is lost,
-forces are taken for damping (`scheme.damping`) until it finds its way; and if it never does, the
-step is made with that damping.
+eps is far below anything visible, and grows with joint speeds that cancel in an element's velocity:
+their rounding would dominate a smaller one. Newton's method finds nearly all velocities. Where it
+diverges, forces are treated as damping (`scheme.damping`) until it converges; if it never does, the
+step uses that damping.
 """
 
 from __future__ import annotations
@@ -28,52 +28,51 @@ from mjgranular.scheme.forces import FRESH, SAME
 from mjgranular.scheme.layout import ARM, VELOCITY
 from mjgranular.scheme.newton import Search, newton_kernel
 
-# The softness of what is at rest [m/s]: what holds for a year moves 0.03 mm at 0.7 of its limit.
-# Beside it, a share of the speeds that cancel in an element's own, the largest of all elements: a
-# hold finer than their rounding would drown in it. Both chosen; robots need as many evaluations
-# with a share of 1e-5 and 5 % fewer with 1e-4, where they hold less.
+# The softness of rest [m/s]: a body held for a year moves 0.03 mm at 0.7 of its limit. Added to it
+# is a share of the speeds that cancel in an element's own, the largest of all elements, since their
+# rounding would dominate a smaller softness. Both chosen; robots need as many evaluations with a
+# share of 1e-5, and 5 % fewer with 1e-4, where they hold less well.
 _SOFT = 1e-12
 _SOFT_SHARE = 1e-6
-# Residuals to be reached at rest and in motion, where rounding in what holds is larger, in parts of
-# the momentum at hand. Chosen; at rest a step begins with the multipliers that velocities stand
-# for, and after 1e-12, which is a tenth of the softness in one of gravity's 0.1 m/s a step, with
-# wrong ones.
+# Target residuals at rest and in motion, where rounding in holding forces is larger, relative to
+# the momentum. Chosen; at rest a step starts with the multipliers of its velocities, and after
+# 1e-12, a tenth of the softness for gravity's 0.1 m/s per step, with wrong ones.
 _AT_REST, _IN_MOTION = 1e-13, 1e-8
-# Residual in the same parts above which Newton's method is lost. What is left below may be one of
-# the law's own jumps. Chosen.
+# Relative residual above which Newton's method has diverged. A smaller one may be a discontinuity
+# of the law itself. Chosen.
 _LOST = 1e-3
-_TURNED = 0.1  # square of the difference of a multiplier and its velocity's; chosen
-# In parts of what the step would change without sand: speeds of which all elements may be at rest.
+_TURNED = 0.1  # square of the difference between a multiplier and its velocity's; chosen
+# Relative to what the step would change without sand: below it all elements may be at rest.
 _SLOW = 1e-3
-_BEGUN = 10.0  # how much softer a hold may be at the velocity found for that to be tried
-# Of Newton's method, from rest, in motion, with a softer rest and after damping; and of damping.
-# Not literals, for each of which numba would compile anew. Chosen.
+_BEGUN = 10.0  # largest ratio of the softness at the velocity found for which it is retried
+# Limits for Newton's method: from rest, in motion, with a softer rest and after damping; and for
+# damping. Not literals: numba would compile a function for each. Chosen.
 _STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR = (np.int64(n) for n in (8, 40, 6, 12))
 _STEPS_DAMPED = np.int64(8)
 
 
 @cache
 def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
-    """Makes the kernel `find_velocity(table, w)` for a law and a surface.
+    """Make the kernel `find_velocity(table, w)` for a law and a surface.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         scene_dtype: record of law and surface.
-        most: evaluations after which a step that is lost is made with damping.
+        most: evaluations after which a diverged step uses damping.
     """
     newton = newton_kernel(kernel, scene_dtype)
     damp = damping_kernel(kernel, scene_dtype)
 
     @compiled
     def find_velocity(table, w):
-        """Solves for the velocity at the end of the step, `w.velocity`.
+        """Solve for the velocity at the end of the step, `w.velocity`.
 
         Args:
-            table: of addresses.
+            table: table of addresses.
             w: the workspace, with the velocity at the start of the step.
 
         Returns:
-            (evaluations, residual in parts of `w.scale`).
+            (evaluations, residual relative to `w.scale`).
         """
         velocity = w.velocity
         fine = softness(w, velocity)
@@ -81,14 +80,14 @@ def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
         goal = goal_of(fine) * w.scale
         done = 0
         if fastest(w) < _SLOW * coarse:
-            # At rest what was is what will be.
+            # At rest the present velocities are the guess.
             search = Search(FRESH, fine, fine, goal, _STEPS_NEAR, _TURNED)
             done, error = newton(table, w, search)
             if error <= goal:
                 return done, error / w.scale
 
-        # In motion the last acceleration, which is part of MuJoCo's state, is a good guess. What is
-        # slower than the step may change is not taken to slide.
+        # In motion the last acceleration, which is part of MuJoCo's state, is a good guess.
+        # Elements slower than the step may change are not assumed to slide.
         known = True
         for j in range(w.nv):
             known = known and math.isfinite(w.qacc_warmstart[j])
@@ -99,7 +98,8 @@ def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
         more, error = newton(table, w, search)
         done += more
         if goal < error <= _LOST * w.scale:
-            # What begins to move in this step is rounded more than its velocity before can say.
+            # Bodies that start to move in this step have more rounding than their velocity before
+            # shows.
             moved = softness(w, velocity)
             if moved > _BEGUN * fine:
                 fine = moved
@@ -111,7 +111,7 @@ def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
         if error <= _LOST * w.scale:
             return done, error / w.scale
 
-        # Lost: damping leads near, and Newton's method begins anew from there.
+        # Diverged: damping leads close to the solution, and Newton's method starts over from there.
         copy(velocity, w.start)
         while True:
             error = damp(table, w, fine, _STEPS_DAMPED)
@@ -131,17 +131,17 @@ def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
 
 @compiled
 def goal_of(eps):
-    """Residual to be reached, in parts of the momentum at hand."""
+    """Return the target residual, relative to the momentum."""
     return _AT_REST + _IN_MOTION * (eps - _SOFT) / eps
 
 
 @compiled
 def softness(w, velocity):
-    """The fine softness at a velocity of the joints [m/s].
+    """Return the final softness at a joint velocity [m/s].
 
-    With it grow the velocities of joints that cancel in that of a body: the rounding of its rest.
-    Those of slides count by a bound of their sum, sqrt(n) times their norm: the axes of the world
-    change nothing.
+    It grows with the joint velocities that cancel in that of a body, and so with the rounding of
+    its rest. Slide joints count by a bound of their sum, sqrt(n) times their norm, which does not
+    depend on the world's axes.
     """
     largest = 0.0
     last = -1
@@ -169,7 +169,7 @@ def softness(w, velocity):
 
 @compiled
 def speed_without_sand(w):
-    """The greatest speed of an element at rest after a step without sand [m/s]."""
+    """Return the greatest speed of an element initially at rest after a step without sand [m/s]."""
     for j in range(w.nv):
         w.trial[j] = w.h * w.qacc_smooth[j]
     find_motions(w, w.trial)
@@ -185,7 +185,7 @@ def speed_without_sand(w):
 
 @compiled
 def fastest(w):
-    """The greatest speed of an element at the start of the step [m/s]."""
+    """Return the greatest speed of an element at the start of the step [m/s]."""
     most = 0.0
     for i in range(w.count):
         for lane in range(w.lanes):
@@ -195,7 +195,7 @@ def fastest(w):
 
 @compiled
 def lane_vector(w, tile, row, lane):
-    """A vector of one element of a tile: three rows, one number of each."""
+    """Return a vector of one element of a tile: three rows, one number of each."""
     lanes = w.lanes
     first = row * lanes + lane
     return vector(tile[first], tile[first + lanes], tile[first + 2 * lanes])
@@ -203,5 +203,5 @@ def lane_vector(w, tile, row, lane):
 
 @compiled
 def size(v):
-    """|x| + |y| + |z|."""
+    """Return |x| + |y| + |z|."""
     return abs(v.x) + abs(v.y) + abs(v.z)

@@ -1,7 +1,7 @@
-"""Statuses of a scheme's program, and the options of the model that it checks first.
+"""Statuses of a scheme's program, and its check of the model's options.
 
-Options may be changed between any two steps, by a viewer's switch for example. What a scheme cannot
-step then is refused, in words, before anything is computed.
+Options may change between any two steps, for example in a viewer. A scheme that cannot step with
+them reports that before it computes anything.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from mjgranular.kernel.memory import INTEGRATORS, LONGEST_STEP
 from mjgranular.kernel.options import options_at
 
 FINE = -1
-"""All is well."""
+"""Success."""
 BAD_STATE = -2
-"""MuJoCo has found numbers in the state that are none."""
+"""MuJoCo has found numbers in the state that are not finite."""
 BAD_TIMESTEP = -3
 """The time step is not a positive number."""
 LONG_TIMESTEP = -4
-"""The time step has grown beyond what the scheme was chosen for."""
+"""The time step is longer than the scheme was chosen for."""
 BAD_INTEGRATOR = -5
-"""The integrator is not one that the scheme can step."""
+"""The scheme cannot step with this integrator."""
 BAD_SOLVER = -6
-"""The constraint solver is none that the engine has: it would end the process."""
+"""The engine does not have this constraint solver: it would end the process."""
 BAD_METRIC = -7
-"""The integrator `discrete` with what the implicit scheme does not foresee."""
+"""The integrator `discrete` with options that the implicit scheme does not predict."""
 
-# Numbered downwards, one after the other.
+# Numbered downward without gaps.
 REFUSED = (BAD_TIMESTEP, LONG_TIMESTEP, BAD_INTEGRATOR, BAD_SOLVER, BAD_METRIC)
-"""Refusals of options."""
+"""Statuses for options that the scheme cannot step with."""
 
 EVERY_INTEGRATOR = 0xFF  # a bit for each
 _LONGEST = 10**18  # [ns]: any step
@@ -43,10 +43,10 @@ _SOLVERS = len(mujoco.mjtSolver.__members__)
 
 @partial(compiled, inline=True)
 def check_options(table):
-    """Looks whether the model can be stepped with the options that it has now.
+    """Check that the scheme can step with the model's present options.
 
     Args:
-        table: the simulation's (`kernel.memory`).
+        table: table of the simulation (`kernel.memory`).
 
     Returns:
         `FINE`, or one of `REFUSED`.
@@ -66,23 +66,23 @@ def check_options(table):
 
 
 def nanoseconds(longest_step: float) -> int:
-    """A longest time step [s] as the table has it [ns], with room for its rounding."""
+    """Convert a longest time step [s] for the table [ns], with a margin for its rounding."""
     return math.ceil(min((1 + 1e-9) * longest_step / _NANO, _LONGEST))
 
 
 def bits_of(integrators: Iterable[str]) -> int:
-    """A bit for each of these integrators that this MuJoCo has."""
+    """Return a bit mask of the given integrators that this MuJoCo has."""
     known = mujoco.mjtIntegrator.__members__
     return sum(1 << int(known[f"mjINT_{name}"]) for name in integrators if f"mjINT_{name}" in known)
 
 
 def refusal(status: int, *, longest_step: float, integrators: str) -> str:
-    """Says what is wrong with the options of a model, and what would have been right.
+    """Say what is wrong with the options of a model, and what would have been right.
 
     Args:
         status: one of `REFUSED`.
-        longest_step: that the scheme was chosen for [s].
-        integrators: that the scheme can step, in words.
+        longest_step: longest time step that the scheme was chosen for [s].
+        integrators: integrators that the scheme can step with, in words.
     """
     if status == BAD_TIMESTEP:
         return "the time step of the model (opt.timestep) must be a positive number"

@@ -1,7 +1,7 @@
-"""Workspace of the implicit scheme in one simulation: its arrays, and those of MuJoCo's.
+"""Workspace of the implicit scheme in one simulation: its arrays, and MuJoCo's.
 
 A kernel sees all of them as fields of one record, `w`: `w.nv`, `w.velocity[j]`, `w.cdof[j]`. Fields
-of MuJoCo's structs have MuJoCo's names. The record is made once for each `MjData`, so that no step
+of MuJoCo's structs keep MuJoCo's names. The record is made once for each `MjData`, so that no step
 allocates.
 """
 
@@ -24,17 +24,17 @@ from mjgranular.scheme.scheme import Workspace
 STATISTICS_DTYPE = np.dtype(
     [
         ("steps", np.int64),  # with an element in the sand
-        ("evaluations", np.int64),  # of forces and derivatives, in all of them
+        ("evaluations", np.int64),  # of forces and derivatives, in all steps
         ("most", np.int64),  # in one step
-        ("unfinished", np.int64),  # steps that left too much unbalanced
-        ("residual", np.float64),  # of the last, in parts of the momentum that it moves; or inf
-        ("worst", np.float64),  # of all
+        ("unfinished", np.int64),  # steps whose residual stayed too large
+        ("residual", np.float64),  # of the last step, relative to its momentum; or inf
+        ("worst", np.float64),  # of all steps
     ]
 )
 
 EULER, EULER_DAMPED, IMPLICIT_FAST, IMPLICIT, DISCRETE = range(5)
-"""Additions of the integrator to the inertia: none, joint damping, the derivative of forces, all
-that makes it the effective metric."""
+"""Terms that the integrator adds to the inertia: none, joint damping, the derivative of forces, all
+terms of the effective metric."""
 
 POLY = int(mujoco.mjNPOLY)
 """Coefficients of damping beyond the linear one."""
@@ -47,18 +47,18 @@ _INTEGERS: tuple[str, ...] = (
     "nlone",  # degrees of freedom of lone free bodies
     "lanes", "tile_size", "tile_count",  # of tiles of elements
     "model", "data",  # addresses of `mjModel` and `mjData`
-    "within",  # 1 where forces are asked for within `mj_step`, among the passive ones
-    # Of this step's options (`read_options`): one of the five above; whether the integrator adds
-    # its damping behind the constraints; whether the constraints' Jacobian is sparse; whether
-    # their solver ends no farther off than it begins; whether MuJoCo factors the effective metric
-    # wherever it makes it.
+    "within",  # 1 if forces are computed inside `mj_step`, among the passive ones
+    # This step's options (`read_options`): one of the five integrators above; whether the
+    # integrator adds damping besides that in the constraints; whether the constraints' Jacobian is
+    # sparse; whether their solver ends no farther from the solution than it starts; whether MuJoCo
+    # factors the effective metric whenever it computes it.
     "integrator", "damped", "sparse", "descends", "factored",
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
-    "count",  # of tiles that are filled in this step
+    "count",  # of tiles filled in this step
 )  # fmt: skip
 _REALS: tuple[str, ...] = (
     "h",  # time step [s]
-    "scale",  # size of the momentum at hand
+    "scale",  # size of the momentum, `balance.size_of`
 )
 
 
@@ -88,36 +88,36 @@ _OF_DATA = _by_name({
     (_F, ("nbody", 3)): ("subtree_com", "xipos"),
 })  # fmt: skip
 _OWN = {
-    "velocity": (_F, ("nv",)),  # v', sought: at the end of the step
+    "velocity": (_F, ("nv",)),  # v', unknown: at the end of the step
     "start": (_F, ("nv",)),  # v, at its beginning
     "smooth": (_F, ("nv",)),  # h q: momentum of all forces but those of sand and constraints
-    "shift": (_F, ("nv",)),  # what `discrete` adds to these forces for springs that move on
+    "shift": (_F, ("nv",)),  # added by `discrete` to these forces for springs that move
     "sand": (_F, ("nv",)),  # h J^T f
     "constraint": (_F, ("nv",)),  # h q_c
     "residual": (_F, ("nv",)),  # R
     "change": (_F, ("nv",)),  # of the velocity, in a step of Newton's method
-    "near": (_F, ("nv",)),  # velocity that damping has led to
-    "found": (_F, ("nv",)),  # the one that its last linear balance had,
-    "gap": (_F, ("nv",)),  # and how far from that it was looked at
+    "near": (_F, ("nv",)),  # velocity found by damping
+    "found": (_F, ("nv",)),  # solution of its last linear balance
+    "gap": (_F, ("nv",)),  # distance from there to the velocity evaluated
     "rate": (_F, ("nv",)),  # (v' - v) / h
     "acceleration": (_F, ("nv",)),  # a = K (v' - v) / h, that of the constraints
-    "trial": (_F, ("nv",)),  # for what is needed for a moment: these four
+    "trial": (_F, ("nv",)),  # temporaries: these four
     "product": (_F, ("nv",)),
     "solution": (_F, ("nv",)),
     "row": (_F, ("nv",)),
     "weight": (_F, ("nv",)),  # 1 / diagonal of A
     "inertia": (_F, ("nv", "nv")),  # A = M + C
-    "damping": (_F, ("nv", "nv")),  # C, what the integrator adds to the inertia
-    "jacobian": (_F, ("nv", "nv")),  # R', and what its elimination leaves
+    "damping": (_F, ("nv", "nv")),  # C, terms that the integrator adds to the inertia
+    "jacobian": (_F, ("nv", "nv")),  # R', and its factors
     "undamped": (_F, ("nv", "nv")),  # K = 1 + M^-1 C; rows that constraints touch
     "touched": (_I, ("nv",)),  # 1 if a constraint touches the degree of freedom
     "springs": (_F, ("nv", "nv")),  # stiffness of constraints
     "motion": (_F, ("nbody", 6)),  # spatial velocities of bodies
-    "before": (_F, ("nbody", 6)),  # the same where the last step began (`scheme.added`)
+    "before": (_F, ("nbody", 6)),  # the same at the start of the last step (`scheme.added`)
     # Twice the energy of a rigid body's sand at the start of the step: now, and before it turned.
     "energy": (_F, ("nbody", 2)),
-    "wrench": (_F, ("nbody", 6)),  # about the centre of the tree: moment, force
-    "carried": (_F, ("nbody", 6)),  # the same with those of the bodies that it carries
+    "wrench": (_F, ("nbody", 6)),  # about the center of the tree: moment, force
+    "carried": (_F, ("nbody", 6)),  # the same plus those of the bodies that it carries
     "stiffness": (_F, ("nbody", 36)),  # K_b, minus the derivative of the wrench by the motion
     "wet": (_I, ("nbody",)),  # 1 if a body or one that it carries has an element in the sand
     "friction": (_F, ("nfriction", 2)),  # of friction losses: acceleration and multiplier
@@ -131,7 +131,7 @@ _OWN = {
         (len(ROWS_DTYPE.names or ()),),
     ),  # of what describes the constraints, in `mjData`
 }
-# In MuJoCo's arena, which is laid out anew at every step; in the order of `offsets`.
+# In MuJoCo's arena, whose layout changes at every step; in the order of `offsets`.
 _OF_CONSTRAINTS = {
     "contact": (CONTACT_DTYPE, ("ncon",)),
     "efc_type": (_I, ("nefc",)),
@@ -143,7 +143,7 @@ _OF_CONSTRAINTS = {
     "efc_frictionloss": (_F, ("nefc",)),
     "efc_D": (_F, ("nefc",)),
     "efc_aref": (_F, ("nefc",)),
-    # Not there without the effective metric; `efm_diag` and `efm_ca` not always with it.
+    # Absent without the effective metric; `efm_diag` and `efm_ca` may be absent with it.
     "efm_diag": (_F, ("nv",)),
     "efm_c": (_F, ("nv",)),
     "efm_ca": (_F, ("nv",)),
@@ -157,7 +157,7 @@ _VIEWS = Views(
 _WORDS = _VIEWS.dtype.itemsize // 8
 _FIRST_OF_CONSTRAINTS = _WORDS - len(_OF_CONSTRAINTS)
 workspace_at = views_at(_VIEWS)
-"""Kernel `workspace_at(address)`: the workspace whose record lies there."""
+"""Kernel `workspace_at(address)`: the workspace whose record is at that address."""
 
 
 def make_workspace(
@@ -168,7 +168,7 @@ def make_workspace(
     *,
     within: bool,
 ) -> Workspace:
-    """Makes the workspace of one simulation, as `Scheme.workspace` says."""
+    """Make the workspace of one simulation; see `Scheme.workspace`."""
     lone = lone_free_dofs(model)
     record: Any = np.zeros(1, _VIEWS.dtype)
     numbers = {name: getattr(model, name) for name in ("nbody", "nv", "njnt", "nC", "nD")}
@@ -199,10 +199,10 @@ def make_workspace(
 
 
 def lone_free_dofs(model: mujoco.MjModel) -> np.ndarray:
-    """The degrees of freedom of all free bodies that carry no joint.
+    """Return the degrees of freedom of all free bodies that carry no joint.
 
     For these `implicitfast` takes the gyroscopic moment implicitly too, without symmetry (measured
-    with MuJoCo 3.17 and 4.0, masses that are fixed to the body included).
+    with MuJoCo 3.17 and 4.0, including bodies with masses fixed to them).
     """
     root_dofs = np.bincount(model.body_rootid[model.dof_bodyid], minlength=model.nbody)
     free = model.jnt_type[model.dof_jntid] == mujoco.mjtJoint.mjJNT_FREE
@@ -220,13 +220,13 @@ _EXACT_DIAGONAL = int(mujoco.mjtEnableBit.mjENBL_DIAGEXACT)
 
 @compiled
 def read_options(table, w):
-    """Notes what the model's options are in this step.
+    """Store the model's options for this step.
 
     MuJoCo's primal constraint solvers lower the cost at each of their steps, and the cost bounds
-    the distance to the solution: they end no farther off than they begin.
+    the distance to the solution: they end no farther from it than they start.
 
     Args:
-        table: the simulation's (`kernel.memory`).
+        table: table of the simulation (`kernel.memory`).
         w: the workspace.
     """
     options = options_at(table)
@@ -250,7 +250,7 @@ def read_options(table, w):
 
 @compiled
 def has_damping(w):
-    """Tells whether a joint is damped, by itself or by an actuator."""
+    """Return True if any joint is damped, by itself or by an actuator."""
     for j in range(w.nv):
         if w.dof_damping[j] > 0.0 or w.jnt_actuatorid[w.dof_jntid[j]] != -1:
             return True
@@ -262,10 +262,10 @@ def has_damping(w):
 
 @compiled
 def open_constraints(address, w):
-    """Reads where MuJoCo's constraints, and its effective metric, are in this step.
+    """Read the addresses of MuJoCo's constraints and its effective metric in this step.
 
     Args:
-        address: of the workspace's record.
+        address: address of the workspace's record.
         w: the workspace.
     """
     words, offsets = longs(address, _WORDS), w.offsets

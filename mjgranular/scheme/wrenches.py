@@ -32,10 +32,10 @@ from mjgranular.law.kernel import Pose
 
 @compiled
 def place_of(table, body):
-    """Finds the addresses of the pose of a body of the sand, for `pose_at`.
+    """Return the addresses of the pose of a body in the sand, for `pose_at`.
 
     Args:
-        table: the simulation's (`kernel.memory`).
+        table: table of the simulation (`kernel.memory`).
         body: record of the body (`kernel.records`).
     """
     number = body.body
@@ -50,10 +50,10 @@ def place_of(table, body):
 
 @compiled
 def pose_at(place):
-    """Reads pose and motion of a body of the sand, from `place_of`.
+    """Read pose and motion of a body in the sand, from `place_of`.
 
-    In a loop over elements it is best called for each of them: then what an element has no need of
-    is not read, and nothing has to be kept while the law is asked.
+    In a loop over elements, call it for each of them: then values that an element does not need are
+    not read, and none have to be kept during a call of the law.
     """
     return Pose(
         read_vector(floats(place[0], 3), 0),
@@ -66,7 +66,7 @@ def pose_at(place):
 
 @compiled
 def gravity_of(table):
-    """Size of gravity [m/s^2]; nothing where the model's gravity is disabled."""
+    """Return the magnitude of gravity [m/s^2]; 0 if the model disables gravity."""
     options = options_at(table)
     if options.disableflags & NO_GRAVITY != 0:
         return 0.0
@@ -76,16 +76,16 @@ def gravity_of(table):
 
 @partial(compiled, inline=True)
 def add_wrenches(table):
-    """Adds the bodies' wrenches to `xfrc_applied`, and takes back those of the last call.
+    """Add the bodies' wrenches to `xfrc_applied`, and remove those of the last call.
 
-    A row that still holds what the last call wrote is first restored to what it was before that
-    call; a row that does not has been written by the user since (or reset, or copied), and is
-    wholly the user's.
+    A row that still holds what the last call wrote is first restored to its value before that call.
+    A row that does not has been written by the user since (or reset, or copied), and is taken as
+    the user's.
 
-    Inside MuJoCo's step, where the table has no `xfrc_applied`, nothing is done.
+    Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
 
     Args:
-        table: the simulation's (`kernel.memory`).
+        table: table of the simulation (`kernel.memory`).
 
     Returns:
         -1, or the row in `bodies` of the first wrench that is not finite; then nothing is written.
@@ -97,7 +97,7 @@ def add_wrenches(table):
 
 @compiled
 def write_wrenches(table):
-    """The work of `add_wrenches`."""
+    """Do the work of `add_wrenches`."""
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])
     for slot in range(len(bodies)):
@@ -122,7 +122,7 @@ def write_wrenches(table):
 
 @compiled
 def take_back_wrenches(address):
-    """Restores `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
+    """Restore `xfrc_applied` to what it was before `add_wrenches`, to the last bit."""
     table = table_at(address)
     bodies = body_records(table[BODIES], table[BODY_COUNT])
     xfrc = floats(table[XFRC], 6 * table[NBODY])
@@ -140,7 +140,7 @@ _BAD = tuple(
 
 @compiled
 def is_bad(table):
-    """Tells whether MuJoCo has found NaN, infinite or huge numbers in the state, and reset it.
+    """Return True if MuJoCo found NaN, infinite or huge numbers in the state and reset it.
 
     Inside MuJoCo's step, which deals with that itself, the table has no warnings.
     """
@@ -153,9 +153,9 @@ def is_bad(table):
 
 @compiled
 def withdraw_wrenches(table):
-    """Takes back those rows of `xfrc_applied` that still hold what the sand wrote.
+    """Remove the sand's wrenches from rows of `xfrc_applied` that still hold them.
 
-    Inside MuJoCo's step, where the table has no `xfrc_applied`, nothing is done.
+    Inside MuJoCo's step the table has no `xfrc_applied`, and nothing is done.
     """
     if table[XFRC] == 0:
         return

@@ -1,4 +1,4 @@
-"""The body's form as the sand sees it: elements, made once from the model's geoms."""
+"""Shapes of bodies: elements, made once from the model's geoms."""
 
 from mjgranular.shape.blobs import BLOB_DTYPE as BLOB_DTYPE
 from mjgranular.shape.blobs import blobs_from_model as blobs_from_model

@@ -1,4 +1,4 @@
-"""Bodies as wholes: centre and support function of each geom, for laws of one force a body."""
+"""Whole bodies: center and support function of each geom, for laws with one force per body."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BLOB_DTYPE = np.dtype(
         ("center", np.float64, (3,)),  # [m], body frame
         ("axes", np.float64, (9,)),  # rotation matrix of the geom in the body frame, row by row
         ("radii", np.float64, (3,)),  # of the ellipsoidal part [m]
-        ("halves", np.float64, (3,)),  # of the box that it is swept along [m]
+        ("halves", np.float64, (3,)),  # half extents of the box that this part is swept along [m]
         ("disc", np.float64),  # radius of a disc across z [m]
         ("width", np.float64),  # of the geom, for Froude numbers [m]
     ]
@@ -31,7 +31,7 @@ _GEOM = mujoco.mjtGeom
 
 
 def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
-    """Makes one blob for each geom; a mesh counts as the box around it.
+    """Make one blob for each geom; a mesh counts as the box around it.
 
     Args:
         model: the model.
@@ -41,8 +41,7 @@ def blobs_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         Blobs, ordered by body, shape (n,), dtype `BLOB_DTYPE`.
 
     Raises:
-        InputError: a geom of a type that has no volume, or of a size of zero or beyond what can
-            be computed with.
+        InputError: a geom's type has no volume, or its size is zero or beyond numerical limits.
     """
     blobs = np.zeros(len(geoms), BLOB_DTYPE)
     slots: dict[int, int] = {}
@@ -88,7 +87,7 @@ def _set_support(model: mujoco.MjModel, geom: int, blob: np.void) -> None:
 
 @compiled
 def support(blob, along):
-    """Reach of a blob from its centre in a direction, a vector in the body frame [m]."""
+    """Return a blob's extent from its center in a direction, a vector in the body frame [m]."""
     u = transposed(blob.axes) @ along
     r, h = blob.radii, blob.halves
     reach = norm(vector(r.x * u.x, r.y * u.y, r.z * u.z)) + blob.disc * math.sqrt(

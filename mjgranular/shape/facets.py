@@ -1,4 +1,4 @@
-"""Bodies as skins: the facets of their geoms, for laws that act on surface elements."""
+"""Surfaces of bodies: the facets of their geoms, for laws that act on surface elements."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ FACET_DTYPE = np.dtype(
         ("slot", np.int64),  # row of the body in the binding's table of bodies
         ("point", np.float64, (3,)),  # centroid [m], body frame
         ("normal", np.float64, (3,)),  # unit, outward, body frame
-        ("area", np.float64),  # that is exposed to sand [m^2] (`shape.rigid`)
+        ("area", np.float64),  # exposed to sand [m^2] (`shape.rigid`)
         # A point of the facet is point + s edges[0] + t edges[1], s and t from -1 to 1, body frame;
         # the normal there is along normal + s spread[0] + t spread[1]. Zero for triangles.
         ("edges", np.float64, (2, 3)),  # [m]
         ("spread", np.float64, (2, 3)),
-        ("extent", np.float64),  # of the edges from the middle [m], 0 for triangles
+        ("extent", np.float64),  # of the edges from the center [m], 0 for triangles
         ("width", np.float64),  # of the widest face of the geom, for Froude numbers [m]
         ("face", np.float64),  # width of the face that it is part of [m] (`shape.rigid`)
-        ("flat", np.float64),  # 0 to 1: how much of what the geom shows here is one flat face
+        ("flat", np.float64),  # 0 to 1: fraction of the geom's projection that is one flat face
     ]
 )
 
 FINEST = 200
-"""Largest resolution. Chosen: a sphere has 51 000 facets then, far more than accuracy asks for, and
-takes 0.9 GB while it is cut; both go with the square of the resolution."""
+"""Largest resolution. Chosen: a sphere then has 51 000 facets, far more than accuracy needs, and
+takes 0.9 GB while it is divided; both grow with the square of the resolution."""
 
-# Skins that are closer than this share of a geom's size lie on each other. Chosen: far above
-# rounding, far below anything that is drawn.
+# Surfaces closer than this share of a geom's size coincide. Chosen: far above rounding, far below
+# anything visible.
 _TOUCH = 1e-6
 
-_FLAT = 1e-9  # spread of a normal that is rounding; chosen
+_FLAT = 1e-9  # change of a normal that is rounding; chosen
 
 _GEOM = mujoco.mjtGeom
 
@@ -64,34 +64,33 @@ def facets_from_model(
     sheltered: Literal["drop", "keep"] = "drop",
     meshes: Literal["patches", "triangles"] = "patches",
 ) -> np.ndarray:
-    """Cuts geoms into facets.
+    """Divide geoms into facets.
 
-    Capsule, sphere, cylinder, ellipsoid and box are cut into patches of their true skin; the
-    triangles of a mesh, convex or not, are gathered into patches (`shape.patches`).
+    Capsule, sphere, cylinder, ellipsoid and box are divided into patches of their true surface; the
+    triangles of a mesh, convex or not, are grouped into patches (`shape.patches`).
 
     Args:
         model: the model.
         geoms: geom ids.
         resolution: rings from pole to pole of a round geom, patches around half of a cylinder, and
             three times the number along a box's longest edge; a mesh has at most twice its square.
-            None for 12, and less of small geoms where there are many (`shape.budget`).
-        hidden: whether to drop skin that no grain can touch, since it lies inside another of the
-            geoms (`hidden_skin`), or to keep all.
-        sheltered: the same for the share of a facet's area that other parts of the same rigid body
-            shelter (`shape.rigid.exposures`).
-        meshes: what a mesh gives: patches, or its own triangles, to compare with.
+            None for 12, and less for small geoms if there are many (`shape.budget`).
+        hidden: whether to drop surfaces that no grain can touch, since they are inside another of
+            the geoms (`hidden_skin`), or to keep all.
+        sheltered: whether to drop the share of a facet's area that other parts of the same rigid
+            body shelter (`shape.rigid.exposures`), or to keep all.
+        meshes: facets of a mesh: patches, or its own triangles, for comparisons.
 
     Returns:
         Facets, ordered by body, shape (n,), dtype `FACET_DTYPE`.
 
     Raises:
-        InputError: a geom of another type, of size zero or beyond what can be computed with, or a
-            mesh without faces; a resolution below 2 or above 200; more facets than there is room
-            for.
+        InputError: a geom of another type, of size zero or beyond numerical limits, or a mesh
+            without faces; a resolution below 2 or above 200; too many facets.
 
     Warns:
-        GranularWarning: a mesh is not watertight, says how many open edges it has; or is inside
-            out, and then is turned round.
+        GranularWarning: a mesh is not watertight, with the number of its open edges; or it is
+            inside out, and is then flipped.
     """
     ordered = sorted(set(geoms), key=lambda g: (int(model.geom_bodyid[g]), g))
     if resolution is None:
@@ -103,7 +102,7 @@ def facets_from_model(
     slots: dict[int, int] = {}
     parts = []
     count = 0
-    # One skin at a time: the cells of all would fill the memory.
+    # One surface at a time: the cells of all would fill the memory.
     for geom, fine in zip(ordered, rings, strict=True):
         if int(model.geom_type[geom]) == _GEOM.mjGEOM_MESH:
             corners = mesh_corners(model, geom)
@@ -139,7 +138,7 @@ def facets_from_model(
         part["normal"] = facets.normals @ rotation.T
         part["area"] = facets.areas
         part["edges"] = facets.edges @ rotation.T
-        # What is flat is so exactly: rounding must not decide whether a face leads.
+        # Flat facets are exactly flat: rounding must not decide whether a face leads.
         plane = np.abs(facets.spread).max(axis=(1, 2)) < _FLAT
         part["spread"] = np.where(plane[:, None, None], 0.0, facets.spread @ rotation.T)
         part["extent"] = np.linalg.norm(facets.edges, axis=2).sum(axis=1)
@@ -161,27 +160,27 @@ def facets_from_model(
 def hidden_skin(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, skin: Cells, geoms: Sequence[int]
 ) -> np.ndarray:
-    """Finds the cells of the skin of a geom that lie inside others.
+    """Find the cells of the surface of a geom that are inside others.
 
-    A geom hides what is inside it on its own body, and on bodies that are welded to it. On a body
-    that hinges or balls join to its own, before or behind, it hides what is inside it at `qpos0`
-    and no farther from the joint than half its width: that stays there, roughly, as the joint
-    turns. A slide joint hides nothing. Where two skins lie on each other, facing the same way, that
-    of the lower id is seen; facing each other, none. A mesh hides nothing.
+    A geom hides what is inside it on its own body, and on bodies welded to it. On a body connected
+    to its own by hinge or ball joints, parent or child, it hides what is inside it at `qpos0` and
+    no farther from the joint than half its width: that stays there, roughly, as the joint turns. A
+    slide joint hides nothing. Where two surfaces coincide and face the same way, that of the lower
+    id is kept; if they face each other, none. A mesh hides nothing.
 
     Args:
         model: the model.
         data: at `qpos0`.
         geom: id of the geom.
         skin: its cells, in its own frame.
-        geoms: ids of all that meet the sand.
+        geoms: ids of all geoms that meet the sand.
 
     Returns:
         A mask of the cells.
     """
     hidden = np.zeros(len(skin.points), bool)
     turn = data.geom_xmat[geom].reshape(3, 3)
-    # Cells without area have no normal and are not used; what is too far to tell hides nothing.
+    # Cells without area have no normal and are not used; what is too far to compute hides nothing.
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         points, vectors = skin.points @ turn.T + data.geom_xpos[geom], skin.vectors @ turn.T
         normals = vectors / np.linalg.norm(vectors, axis=1)[:, None]
@@ -204,9 +203,9 @@ def hidden_skin(
 
 
 def _joints_between(model: mujoco.MjModel, geom: int, other: int) -> list[int] | None:
-    """Joints between the bodies of two geoms: none if they are as one; None if they are strangers.
+    """Return joints between the bodies of two geoms: empty if welded, None if unrelated.
 
-    Strangers are bodies that are not joined to each other, or by a joint that slides.
+    Unrelated bodies are not joined to each other, or are joined by a slide joint.
     """
     one, two = sorted(int(model.body_weldid[model.geom_bodyid[g]]) for g in (geom, other))
     if one == two:
@@ -221,7 +220,7 @@ def _joints_between(model: mujoco.MjModel, geom: int, other: int) -> list[int] |
 
 
 def _inside(model: mujoco.MjModel, geom: int, points: np.ndarray) -> np.ndarray:
-    """Tells whether points [m] in the frame of a geom lie inside it, shape (n,)."""
+    """Return which points [m] in the frame of a geom are inside it, shape (n,)."""
     size, kind = model.geom_size[geom], int(model.geom_type[geom])
     if kind in (_GEOM.mjGEOM_SPHERE, _GEOM.mjGEOM_ELLIPSOID):
         return ((points / half_extents(model, geom)) ** 2).sum(axis=1) < 1

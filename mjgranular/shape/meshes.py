@@ -10,18 +10,18 @@ from mjgranular.shape.sizes import check_size, geom_name
 
 
 def mesh_corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Corners of the triangles of a geom's mesh, counter-clockwise seen from outside.
+    """Return corners of the triangles of a geom's mesh, counter-clockwise seen from outside.
 
     Returns:
         Corners [m], in the frame of the geom, shape (n, 3, 3).
 
     Raises:
-        InputError: the mesh has no faces, or none with an area, or a size beyond what can be
-            computed with.
+        InputError: the mesh has no faces, or none with an area, or its size is beyond numerical
+            limits.
 
     Warns:
-        GranularWarning: a mesh is not watertight, says how many open edges it has; or is inside
-            out, and then is turned round.
+        GranularWarning: a mesh is not watertight, with the number of its open edges; or it is
+            inside out, and is then flipped.
     """
     mesh = int(model.geom_dataid[geom])
     if mesh < 0 or model.mesh_facenum[mesh] == 0:
@@ -50,9 +50,10 @@ def mesh_corners(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 
 def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """Number of edges of a triangle mesh that do not belong to two faces.
+    """Count the edges of a triangle mesh that do not belong to two faces.
 
-    Vertices at the same place count as one: MuJoCo splits vertices where normals or textures do.
+    Vertices at the same position count as one: MuJoCo splits vertices where normals or textures
+    differ.
     """
     _, merged = np.unique(vertices, axis=0, return_inverse=True)
     corners = merged.reshape(-1)[faces]

@@ -1,14 +1,14 @@
-"""Gathers the triangles of a mesh into few patches, each a facet.
+"""Group the triangles of a mesh into few patches, each a facet.
 
-Meshes of machines have tens of thousands of triangles, most of them far smaller than anything that
-sand could tell apart. Patches are found from the top: all triangles are one patch, and the patches
-that blur most, by place and by direction, are cut in two until they are fine enough or as many as
-they may be. So flat parts make large patches, round parts small ones, and the two sides of a plate
-are parted first.
+Meshes of machines have tens of thousands of triangles, most of them far smaller than the sand can
+resolve. Patches are found top-down: all triangles are one patch, and the patches with the largest
+variation of position and direction are split in two until they are fine enough or as many as
+allowed. So flat parts form large patches, round parts small ones, and the two sides of a plate are
+split first.
 
-A patch keeps the sum of the area vectors (area times outward normal) of its triangles, so what is
-closed stays closed; the centroid and the second moments of their area; and, by least squares, how
-their normals vary over it.
+A patch keeps the sum of the area vectors (area times outward normal) of its triangles, so a closed
+surface stays closed; the centroid and the second moments of their area; and, by least squares, the
+variation of their normals over it.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ import numpy as np
 
 from mjgranular.shape.tessellation import Facets
 
-# Chosen by measurement (docs/shapes.md): each of them within a factor of two changes errors little.
+# Chosen by measurement (docs/shapes.md): changing one of them by a factor of two has little effect.
 _MOST = 2.0  # patches of a mesh, times the square of the resolution
-_FINE = 4.0  # blur that is fine enough, over the square of the resolution
-_PLACE = 5.0  # weight of the places in a mesh of size 1, beside that of unit normals
+_FINE = 4.0  # variation that is fine enough, over the square of the resolution
+_PLACE = 5.0  # weight of positions in a mesh of size 1, relative to that of unit normals
 _PIECE = 1.5  # longest edge of a triangle in a mesh of size 1, over the resolution
-# Share of its reach that a mesh has for a size at least, lest a thorn make many pieces.
+# Least size of a mesh relative to its extent, so that a spike does not make many pieces.
 _THORN = 0.1
-_ROUND = 0.25  # in one go all patches are cut that blur this share of the worst, at least
-_FLAT = 1e-6  # patches narrower than this share of their mesh have no width; chosen: rounding
-# Of one flat face: normals within 10 degrees, and middles within a twentieth of the width; chosen.
+_ROUND = 0.25  # each pass splits all patches that vary by this share of the worst, at least
+_FLAT = 1e-6  # patches narrower than this share of their mesh have zero width; chosen: rounding
+# Of one flat face: normals within 10 degrees, and centers within a twentieth of the width; chosen.
 _PARALLEL, _COPLANAR = 0.985, 0.05
-_ENOUGH = 2000  # facets that others are held against; chosen
-_CANCELLED = 1e-6  # of its area, what is left of the area vectors of a patch of no direction
+_ENOUGH = 2000  # maximum number of facets in the comparison; chosen
+_CANCELLED = 1e-6  # relative size of the summed area vectors below which a patch has no direction
 
 
 def pieces(corners: np.ndarray, resolution: int) -> np.ndarray:
-    """Cuts triangles until no edge is longer than patches are wide.
+    """Divide triangles until no edge is longer than patches are wide.
 
     Args:
-        corners: of triangles [m], shape (n, 3, 3).
+        corners: corners of triangles [m], shape (n, 3, 3).
         resolution: as of `facets_from_model`.
 
     Returns:
@@ -61,7 +61,7 @@ def pieces(corners: np.ndarray, resolution: int) -> np.ndarray:
 
 
 def gathered(corners: np.ndarray, resolution: int) -> Facets:
-    """Patches of triangles.
+    """Group triangles into patches.
 
     Args:
         corners: counter-clockwise seen from outside [m], shape (n, 3, 3).
@@ -97,33 +97,33 @@ def gathered(corners: np.ndarray, resolution: int) -> Facets:
     variances, axes = np.linalg.eigh(across @ moments @ across)
     variances, axes = variances[:, 1:], axes[:, :, 1:].transpose(0, 2, 1)  # of the two in the plane
     wide = variances > (_FLAT * size) ** 2
-    # Half as wide as a flat patch with these second moments; over that far the normal turns.
+    # Half as wide as a flat patch with these second moments; the normal turns over this distance.
     half = np.sqrt(3 * np.where(wide, variances, 0.0))[:, :, None]
     slopes = axes @ turning / np.where(wide, variances, np.inf)[:, :, None]
     return Facets(middles, normals, sizes, half * axes, half * slopes)
 
 
 def single(corners: np.ndarray) -> Facets:
-    """Triangles as they are, each in the sand, and leading, as a whole: no edges, no spread."""
+    """Return triangles as facets, each immersed and leading as a whole: no edges, no spread."""
     corners, vectors, areas = _with_area(corners)
     nothing = np.zeros((len(areas), 2, 3))
     return Facets(corners.mean(axis=1), vectors / areas[:, None], areas, nothing, nothing)
 
 
 def flatness(facets: Facets, width: float) -> np.ndarray:
-    """Tells how much of what a mesh shows in the direction of each facet is one flat face.
+    """Return the fraction of a mesh's projection in each facet's direction that is one flat face.
 
-    That is the area of what lies in the facet's plane, nearly, in parts of the area that the whole
-    mesh shows in its direction: 1 for a face of a box, 0.03 for a ball.
+    That is the area of what is nearly in the facet's plane, relative to the area of the whole mesh
+    projected in its direction: 1 for a face of a box, 0.03 for a ball.
 
     Args:
-        facets: of the mesh.
-        width: of the mesh [m].
+        facets: facets of the mesh.
+        width: width of the mesh [m].
 
     Returns:
         Numbers from 0 to 1, shape (n,).
     """
-    # Against some of many: what is asked is a share of an area.
+    # A sample is sufficient for a ratio of areas.
     some = slice(None, None, -(-len(facets.points) // _ENOUGH) or 1)
     points, normals, areas = facets.points[some], facets.normals[some], facets.areas[some]
     found = np.zeros(len(facets.points))
@@ -139,10 +139,10 @@ def flatness(facets: Facets, width: float) -> np.ndarray:
 
 
 def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.ndarray, int]:
-    """The number of the patch of each triangle, from 0, and how many there are.
+    """Return the patch index of each triangle, from 0, and the number of patches.
 
-    A patch is cut across the direction in which its triangles differ most, at their mean. What it
-    blurs is the variance of its places, by which the worst is found times its area.
+    A patch is split at its mean, across the direction in which its triangles vary most. The worst
+    patch has the largest variance times area.
     """
     patch, count = np.zeros(len(areas), np.int64), 1
     most = int(_MOST * resolution**2)
@@ -175,7 +175,7 @@ def _parted(places: np.ndarray, areas: np.ndarray, resolution: int) -> tuple[np.
 
 
 def _with_area(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles that have an area: corners, area vectors, areas."""
+    """Return the triangles that have an area: corners, area vectors, areas."""
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     areas = np.linalg.norm(vectors, axis=1)
     there = areas > 0
@@ -183,9 +183,9 @@ def _with_area(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _size(corners: np.ndarray) -> float:
-    """Length of the rod that has the greatest radius of gyration of the skin [m].
+    """Return the length of the rod with the surface's greatest radius of gyration [m].
 
-    Unlike that of the box around a mesh it does not depend on how the mesh is turned.
+    Unlike that of the box around a mesh it does not depend on the mesh's orientation.
     """
     corners, _, areas = _with_area(corners)
     points = corners.mean(axis=1)

@@ -1,7 +1,7 @@
-"""What the sand sees of a rigid body: its faces, how wide they are, and what shelters them.
+"""A rigid body as the sand meets it: its faces, how wide they are, and what shelters them.
 
-Both belong to all geoms that are welded together, not to one of them, so a rigid body that is cut
-into more geoms stays the same body.
+Both depend on all geoms that are welded together, not on one of them, so a rigid body that is
+divided into more geoms stays the same body.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-# Facets belong to one flat face where their normals differ by less than 3 degrees, their planes by
-# a small share of the geom's width, and where gaps between them are narrow in the same measure. A
-# gap five times as wide is open. Chosen, not measured.
+# Facets belong to one flat face if their normals differ by less than 3 degrees, their planes by a
+# small share of the geom's width, and if gaps between them are narrow in the same measure. A gap
+# five times as wide is open. Chosen, not measured.
 _PARALLEL, _COPLANAR, _GAP, _OPEN = math.cos(math.radians(3)), 0.05, 0.1, 0.5
 
-_MOST = 4000  # facets of a plane that are compared in pairs, else they are one face; chosen
+_MOST = 4000  # facets of a plane compared in pairs, at most; else they are one face; chosen
 
-# Rays from a facet go into the directions around its normal with the weight cos(angle)^_FOCUS.
-# Fitted to plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
+# Rays from a facet are distributed around its normal with the weight cos(angle)^_FOCUS. Fitted to
+# plates in tandem in simulated grains (referee/data/tandem, docs/shapes.md).
 _FOCUS = 20.0
 _RINGS = 4  # angles of rays to the normal, two opposite ones at each; chosen
-# Rays start so far outside, in parts of the geom's width, and what they graze of the facet's own
-# geom within so far is the facet. Chosen.
+# Rays start this far outside, in units of the geom's width, and hits at grazing angles on the
+# facet's own geom within the second distance count as the facet itself. Chosen.
 _TOUCH, _ITSELF = 1e-6, 1e-2
 
 _CORNERS = ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5))  # where rays start, in half edges
-_SPREAD = 0.46  # tangent of the angle to the normal that no ray exceeds
+_SPREAD = 0.46  # tangent of the largest angle between ray and normal
 
-# Of what a ray meets so many parts count, one behind the other; arcs are followed in so many chords
-# of so many radians. Chosen.
+# Maximum number of parts that count along a ray; arcs are followed in at most `_CHORDS` chords of
+# `_CHORD` radians. Chosen.
 _WALLS, _CHORDS, _CHORD = 4, 4, math.radians(22.5)
 
 _SHOWN, _ALONE = (np.array(groups, np.uint8) for groups in ([1, 1, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]))
@@ -41,9 +41,9 @@ _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
 def in_own_frames(model: mujoco.MjModel) -> mujoco.MjData:
-    """Return data in which each rigid body stands in its own frame, with all that is welded to it.
+    """Return data with each rigid body, and all that is welded to it, in the body's own frame.
 
-    So nothing here depends on where the body is in the world, or how it is turned.
+    So the results do not depend on the body's pose in the world.
     """
     data, not_same = mujoco.MjData(model), int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
@@ -78,9 +78,9 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
 
     A flat face is the union of the coplanar, adjacent facets of a rigid body. Its width is its area
     over its length, and its length that of a rod with the same greatest radius of gyration: the
-    shorter side of a rectangle. Curved skin is as wide as its geom; of meshes that touch, as all of
-    them together. Sand in a narrow gap moves with the body and is part of the face, so the facets
-    on both sides get half of the gap each, and less of wider ones.
+    shorter side of a rectangle. A curved surface is as wide as its geom; of meshes that touch, as
+    all of them together. Sand in a narrow gap moves with the body and is part of the face, so the
+    facets on both sides get half of the gap each, and less of wider ones.
 
     Args:
         model: the model.
@@ -93,7 +93,7 @@ def join_faces(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) -
     welds = model.body_weldid[facets["body"]]
     for weld in np.unique(welds):
         mine = np.flatnonzero(welds == weld)
-        # From the largest facet on, then by place: whatever the order of geoms.
+        # From the largest facet on, then by position: independent of the order of geoms.
         mine = mine[np.lexsort([*points[mine].T.round(9), -areas[mine].round(12)])]
         is_flat = facets["flat"][mine] >= 0.5
         left = mine[is_flat]
@@ -158,7 +158,7 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
         sight.show(geoms)
         hinge = _hinge(model, weld)
         frames = np.concatenate([edges[mine], normals[mine, None]], axis=1)
-        # The middle of a patch lies within a bulging skin: so far, at most.
+        # Upper bound of the distance from a patch's center to its curved surface.
         bulges = np.einsum(
             "ni,ni->n", *(np.linalg.norm(facets[k][mine], axis=2) for k in ("edges", "spread"))
         )
@@ -175,7 +175,7 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
             met = []
             for s, t in _CORNERS:
                 at = start + s * first + t * second
-                rays = (directions * np.sign((s, t, 1.0))) @ axes  # mirrored: so is the body's twin
+                rays = (directions * np.sign((s, t, 1.0))) @ axes  # mirrored, for symmetry
                 arc = hinge and hinge.frame(at)
                 for ray in sight.not_free(at, rays) if arc is None else rays:
                     met.append(sight.walls(at, ray, arc, facets["geom"][row], width))
@@ -187,11 +187,11 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
 
 
 class _Sight:
-    """What rays meet of one rigid body."""
+    """Ray casts within one rigid body."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model, self._data = copy.copy(model), data
-        self._model.geom_rgba[:, 3], self._model.geom_matid[:] = 1.0, -1  # what is visible is met
+        self._model.geom_rgba[:, 3], self._model.geom_matid[:] = 1.0, -1  # rays hit what is visible
         self._size = 0.0
         self._hit, self._normal = np.zeros(1, np.int32), np.zeros(3)
 
@@ -203,7 +203,7 @@ class _Sight:
         self._size = float(far.max())
 
     def not_free(self, at: np.ndarray, rays: np.ndarray) -> np.ndarray:
-        """Return the rays from a point that meet something."""
+        """Return the rays from a point that hit something."""
         hit, far = np.zeros(len(rays), np.int32), np.zeros(len(rays))
         mujoco.mj_multiRay(
             self._model, self._data, at, rays.ravel(), _SHOWN, True, -1, hit, far, None, len(rays),
@@ -214,21 +214,21 @@ class _Sight:
     def _first(
         self, at: np.ndarray, way: np.ndarray, group: np.ndarray = _SHOWN
     ) -> tuple[float, int, bool]:
-        """Return how far the next skin is, in parts of `way`, its geom, and if the ray enters."""
+        """Return the next surface's distance in units of `way`, its geom, and if the ray enters."""
         far = mujoco.mj_ray(
             self._model, self._data, at, way, group, True, -1, self._hit, self._normal
         )
         return far, int(self._hit[0]), bool(self._normal @ way < 0)
 
     def _leaves(self, geom: int, at: np.ndarray, way: np.ndarray) -> float:
-        """Return where a ray that has entered a geom leaves it, in parts of `way`."""
+        """Return where a ray that has entered a geom leaves it, in units of `way`."""
         self._model.geom_group[geom] = 0
         far = self._first(at, way, _ALONE)[0]
         self._model.geom_group[geom] = 1
         return max(far, 0.0)
 
     def _is_within(self, geom: int, at: np.ndarray, way: np.ndarray) -> bool:
-        """Return whether a ray that meets a geom comes from within another: then it leaves that."""
+        """Return whether a ray that hits a geom comes from inside another, and so leaves that."""
         self._model.geom_group[geom] = 2
         far, _, enters = self._first(at, way)
         self._model.geom_group[geom] = 1
@@ -237,20 +237,20 @@ class _Sight:
     def walls(
         self, at: np.ndarray, ray: np.ndarray, arc: _Arc | None, own: int, width: float
     ) -> np.ndarray:
-        """Return the walls that a ray meets, one after the other, shape (_WALLS,).
+        """Return the walls that a ray hits, one after the other, shape (_WALLS,).
 
-        A wall counts in full, 1, where as much sand is before it as before the first, and else in
-        that proportion: walls that touch are one.
+        A wall counts in full, 1, if as much sand is before it as before the first, and else in that
+        proportion: walls that touch are one.
 
         Args:
-            at: where it starts [m].
+            at: start of the ray [m].
             ray: its direction.
-            arc: that it runs along, or None for a straight ray.
+            arc: arc that it follows, or None for a straight ray.
             own: geom of the facet that it starts from.
-            width: of that geom [m].
+            width: width of that geom [m].
         """
         met, count = np.zeros(_WALLS), 0
-        passed, end, nearest = 0.0, 0.0, 0.0  # way before the chord, end of the last wall [m]
+        passed, end, nearest = 0.0, 0.0, 0.0  # distance before the chord, end of the last wall [m]
         touch = _TOUCH * width
         for here, way in _chords(at, ray, arc, self._size):
             length = math.sqrt(way @ way)
@@ -263,7 +263,7 @@ class _Sight:
                 place = passed + x * length
                 if not enters:
                     if not (count == 0 and geom == own):
-                        if count == 0:  # it began inside another geom
+                        if count == 0:  # it started inside another geom
                             met[0], count = 1.0, 1
                         end = place
                     x += step
@@ -286,7 +286,7 @@ class _Sight:
 
 
 class _Arc(NamedTuple):
-    """Where arcs around a hinge begin: radius [m], and axes out, around and along, as rows."""
+    """Start of arcs around a hinge: radius [m], and axes out, around and along, as rows."""
 
     radius: float
     axes: np.ndarray
@@ -299,7 +299,7 @@ class _Hinge(NamedTuple):
     axis: np.ndarray
 
     def frame(self, at: np.ndarray) -> _Arc:
-        """Return what arcs from a point need."""
+        """Return the start of arcs from a point."""
         out = at - self.anchor
         out = out - (out @ self.axis) * self.axis
         axes = _axes_across(self.axis, out)
@@ -317,7 +317,7 @@ def _hinge(model: mujoco.MjModel, weld: int) -> _Hinge | None:
 def _chords(
     at: np.ndarray, ray: np.ndarray, arc: _Arc | None, size: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the chords of a ray, starts and ways [m]: one, or those of an arc around the hinge."""
+    """Yield the chords of a ray, starts and vectors [m]: one, or those of an arc around a hinge."""
     length = 2.0 * size
     radius, axes = arc or (0.0, np.eye(3))
     out, around, along = (axes @ ray).tolist()
@@ -336,7 +336,7 @@ def _chords(
 def _unrolled(
     hinge: _Hinge | None, row: int, at: np.ndarray, axes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return middles and axes of facets as arcs from one of them see them: on a straight line."""
+    """Return centers and axes of facets, with arcs from one of them unrolled to straight lines."""
     if hinge is None:
         return at, axes
     radius, own = hinge.frame(at[row])
@@ -357,14 +357,14 @@ def _unrolled(
 def _anything_ahead(
     row: int, others: np.ndarray, at: np.ndarray, axes: np.ndarray, bulge: np.ndarray
 ) -> bool:
-    """Return whether rays from a facet can meet others of the same rigid body.
+    """Return whether rays from a facet can hit others of the same rigid body.
 
     Args:
         row: the facet.
-        others: which those are, shape (n,).
-        at: middles of all, shape (n, 3).
+        others: the other facets, shape (n,).
+        at: centers of all, shape (n, 3).
         axes: half edges and normals of all, shape (n, 3, 3).
-        bulge: how far skin may stand out from their planes, shape (n,).
+        bulge: how far surfaces may stand out from their planes, shape (n,).
     """
     n = axes[row, 2]
     away = at - at[row]
@@ -377,7 +377,7 @@ def _anything_ahead(
 
 
 def _lobe() -> np.ndarray:
-    """Directions around z, as many as weights ask for: cos^(_FOCUS + 1) over the half sphere."""
+    """Return directions around z, distributed as cos^(_FOCUS + 1) over the half sphere."""
     ring = np.arange(_RINGS)
     up = ((ring + 0.5) / _RINGS) ** (1.0 / (_FOCUS + 2.0))
     turn = math.pi * (ring + 0.5) / _RINGS
@@ -387,7 +387,7 @@ def _lobe() -> np.ndarray:
 
 
 def _axes_across(n: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Two axes across a normal, the first along an edge where there is one, shape (2, 3)."""
+    """Return two axes across a normal, the first along an edge if there is one, shape (2, 3)."""
     if not along.any():
         along = np.eye(3)[np.abs(n).argmin()]
     along = along - (along @ n) * n
@@ -416,10 +416,10 @@ def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float)
     """Return factors on areas with which coplanar facets of geoms meet halfway, shape (n,).
 
     Args:
-        at: their middles in the plane [m], shape (n, 2).
+        at: their centers in the plane [m], shape (n, 2).
         reach: half their extents [m], shape (n, 2).
-        geoms: their geoms, shape (n,); in between facets of one geom there is no gap.
-        width: of the geoms [m], in parts of which gaps are wide.
+        geoms: their geoms, shape (n,); between facets of one geom there is no gap.
+        width: width of the geoms [m], to which gaps are compared.
     """
     away = at[None] - at[:, None]
     apart = np.abs(away) - reach[None] - reach[:, None]
@@ -439,10 +439,10 @@ def _bridged(at: np.ndarray, reach: np.ndarray, geoms: np.ndarray, width: float)
 
 
 def _width_of(at: np.ndarray, half: np.ndarray, areas: np.ndarray) -> float:
-    """Return the width of a flat face: see `face_widths`.
+    """Return the width of a flat face: see `join_faces`.
 
     Args:
-        at: middles of its facets in the plane [m], shape (n, 2).
+        at: centers of its facets in the plane [m], shape (n, 2).
         half: their half edges [m], shape (n, 2, 2).
         areas: [m^2], shape (n,).
     """

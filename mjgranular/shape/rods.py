@@ -11,7 +11,7 @@ from mjgranular.errors import InputError
 from mjgranular.shape.sizes import check_count, check_resolution, check_size, geom_name
 
 CHOOSE = "choose them with geoms=[...] or bodies=[...]"
-"""Advice, which the command line has in words of its own."""
+"""Advice for Python, which the command line replaces by its own."""
 
 ROD_DTYPE = np.dtype(
     [
@@ -20,23 +20,23 @@ ROD_DTYPE = np.dtype(
         ("slot", np.int64),  # row of the body in the binding's table of bodies
         ("center", np.float64, (3,)),  # midpoint [m], body frame
         ("axis", np.float64, (3,)),  # unit vector along the rod, body frame
-        ("half_length", np.float64),  # [m], round ends included
+        ("half_length", np.float64),  # [m], including round ends
         ("width", np.float64),  # diameter [m]
     ]
 )
 
 MOST_PIECES = 10_000
-"""Of one rod. Chosen: far more than accuracy asks for."""
+"""Maximum number of pieces per rod. Chosen: far more than accuracy needs."""
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
-    """Makes one rod for each geom.
+    """Make one rod for each geom.
 
-    A capsule's rod reaches from pole to pole, so a capsule of total length L is the link of length
-    L of the paper.
+    A capsule's rod extends from pole to pole, so a capsule of total length L is the paper's link of
+    length L.
 
     Args:
         model: the model.
@@ -46,8 +46,8 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
         Rods, shape (n,), dtype `ROD_DTYPE`.
 
     Raises:
-        InputError: a geom is neither a capsule nor a cylinder, or has a size of zero or beyond what
-            can be computed with.
+        InputError: a geom is neither a capsule nor a cylinder, or its size is zero or beyond
+            numerical limits.
     """
     rods = np.zeros(len(geoms), ROD_DTYPE)
     slots: dict[int, int] = {}
@@ -75,22 +75,22 @@ def rods_from_model(model: mujoco.MjModel, geoms: Sequence[int]) -> np.ndarray:
 
 
 def cut_rods(rods: np.ndarray, pieces: int) -> np.ndarray:
-    """Cuts every rod into pieces of equal length, each a rod of its own.
+    """Divide every rod into pieces of equal length, each a rod.
 
     Args:
         rods: shape (n,), dtype `ROD_DTYPE`.
-        pieces: how many of each rod.
+        pieces: number of pieces of each rod.
 
     Returns:
         Rods, shape (n * pieces,).
 
     Raises:
-        InputError: no piece, or more pieces than there is room for.
+        InputError: no pieces, or too many.
     """
     pieces = check_resolution(pieces, 1, MOST_PIECES)
     check_count(len(rods) * pieces)
     cut = np.repeat(rods, pieces)
-    # Middles of the pieces along the axis, in half-lengths: symmetric to the last bit.
+    # Centers of the pieces along the axis, in half-lengths: symmetric to the last bit.
     index = np.arange(pieces)
     along = np.tile((2 * index - (pieces - 1)) / pieces, len(rods))
     cut["center"] += (along * cut["half_length"])[:, None] * cut["axis"]

@@ -1,4 +1,4 @@
-"""The choice of the geoms of a model that meet the sand."""
+"""Selection of the geoms of a model that meet the sand."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mjgranular._util.names import name_of
 from mjgranular.errors import InputError, UnknownNameError
 
 Choice = Sequence[str | int] | str | int | None
-"""Of bodies or geoms: a name or number, or several; None for no choice."""
+"""Selection of bodies or geoms: a name or id, or several; None for no selection."""
 
 EVERY = "all"
-"""Stands for every body or geom that can meet the sand, unless one has it for a name."""
+"""Name for every body or geom that can meet the sand, unless one has this name."""
 
 
 def select_geoms(
@@ -28,26 +28,25 @@ def select_geoms(
     groups: Sequence[int] | int | None = None,
     leave_out: Sequence[int] = (),
 ) -> list[int]:
-    """The ids of the geoms that meet the sand, in the order of the model.
+    """Return the ids of the geoms that meet the sand, in the order of the model.
 
-    A body named in `bodies` brings its collision geoms (contype or conaffinity not zero), and so
-    does a group in `groups` those of bodies that can move, or all of a group in which none
-    collides; a geom named in `geoms` is taken as it is, visual or not. What they name is taken
-    together. "all" for `bodies` or `geoms` means every collision geom of a body that can move, and
-    so does no choice at all.
+    A body named in `bodies` adds its collision geoms (contype or conaffinity not zero). A group in
+    `groups` adds those of bodies that can move, or all of a group without collision geoms. A geom
+    named in `geoms` is used as it is, visual or not. The result is the union. "all" for `bodies` or
+    `geoms`, or no selection at all, means every collision geom of a body that can move.
 
     Args:
         model: the model.
-        bodies: a body's name or number, or several.
-        geoms: a geom's name or number, or several.
+        bodies: a body's name or id, or several.
+        geoms: a geom's name or id, or several.
         groups: a geom group, or several.
         leave_out: ids of geoms that are the sand itself.
 
     Raises:
         UnknownNameError: a name that the model does not have, or a group without a geom of a body
-            that can move; lists those there are.
-        InputError: nothing is left, what is named cannot move, a group is no integer, or names of
-            the model are not UTF-8.
+            that can move; lists the existing ones.
+        InputError: the result is empty, a named body or geom cannot move, a group is not an
+            integer, or names of the model are not UTF-8.
     """
     _check_names(model)
     moving = [g for g in range(model.ngeom) if moves(model, int(model.geom_bodyid[g]))]
@@ -71,52 +70,52 @@ def select_geoms(
 
 
 def find_all(model: mujoco.MjModel, kind: str, names: Choice) -> list[int]:
-    """The ids of bodies or geoms, as `kind` says.
+    """Return the ids of bodies or geoms, as `kind` says.
 
     Raises:
-        UnknownNameError: a name that the model does not have; lists those there are.
-        InputError: a number that it does not have.
+        UnknownNameError: a name that the model does not have; lists the existing ones.
+        InputError: an id that it does not have.
     """
     _check_names(model)
     return [_find(model, kind, name) for name in names_in(names)]
 
 
 def collides(model: mujoco.MjModel, geom: int) -> bool:
-    """Tells whether a geom is there for contacts, not only to be seen."""
+    """Return True if a geom takes part in contacts and is not only visual."""
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
 def moves(model: mujoco.MjModel, body: int) -> bool:
-    """Tells whether a body has a degree of freedom between itself and the world."""
+    """Return True if a body has a degree of freedom between itself and the world."""
     return int(model.body_weldid[body]) != 0 and last_dof(model, body) >= 0
 
 
 def last_dof(model: mujoco.MjModel, body: int) -> int:
-    """The last degree of freedom in the body's chain, -1 if it has none."""
+    """Return the last degree of freedom in the body's chain, -1 if it has none."""
     while body > 0 and model.body_dofnum[body] == 0:
         body = int(model.body_parentid[body])
     return int(model.body_dofadr[body] + model.body_dofnum[body] - 1) if body > 0 else -1
 
 
 def mocap_above(model: mujoco.MjModel, body: int) -> int | None:
-    """The mocap body that a body is or hangs on, None if there is none."""
+    """Return the mocap body that a body is or is attached to, None if there is none."""
     root = int(model.body_rootid[body])
     return root if model.body_mocapid[root] >= 0 else None
 
 
 def is_choice(names: Choice) -> bool:
-    """Tells whether names choose some bodies or geoms, and not none or all."""
+    """Return True if names select some bodies or geoms, and not none or all."""
     return any(name != EVERY for name in names_in(names))
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """A body's name in quotes, or its number."""
+    """Return a body's name in quotes, or its id."""
     name = name_of(model, "body", body)
     return repr(name) if name else f"number {body}"
 
 
 def names_in(names: Choice) -> list[str | int]:
-    """Names and numbers one by one; anything else is refused."""
+    """Return names and ids as a list; raise for anything else."""
     if names is None:
         return []
     one = isinstance(names, (str, bytes)) or not isinstance(names, Iterable)
@@ -130,7 +129,7 @@ def names_in(names: Choice) -> list[str | int]:
 
 
 def _check_names(model: mujoco.MjModel) -> None:
-    """Refuses names that Python cannot read: MuJoCo takes any bytes."""
+    """Check that Python can read all names: MuJoCo accepts any bytes."""
     try:
         bytes(model.names).decode()
     except UnicodeDecodeError:
@@ -147,10 +146,10 @@ def _is_every(model: mujoco.MjModel, kind: str, name: str | int) -> bool:
 
 
 def _find(model: mujoco.MjModel, kind: str, name: str | int) -> int:
-    """The id of a body or geom by its name or number."""
+    """Return the id of a body or geom by its name or id."""
     count = model.nbody if kind == "body" else model.ngeom
     found = mujoco.mj_name2id(model, _OBJECTS[kind], name) if isinstance(name, str) else name
-    if found < 0 and str(name).isdecimal():  # a number that was written as a word
+    if found < 0 and str(name).isdecimal():  # an id that was written as a word
         found = int(name)
     if 0 <= found < count:
         return found
@@ -200,7 +199,7 @@ def _refuse_fixed(model: mujoco.MjModel, body: int) -> None:
 def _in_groups(
     model: mujoco.MjModel, moving: Sequence[int], groups: Sequence[int] | int | None
 ) -> list[int]:
-    """Those geoms of `moving` that are in the groups: of each those that collide, or else all."""
+    """Return the geoms of `moving` in the groups: per group its collision geoms, or else all."""
     members: dict[int, list[int]] = {}
     for geom in moving:
         members.setdefault(int(model.geom_group[geom]), []).append(geom)

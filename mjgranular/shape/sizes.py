@@ -1,4 +1,4 @@
-"""Sizes of geoms: how large they are, how large and how finely cut they may be."""
+"""Sizes of geoms, and limits on sizes and numbers of elements."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from mjgranular._util.names import name_of
 from mjgranular.errors import InputError
 
 SMALLEST, LARGEST = 1e-9, 1e9
-"""Half extents of geoms [m]. Chosen: beyond anything that is in sand, or is sand, and far within
-what can be squared twice."""
+"""Limits of half extents of geoms [m]. Chosen: beyond any geom in sand or made of it, and far
+within numbers that can be squared twice."""
 
 MOST_ELEMENTS = 1_000_000
-"""In one sand. Chosen: a step of so many takes tens of milliseconds, and their tables 1 GB."""
+"""Maximum number in one sand. Chosen: a step then takes tens of milliseconds, and their tables 1
+GB."""
 
 _GEOM = mujoco.mjtGeom
 
 
 def geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """A geom's name in quotes, or its number."""
+    """Return a geom's name in quotes, or its id."""
     name = name_of(model, "geom", geom)
     return repr(name) if name else f"number {geom}"
 
 
 def geom_width(model: mujoco.MjModel, geom: int) -> float:
-    """Width of a geom: its second largest extent [m], a rod's diameter, a plate's shorter side."""
+    """Return the width of a geom: its second largest extent [m], such as a rod's diameter."""
     return float(np.sort(2 * half_extents(model, geom))[1])
 
 
 def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Half extents of a geom along its own axes [m], shape (3,)."""
+    """Return half extents of a geom along its own axes [m], shape (3,)."""
     size = model.geom_size[geom]
     kind = int(model.geom_type[geom])
     if kind == _GEOM.mjGEOM_SPHERE:
@@ -49,15 +50,15 @@ def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 
 def check_size(model: mujoco.MjModel, geom: int, *, flat: bool = False) -> None:
-    """Makes sure that a geom has a volume that can be computed with.
+    """Check that a geom has a volume within numerical limits.
 
     Args:
         model: the model.
         geom: its id.
-        flat: whether it may have no thickness, as a mesh may.
+        flat: whether its thickness may be zero, as for a mesh.
 
     Raises:
-        InputError: it has not; says which size.
+        InputError: it does not; names the size.
     """
     half = half_extents(model, geom)
     if flat:
@@ -68,10 +69,10 @@ def check_size(model: mujoco.MjModel, geom: int, *, flat: bool = False) -> None:
 
 
 def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
-    """Makes sure that half extents [m] are of a size that can be computed with.
+    """Check that half extents [m] are within numerical limits.
 
     Raises:
-        InputError: they are not; says of `what`, and which.
+        InputError: they are not; names `what`, and the extent.
     """
     for value in half:
         if not SMALLEST <= value <= LARGEST:
@@ -82,10 +83,10 @@ def check_extents(what: str, half: Sequence[float] | np.ndarray) -> None:
 
 
 def check_resolution(resolution: Any, least: int, most: int) -> int:
-    """A resolution as the integer that it is.
+    """Return a resolution as an integer.
 
     Raises:
-        InputError: it is no integer from `least` to `most`.
+        InputError: it is not an integer from `least` to `most`.
     """
     try:
         if isinstance(resolution, bool):
@@ -101,7 +102,7 @@ def check_resolution(resolution: Any, least: int, most: int) -> int:
 
 
 def check_count(count: int) -> None:
-    """Makes sure that there are not too many elements.
+    """Check that there are not too many elements.
 
     Raises:
         InputError: there are.

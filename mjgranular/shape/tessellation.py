@@ -1,11 +1,11 @@
-"""Cuts the skin of a shape into facets, in the shape's own frame.
+"""Divide the surface of a shape into facets, in the shape's own frame.
 
-A curved skin is sampled finely on a grid of two parameters and gathered into coarser patches. A
-patch keeps what the curved skin has there: area, centroid, mean normal, and to first order how
-points and normals vary over it. So a patch can be in the sand in part, or lead in part. Every cut
-has the symmetries of its shape.
+A curved surface is sampled finely on a grid of two parameters and grouped into coarser patches. A
+patch keeps the properties of the curved surface: area, centroid, mean normal, and to first order
+the variation of points and normals over it. So a patch can be partly immersed, or partly leading.
+Every division has the symmetries of its shape.
 
-How many patches a part of a shape needs for a given error was measured (docs/shapes.md).
+The number of patches needed for a given error was measured (docs/shapes.md).
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ Skin = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Maps parameters u, v in [0, 1], each of shape (n, m), to points [m], shape (n, m, 3). du x dv
 points outward."""
 
-_FINE = 8  # cells of a patch along each parameter; chosen, not measured
-# Where an ellipsoid is cut lies between equal shares of a sphere's skin blown up (0) and equal
-# shares of the normals (1). Measured: below 0.1 the rim of a lens, above 0.4 its sides are too
-# coarse.
+_FINE = 8  # cells per patch along each parameter; chosen, not measured
+# An ellipsoid is divided between equal shares of a stretched sphere's surface (0) and equal shares
+# of the normals (1). Measured: below 0.1 the rim of a lens, above 0.4 its sides are too coarse.
 _TURNING = 0.2
 
 
 @dataclass(frozen=True)
 class Facets:
-    """Facets of a skin.
+    """Facets of a surface.
 
     A point of a facet is `point + s edges[0] + t edges[1]`, with s and t from -1 to 1, and the
     normal there is along `normal + s spread[0] + t spread[1]`. The parallelogram has the centroid
@@ -55,13 +54,13 @@ class Facets:
 
 @dataclass(frozen=True)
 class Cells:
-    """Small pieces of a skin, and the patches they are to be gathered into.
+    """Small pieces of a surface, and the patches they are grouped into.
 
     Attributes:
-        points: on the skin [m], shape (n, 3).
+        points: on the surface [m], shape (n, 3).
         vectors: area times outward normal [m^2], shape (n, 3).
         places: two coordinates of a cell in its patch, -1 to 1, shape (n, 2).
-        patches: number of the patch of each, from 0, shape (n,).
+        patches: index of the patch of each, from 0, shape (n,).
     """
 
     points: np.ndarray
@@ -70,22 +69,22 @@ class Cells:
     patches: np.ndarray
 
     def only(self, chosen: np.ndarray) -> Cells:
-        """Those of a mask, shape (n,), in the same patches."""
+        """Return those selected by a mask, shape (n,), in the same patches."""
         return Cells(
             self.points[chosen], self.vectors[chosen], self.places[chosen], self.patches[chosen]
         )
 
     def gathered(self) -> Facets:
-        """One facet for each patch that has an area."""
+        """Return one facet for each patch that has an area."""
         areas = np.linalg.norm(self.vectors, axis=1)
-        there = areas > 0  # a capsule's side may have no length, a triangle no width
+        there = areas > 0  # a capsule's side may have zero length, a triangle zero width
         if not there.all():
             return self.only(there).gathered()
         _, patch, count = np.unique(self.patches, return_inverse=True, return_counts=True)
         first = np.concatenate([[0], np.cumsum(count)])[:-1]
 
         def total(values: np.ndarray) -> np.ndarray:
-            """Sums over patches, whose cells follow each other."""
+            """Sum over patches, whose cells are consecutive."""
             return np.add.reduceat(values, first) if len(first) else values
 
         def mean(values: np.ndarray) -> np.ndarray:
@@ -94,10 +93,10 @@ class Cells:
         points, normals = mean(self.points), total(self.vectors)
         normals /= np.linalg.norm(normals, axis=1)[:, None]
         # Slopes by least squares in each coordinate, times half the width of a flat patch whose
-        # cells would vary as much: 3 times the variance, with that within a cell.
+        # cells would vary as much: 3 times the variance, including that within a cell.
         away = self.places - mean(self.places)[patch]
         variance = mean(away**2)
-        seen = variance > 1e-9  # of a patch hidden but for one row of cells there is no slope
+        seen = variance > 1e-9  # a patch with a single visible row of cells has no slope
         per_width = np.sqrt(3 * variance + _FINE**-2) / np.where(seen, variance, np.inf)
 
         def slopes(values: np.ndarray) -> np.ndarray:
@@ -108,7 +107,7 @@ class Cells:
 
 
 def triangles(corners: np.ndarray) -> Cells:
-    """Triangles, each a cell and a patch of its own.
+    """Return triangles, each one cell and one patch.
 
     Args:
         corners: shape (n, 3, 3), counter-clockwise seen from outside [m].
@@ -119,7 +118,7 @@ def triangles(corners: np.ndarray) -> Cells:
 
 
 def patches(skin: Skin, along: int, around: int) -> Cells:
-    """Cells of a skin cut into `along` patches over u and `around` over v."""
+    """Return cells of a surface divided into `along` patches over u and `around` over v."""
     n, m = along * _FINE, around * _FINE
     u, v = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, m + 1), indexing="ij")
     grid = skin(u, v)
@@ -129,7 +128,7 @@ def patches(skin: Skin, along: int, around: int) -> Cells:
     vectors = 0.5 * np.cross(c - a, d - b)  # exact for a flat cell
     places = np.stack([i % _FINE, j % _FINE], axis=-1) * (2 / _FINE) - (1 - 1 / _FINE)
     patch = (i // _FINE) * around + j // _FINE
-    order = np.argsort(patch, axis=None, kind="stable")  # the cells of a patch follow each other
+    order = np.argsort(patch, axis=None, kind="stable")  # the cells of a patch are consecutive
     return Cells(
         middles.reshape(-1, 3)[order],
         vectors.reshape(-1, 3)[order],
@@ -139,12 +138,12 @@ def patches(skin: Skin, along: int, around: int) -> Cells:
 
 
 def rings(skin: Skin, counts: Sequence[int], turned: Sequence[float] | None = None) -> Cells:
-    """Cells of a skin cut over u into rings of equal width.
+    """Return cells of a surface divided over u into rings of equal width.
 
     Args:
         skin: closed in v.
         counts: number of patches around each ring.
-        turned: by how much of a patch each ring is turned; None for not at all.
+        turned: rotation of each ring in patches; None for none.
     """
     turned = turned or [0.0] * len(counts)
     parts = []
@@ -160,7 +159,7 @@ def rings(skin: Skin, counts: Sequence[int], turned: Sequence[float] | None = No
 
 
 def joined(parts: Sequence[Cells]) -> Cells:
-    """All cells of all parts, with the patches numbered anew."""
+    """Concatenate all cells, and renumber the patches."""
     counts = [part.patches.max(initial=-1) + 1 for part in parts]
     first = np.cumsum([0, *counts])
     return Cells(
@@ -172,7 +171,7 @@ def joined(parts: Sequence[Cells]) -> Cells:
 
 
 def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
-    """An ellipsoid: `resolution` rings from pole to pole, twice as many patches at the equator."""
+    """Return an ellipsoid: `resolution` rings from pole to pole, twice that around the equator."""
     size = np.array(radii)
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -183,17 +182,17 @@ def ellipsoid(radii: tuple[float, float, float], resolution: int) -> Cells:
         along = along * size**_TURNING
         return along / np.linalg.norm(along, axis=-1)[..., None] * size
 
-    # Counted from the nearer pole, so that rounding cannot tell the two apart.
+    # Counted from the nearer pole, so that rounding is symmetric.
     ring = [min(k, resolution - 1 - k) for k in range(resolution)]
     polar = [math.pi * (k + 0.5) / resolution for k in ring]
     return rings(skin, [_around(2 * resolution * math.sin(angle)) for angle in polar])
 
 
 def tube(radius: float, half: float, rows: int, around: int) -> Cells:
-    """The side of a cylinder about z, laid like bricks.
+    """Return the side of a cylinder about z, with patches laid like bricks.
 
-    All rows have the same normals; turned against each other they sample twice as many. An odd
-    number of rows lies the same both ways up.
+    All rows have the same normals; rotated against each other they sample twice as many. An odd
+    number of rows is symmetric under reflection.
     """
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -204,7 +203,7 @@ def tube(radius: float, half: float, rows: int, around: int) -> Cells:
 
 
 def disc(radius: float, height: float, count: int) -> Cells:
-    """A disc at that height, facing away from z = 0, in `count` rings of 6, 12, ... patches."""
+    """Return a disc at that height, facing away from z = 0: `count` rings of 6, 12, ... patches."""
     up = math.copysign(1.0, height)
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -218,7 +217,7 @@ def disc(radius: float, height: float, count: int) -> Cells:
 
 
 def cap(radius: float, height: float, count: int) -> Cells:
-    """A half sphere whose rim is at that height, bulging away from z = 0, in `count` rings."""
+    """Return a half sphere, its rim at that height, facing away from z = 0, in `count` rings."""
     up = math.copysign(1.0, height)
 
     def skin(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -237,28 +236,28 @@ def cap(radius: float, height: float, count: int) -> Cells:
 
 
 def cylinder(radius: float, half: float, resolution: int) -> Cells:
-    """A cylinder about z with flat ends; `2 * resolution` patches around."""
+    """Return a cylinder about z with flat ends; `2 * resolution` patches around."""
     side = tube(radius, half, _rows(radius, half, resolution), 2 * resolution)
     count = max(1, round(resolution / 6))
     return joined([side, disc(radius, half, count), disc(radius, -half, count)])
 
 
 def capsule(radius: float, half: float, resolution: int) -> Cells:
-    """A capsule about z; `2 * resolution` patches around its side."""
+    """Return a capsule about z; `2 * resolution` patches around its side."""
     side = tube(radius, half, _rows(radius, half, resolution), 2 * resolution)
-    # As fine as a sphere where the ends are all there is, coarser the less of the skin they are.
+    # As fine as a sphere if there is no side; coarser the smaller the ends' share of the surface.
     count = max(1, round(resolution * (0.3 + 0.2 * radius / (radius + half))))
     return joined([side, cap(radius, half, count), cap(radius, -half, count)])
 
 
 def box(halves: tuple[float, float, float], resolution: int) -> Cells:
-    """A box; a third of `resolution` patches along its longest edge, others in proportion.
+    """Return a box; a third of `resolution` patches along its longest edge, others in proportion.
 
-    A flat patch is exact, wholly or in part in the sand, as long as all of it moves alike: several
-    are there for turning.
+    A flat patch is exact, fully or partly immersed, as long as all of it moves alike: rotation
+    needs several.
     """
     longest = max(halves)
-    # The small number keeps rounding from adding a patch to a third of a multiple of three.
+    # The small number prevents rounding from adding a patch to a third of a multiple of three.
     counts = [max(1, math.ceil(resolution / 3 * half / longest - 1e-9)) for half in halves]
     parts = []
     for axis in range(3):
@@ -284,10 +283,10 @@ def box(halves: tuple[float, float, float], resolution: int) -> Cells:
 
 
 def _rows(radius: float, half: float, resolution: int) -> int:
-    """Rows of patches along a tube: odd, about a third of the resolution for a slender one."""
+    """Return the rows of patches along a tube: odd, about a third of the resolution if slender."""
     return 1 + 2 * round(resolution / 6 * half / (half + radius))
 
 
 def _around(count: float) -> int:
-    """Patches around a ring: in fours, so that none lies across a plane of symmetry."""
+    """Return the patches around a ring: in fours, so that none crosses a plane of symmetry."""
     return max(4, 4 * round(count / 4))

@@ -1,4 +1,4 @@
-"""What moves and is not felt by sand, or not as it moves; and what does not feel the sand."""
+"""Warn of moving parts that the sand ignores or misjudges, and of sensors that ignore the sand."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mjgranular.shape.select import body_name, collides, mocap_above, moves
 
 
 def warn_of_unfelt(model: mujoco.MjModel, geoms: Sequence[int], *, chosen: bool) -> None:
-    """Warns of what a user would believe to be in the sand.
+    """Warn of parts of a model that seem to be in the sand but are not.
 
     Args:
         model: the model.
         geoms: ids of the geoms that meet the sand.
-        chosen: whether the user has chosen them, and so what else stays out.
+        chosen: whether the user has selected them, and so excluded others.
     """
     for told in [*_hung(model, geoms), *_numb(model, geoms), *(() if chosen else _left_out(model))]:
         warn_user(told, UnfeltWarning)
@@ -43,7 +43,7 @@ def _left_out(model: mujoco.MjModel) -> Iterator[str]:
 
 
 def _hung(model: mujoco.MjModel, geoms: Sequence[int]) -> Iterator[str]:
-    """Says which body in the sand moves with a mocap body, in a way that velocities do not tell."""
+    """Describe bodies in the sand that move with a mocap body, whose motion has no velocity."""
     for body in sorted({int(model.geom_bodyid[geom]) for geom in geoms}):
         mocap = mocap_above(model, body)
         if mocap is not None:
@@ -56,7 +56,7 @@ def _hung(model: mujoco.MjModel, geoms: Sequence[int]) -> Iterator[str]:
 
 
 def _numb(model: mujoco.MjModel, geoms: Sequence[int]) -> Iterator[str]:
-    """Says which sensors of touch feel nothing of the sand that their bodies are in."""
+    """Describe touch sensors that do not measure the sand that their bodies are in."""
     bodies = {int(model.geom_bodyid[geom]) for geom in geoms}
     site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
     ours = model.sensor_objid[site & (model.sensor_type == mujoco.mjtSensor.mjSENS_PLUGIN)]
@@ -76,7 +76,7 @@ def _numb(model: mujoco.MjModel, geoms: Sequence[int]) -> Iterator[str]:
 
 
 def _bodies_of(model: mujoco.MjModel, flex: int) -> set[int]:
-    """Bodies that vertices or nodes of a flex go with."""
+    """Return the bodies of the vertices or nodes of a flex."""
     bodies = set()
     for part in ("vert", "node"):
         first = int(getattr(model, f"flex_{part}adr")[flex])

@@ -1,4 +1,4 @@
-"""A bed of sand of finite size, taken from a box geom of the model."""
+"""A bed of sand of finite size, from a box geom of the model."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mjgranular.surface.surface import Surface
 
 BED_DTYPE = np.dtype(
     [
-        ("top", np.float64, (3,)),  # middle of the upper face [m], world
+        ("top", np.float64, (3,)),  # center of the upper face [m], world
         ("along", np.float64, (3,)),  # unit vectors of the face and its normal, world
         ("across", np.float64, (3,)),
         ("normal", np.float64, (3,)),
@@ -28,14 +28,14 @@ BED_DTYPE = np.dtype(
     ]
 )
 
-# A body that stands on the floor of the bed sinks into it by a hair, as contacts in MuJoCo do: the
-# sand reaches this much of the thickness down. Chosen, not measured.
+# A body on the floor of the bed penetrates it slightly, as contacts in MuJoCo do: the sand reaches
+# down by this multiple of the thickness. Chosen, not measured.
 _ROOM = 1.1
 
 
 @compiled
 def bed_probe(bed, point):
-    """Depth below the upper face [m]; beside or under the bed, minus the distance to it."""
+    """Return the depth below the upper face [m]; outside the bed, minus the distance to it."""
     from_top = point - read_vector(bed.top, 0)
     normal = read_vector(bed.normal, 0)
     along = abs(dot(from_top, read_vector(bed.along, 0))) - bed.half_along
@@ -53,10 +53,10 @@ def bed_probe(bed, point):
 class Bed(Surface):
     """The sand in a box geom: its upper face (+z of the geom) is the surface.
 
-    Beside and under the box there is no sand. Its lower face is no floor by itself: put an ordinary
-    geom there (a plane, or another box), which bodies meet by MuJoCo's own contact. The box's own
-    contacts are switched off in the model when the sand is bound; an explicit contact pair, which
-    cannot be, is refused.
+    Beside and under the box there is no sand. Its lower face is not a floor: put an ordinary geom
+    there (a plane, or another box), which bodies meet through MuJoCo's own contacts. The box's own
+    contacts are disabled in the model when the sand is bound; an explicit contact pair, which
+    cannot be disabled, is an error.
 
     Attributes:
         geom: name of the box geom; it must be fixed to the world.

@@ -1,4 +1,4 @@
-"""Choices that users have for a surface."""
+"""Parse a user's choice of a surface."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ surfaces.add("height_field", HeightField)
 
 
 def surface_of(surface: Any) -> Surface:
-    """A surface, that of words such as "plane height=0.1", or the plane z = 0 for None.
+    """Return a surface, one parsed from words such as "plane height=0.1", or z = 0 for None.
 
     Raises:
         InputError: it is something else; says what a number or a name may have meant.
@@ -41,10 +41,10 @@ def surface_of(surface: Any) -> Surface:
 
 
 def surface_from_words(text: str) -> Surface:
-    """A surface as MJCF has it: `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`.
+    """Parse a surface in MJCF: `plane height= slope= uphill=`, `bed geom=`, `height_field geom=`.
 
     Raises:
-        UnknownNameError: no such surface; lists those there are.
+        UnknownNameError: no such surface; lists the existing ones.
         InputError: an option that is unknown, of a wrong type, or missing.
     """
     cls, given = read_part(text, surfaces, "surface")

@@ -1,4 +1,4 @@
-"""Rigid ground of the model's own, which carries bodies before they meet the sand."""
+"""Rigid ground of the model that carries bodies before they meet the sand."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from mjgranular.surface.plane import Plane
 from mjgranular.surface.surface import Surface
 
 SKIN = 1e-3
-"""So far below the sand's surface ground still carries what stands on it [m]; chosen."""
+"""Depth below the sand's surface up to which ground carries what stands on it [m]; chosen."""
 
 _STEEP = 0.5
-"""Vertical part of a contact's normal from which on it carries; chosen: a wall is steeper."""
+"""Vertical component of a contact's normal from which on it carries; chosen: a wall is steeper."""
 
-_TOLD = 4  # geoms that a message names
+_TOLD = 4  # maximum number of geoms named in a message
 _FLOOR, _SAND = 4, 5  # geom groups of the model that rays are cast in
 
 
 def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> list[int]:
-    """Finds geoms of the world that bodies stand on at or above the sand's surface.
+    """Find geoms of the world that bodies stand on at or above the sand's surface.
 
-    From each geom that meets the sand, where the model stands at `qpos0`, rays are cast down along
-    the surface's normal: to the sand, and to what is fixed to the world and collides with that
-    geom. What comes before the sand carries.
+    From each geom that meets the sand, at `qpos0`, rays are cast down along the surface's normal:
+    to the sand, and to what is fixed to the world and collides with that geom. Ground that is hit
+    before the sand carries the geom.
 
     Args:
         model: the model.
         geoms: ids of the geoms that meet the sand.
-        surface: where the sand is: a plane, or geoms of the model. Of others nothing is known.
+        surface: place of the sand: a plane, or geoms of the model. Other surfaces are not checked.
 
     Returns:
         Their ids, in order.
@@ -47,7 +47,7 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
     if not meets.any():
         return []
     rays = copy.copy(model)
-    rays.geom_matid[:] = -1  # rays go through what cannot be seen
+    rays.geom_matid[:] = -1  # rays ignore invisible geoms
     rays.geom_rgba[:] = 1.0
     rays.geom_group[:] = 0
     rays.geom_group[list(sand)] = _SAND
@@ -59,15 +59,15 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
         if not against.any():
             continue
         rays.geom_group[fixed] = np.where(against, _FLOOR, 0)
-        # From above what it touches where it stands: it may begin within its own floor.
+        # Start above the geom, which may be inside its own floor.
         start = data.geom_xpos[geom] - model.geom_rbound[geom] * down
         if plane is None:
             to_sand, _ = _cast(rays, data, start, down, _SAND)
         else:
             to_sand = float(([0.0, 0.0, plane.height] - start) @ down)
-        if not np.isfinite(to_sand):  # beside the sand ground is ground
+        if not np.isfinite(to_sand):  # beside the sand, ground is allowed
             continue
-        while True:  # below what is taken out there may be more
+        while True:  # there may be more below a removed floor
             to_floor, floor = _cast(rays, data, start, down, _FLOOR)
             if to_floor > to_sand + SKIN or floor < 0:
                 break
@@ -77,18 +77,18 @@ def find_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -
 
 
 class FloorWatch:
-    """Watches contacts for ground of the model's own that carries bodies in place of the sand.
+    """Watch contacts for ground of the model that carries bodies instead of the sand.
 
-    `find_floors` sees the ground above the sand where the model stands at `qpos0`. This sees the
-    rest: a floor just under the surface, which feet come down to, and ground that is walked onto.
+    `find_floors` finds ground above the sand at `qpos0`. This finds the rest: a floor just under
+    the surface, which feet reach, and ground that bodies walk onto.
 
     Args:
         model: the model.
         geoms: ids of the geoms that meet the sand.
-        surface: where the sand is.
+        surface: place of the sand.
 
     Attributes:
-        floors: ids of the geoms that have carried so far.
+        floors: ids of the geoms that have carried bodies so far.
     """
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
@@ -101,7 +101,7 @@ class FloorWatch:
         self.floors: set[int] = set()
 
     def look(self, data: mujoco.MjData) -> None:
-        """Takes in the contacts of a step."""
+        """Process the contacts of a step."""
         if data.ncon == 0:
             return
         contact = data.contact
@@ -115,7 +115,7 @@ class FloorWatch:
 
 
 def describe_floors(model: mujoco.MjModel, floors: Sequence[int], does: str) -> str:
-    """Says what carries the model, in words: `does` is a verb with its object."""
+    """Describe the geoms that carry the model: `does` is a verb with its object."""
     named = [f"{geom_name(model, geom)} (a {_kind(model, geom)})" for geom in floors]
     if len(named) > _TOLD:
         named[_TOLD:] = [f"{len(named) - _TOLD} more"]
@@ -128,7 +128,7 @@ CARRIES = "carries it beside or beneath the sand, which bears the rest"
 
 
 def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
-    """Warns where bodies will stand on the model's own ground and not in the sand."""
+    """Warn if bodies will stand on the model's own ground and not in the sand."""
     floors = find_floors(model, geoms, surface)
     if floors:
         warn_user(
@@ -141,7 +141,7 @@ def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface
 def warn_of_contacts(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], surface: Surface
 ) -> None:
-    """Warns where bodies stand on the model's own ground now."""
+    """Warn if bodies stand on the model's own ground now."""
     watch = FloorWatch(model, geoms, surface)
     watch.look(data)
     if watch.floors:
@@ -163,7 +163,7 @@ def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[int]) -> np.ndarray:
-    """Tells which geoms make contacts with which others: bool, shape (geoms, others)."""
+    """Return which geoms make contacts with which others: bool, shape (geoms, others)."""
     types, affinities = model.geom_contype, model.geom_conaffinity
     meets = (types[geoms, None] & affinities[others]) | (affinities[geoms, None] & types[others])
     pairs = {frozenset(ends) for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)}
@@ -175,7 +175,7 @@ def _collisions(model: mujoco.MjModel, geoms: Sequence[int], others: Sequence[in
 def _cast(
     model: mujoco.MjModel, data: mujoco.MjData, start: np.ndarray, along: np.ndarray, group: int
 ) -> tuple[float, int]:
-    """Distance to the first geom of a group along a ray [m], and its id; infinite, -1 for none."""
+    """Return the distance [m] and id of the first geom of a group along a ray; inf, -1 for none."""
     groups, hit = np.zeros(6, np.uint8), np.full(1, -1, np.int32)
     groups[group] = 1
     distance = mujoco.mj_ray(model, data, start, along, groups, 1, -1, hit)

@@ -1,4 +1,4 @@
-"""Dunes: a surface taken from an hfield geom of the model."""
+"""Dunes: a surface from an hfield geom of the model."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ _heights = records(np.dtype(np.float32))
 
 @partial(compiled, inline=True)
 def height_of(field, k):
-    """The datum with that number, as a height [m]."""
+    """Return the datum with that index, as a height [m]."""
     return _heights(field.data, field.rows * field.columns)[k] * field.elevation
 
 
 @compiled
 def height_field_probe(field, point):
-    """Depth along the normal of the bilinear surface above or below the point; the normal."""
+    """Return a point's depth along the normal of the bilinear surface over it; the normal."""
     axes = read_matrix(field.axes, 0)
     place = transposed(axes) @ (point - read_vector(field.position, 0))
-    # NaN is not within: what passes gives indices of the field and no others.
+    # NaN is not within: only valid indices of the field pass.
     if not (abs(place.x) <= field.half_x and abs(place.y) <= field.half_y):
         beside = max(abs(place.x) - field.half_x, abs(place.y) - field.half_y)
         return (-beside if beside > 0.0 else math.nan), axes @ vector(0.0, 0.0, 1.0)
@@ -74,8 +74,8 @@ def height_field_probe(field, point):
 class HeightField(Surface):
     """The surface of an hfield geom, bilinear between its data; outside it there is no sand.
 
-    The data may change while the simulation runs. The geom's own contacts are switched off in the
-    model when the sand is bound.
+    The data may change while the simulation runs. The geom's own contacts are disabled in the model
+    when the sand is bound.
 
     Attributes:
         geom: name of the hfield geom; it must be fixed to the world.
@@ -129,7 +129,7 @@ class HeightField(Surface):
         count = field["rows"] * field["columns"]
         heights = model.hfield_data[start : start + count].reshape(field["rows"], field["columns"])
         heights = heights * field["elevation"]
-        with np.errstate(invalid="ignore"):  # heights may come later
+        with np.errstate(invalid="ignore"):  # heights may be set later
             dy = np.diff(heights, axis=0) / (2 * field["half_y"] / (field["rows"] - 1))
             dx = np.diff(heights, axis=1) / (2 * field["half_x"] / (field["columns"] - 1))
         steepest = math.atan(math.hypot(np.abs(dx).max(), np.abs(dy).max()))

@@ -1,4 +1,4 @@
-"""Geoms that are sand, or that sand replaces: fixed in the world, and no obstacle of their own."""
+"""Geoms that are sand, or that sand replaces: fixed in the world, without contacts."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from mjgranular.shape.select import Choice, find_all
 
 
 def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str) -> int:
-    """The id of a geom of that name and type that is fixed to the world.
+    """Return the id of a geom of that name and type that is fixed to the world.
 
-    Its contacts are switched off in the model: sand is met through its law alone.
+    Its contacts are disabled in the model: bodies meet the sand only through its law.
 
     Args:
         model: the model.
-        name: of the geom.
-        kind: the type it has to have.
-        word: what it is wanted for, for messages: "bed", "height field".
+        name: name of the geom.
+        kind: its required type.
+        word: its purpose, for messages: "bed", "height field".
 
     Raises:
         UnknownNameError: no such geom; lists those of the type.
@@ -41,14 +41,14 @@ def find_geom(model: mujoco.MjModel, name: str, kind: mujoco.mjtGeom, word: str)
 
 
 def replace_geoms(model: mujoco.MjModel, geoms: Choice) -> list[int]:
-    """Switches the contacts of geoms off that sand takes the place of; gives their ids.
+    """Disable the contacts of geoms that the sand replaces; return their ids.
 
     Args:
         model: the model.
-        geoms: names or numbers, such as that of a floor.
+        geoms: names or ids, such as that of a floor.
 
     Raises:
-        UnknownNameError: no such geom; lists those there are.
+        UnknownNameError: no such geom; lists the existing ones.
         InputError: a geom on a body that moves, or in an explicit contact pair. Then none of them
             is changed.
     """
@@ -58,7 +58,7 @@ def replace_geoms(model: mujoco.MjModel, geoms: Choice) -> list[int]:
 
 
 def _disable_contacts(model: mujoco.MjModel, geoms: list[int], thing: str) -> None:
-    """Switches contacts off, after a look whether that will do."""
+    """Disable contacts, after a check that this is possible."""
     for geom in geoms:
         body = int(model.geom_bodyid[geom])
         if model.body_weldid[body] != 0 or model.body_mocapid[body] >= 0:
@@ -72,7 +72,7 @@ def _disable_contacts(model: mujoco.MjModel, geoms: list[int], thing: str) -> No
 
 
 def _refuse_pairs(model: mujoco.MjModel, geom: int, thing: str) -> None:
-    """Explicit pairs collide whatever contype and conaffinity are, and cannot be switched off."""
+    """Check that a geom is in no explicit pair, which collides for any contype and conaffinity."""
     for number in range(model.npair):
         ends = [int(model.pair_geom1[number]), int(model.pair_geom2[number])]
         if geom in ends:
@@ -89,12 +89,12 @@ def _name(model: mujoco.MjModel, geom: int) -> str | int:
 
 
 def world_pose(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,) and axes in columns (3, 3) of a geom that is fixed to the world."""
+    """Return position (3,) and axes in columns (3, 3) of a geom that is fixed to the world."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return data.geom_xpos[geom].copy(), data.geom_xmat[geom].reshape(3, 3).copy()
 
 
 def tilt_of(normal: np.ndarray) -> float:
-    """Angle of a unit normal against the vertical [rad]."""
+    """Return the angle of a unit normal from the vertical [rad]."""
     return float(np.arccos(np.clip(normal[2], -1.0, 1.0)))

@@ -1,4 +1,4 @@
-"""An endless plane of sand, level or sloping."""
+"""An infinite plane of sand, level or sloping."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ PLANE_DTYPE = np.dtype([("normal", np.float64, (3,)), ("offset", np.float64)])
 
 @partial(compiled, inline=True)
 def plane_probe(plane, point):
-    """Depth of a point below the plane along its normal [m], negative above it; the normal."""
+    """Return a point's depth below the plane along its normal [m], negative above; the normal."""
     normal = read_vector(plane.normal, 0)
     return plane.offset - dot(normal, point), normal
 
 
 @dataclass(frozen=True)
 class Plane(Surface):
-    """An endless plane of sand.
+    """An infinite plane of sand.
 
     Attributes:
         height: world z of the surface above the world's origin [m].
-        slope: angle against the horizontal [rad], below pi/2. Gravity is the model's own and does
-            not turn with it.
+        slope: angle from the horizontal [rad], below pi/2. Gravity is that of the model and does
+            not rotate with it.
         uphill: direction of steepest ascent, as an angle from the x axis about z [rad].
 
     Raises:

@@ -19,45 +19,45 @@ class Surface(ABC):
         probe: kernel `probe(record, point) -> (depth, normal)`, of vectors (`kernel.vector`): depth
             of a point below the surface along its normal [m], negative above the sand, and the unit
             normal out of the sand; world frame.
-        is_plane: whether it is one endless plane, and its `probe` nothing but arithmetic
-            (`kernel.lanes`): then laws of many elements tell dry ones at a fraction of the price.
+        is_plane: whether it is an infinite plane, and its `probe` only arithmetic (`kernel.lanes`):
+            then laws with many elements skip dry ones at a fraction of the cost.
     """
 
     probe: ClassVar[Any]
     is_plane: ClassVar[bool] = False
 
     def probe_kernel(self) -> Any:
-        """The kernel by which elements find their depth; `probe` unless it says otherwise."""
+        """Return the kernel that computes elements' depths; `probe` unless overridden."""
         return type(self).probe
 
     def toward_kernel(self) -> Any:
-        """Kernel `toward(record, point, outward)`: `probe` for a face with an outward normal.
+        """Return a kernel `toward(record, point, outward)`: `probe` for a face with that normal.
 
-        None where depth does not depend on that.
+        None if depth does not depend on the normal.
         """
         return None
 
     def ceiling_kernel(self) -> Any:
-        """Kernel like `probe`, of a plane that nothing of the sand is above; None for none."""
+        """Return a kernel like `probe`, of a plane that is above all of the sand; None for none."""
         return type(self).probe if type(self).is_plane else None
 
     @abstractmethod
     def record(self, model: mujoco.MjModel) -> np.ndarray:
-        """The surface in a model as its `probe` reads it: structured, shape (1,).
+        """Return the surface in a model as its `probe` reads it: structured, shape (1,).
 
         Raises:
-            UnknownNameError: the model has no geom of the name; lists those it has.
+            UnknownNameError: the model has no geom of that name; lists those it has.
             InputError: the geom cannot be that kind of surface.
         """
 
     def geoms(self, model: mujoco.MjModel) -> tuple[int, ...]:
-        """Ids of the geoms that are the sand and so do not meet it."""
+        """Return ids of the geoms that are the sand and so do not meet it."""
         return ()
 
     def shape(self, model: mujoco.MjModel) -> tuple[np.ndarray, ...]:
-        """Integers of the model, int32, by which `record` says how long an array of the model is.
+        """Return integers of the model, int32, that set array lengths in `record`.
 
-        An `MjData` may be run on another model: they have to be the same there.
+        An `MjData` may be run on another model: they must be the same there.
 
         Returns:
             Views of arrays of the model, shape (1,) each.
@@ -65,7 +65,7 @@ class Surface(ABC):
         return ()
 
     def lift(self, model: mujoco.MjModel) -> Mapping[str, np.ndarray]:
-        """Changes of the record for each metre that the surface rises along its normal.
+        """Return the changes of the record per meter that the surface rises along its normal.
 
         Returns:
             For each field that changes its change [1/m], in the shape of the field.
@@ -77,9 +77,9 @@ class Surface(ABC):
 
     @property
     def state_size(self) -> int:
-        """Number of numbers of the surface's own state in a simulation."""
+        """Length of the surface's own state in a simulation."""
         return 0
 
     @abstractmethod
     def tilt(self, model: mujoco.MjModel) -> float:
-        """The steepest angle of the surface against the horizontal [rad]."""
+        """Return the steepest angle of the surface from the horizontal [rad]."""

@@ -1,4 +1,4 @@
-"""Sand in thousands of worlds at once: for MuJoCo Warp, on GPUs and on processors."""
+"""Sand in thousands of worlds at once with MuJoCo Warp, on GPUs and CPUs."""
 
 from mjgranular._util.extras import need
 

@@ -1,11 +1,12 @@
-"""Constraints that are as stiff in sand as without it.
+"""Keep constraints as stiff in sand as without it.
 
-MuJoCo's integrator `discrete` makes the regularization D of a constraint larger by what its metric
-is larger than the inertia matrix. That metric has the sand's damping in it here, on the processor
-it has not; limits of a robot that lies would be some thousand times as stiff.
+MuJoCo's integrator `discrete` scales the regularization D of a constraint by the ratio of its
+metric to the inertia matrix. In MuJoCo Warp that metric contains the sand's damping, on the CPU it
+does not. Without this correction, joint limits of a robot lying in sand would be about a thousand
+times too stiff.
 """
 
-# Kernels take arrays in Warp's language, of which type checkers of Python know little.
+# Kernels annotate arrays in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false
 # pyright: reportGeneralTypeIssues=false, reportAssignmentType=false
 
@@ -18,9 +19,9 @@ import warp as wp
 class Constraints:
     """Regularization and reference of constraints as they are without sand.
 
-    `mujoco_warp.fwd_actuation` assembles the metric and scales D by it. This counts on two things
-    of it alone: a D that goes in larger comes out larger by the same factor; and what it adds to a
-    reference, for adhesion, goes with the change of 1 / D.
+    `mujoco_warp.fwd_actuation` assembles the metric and scales D by it. This class relies on two of
+    its properties only: a larger D in gives a D out that is larger by the same factor; and what it
+    adds to a reference, for adhesion, is proportional to the change of 1 / D.
     """
 
     def __init__(self, d: Any) -> None:
@@ -28,20 +29,20 @@ class Constraints:
         self._reference = wp.zeros_like(d.efc.aref)
 
     def find(self, m: Any, d: Any) -> None:
-        """Lets MuJoCo Warp scale them by its metric, in which there is no sand yet."""
+        """Have MuJoCo Warp scale them by its metric while it contains no sand."""
         mjw.fwd_actuation(m, d)
         wp.copy(self._regularization, d.efc.D)
         wp.copy(self._reference, d.efc.aref)
 
     def solve(self, m: Any, d: Any) -> None:
-        """Solves MuJoCo Warp's equations with sand in the metric, but for this."""
+        """Solve MuJoCo Warp's equations with sand in the metric, except for constraints."""
         self._with_sand(m, d)
         self._restore(d)
         mjw.fwd_acceleration(m, d, factorize=True)
         mjw.solve(m, d)
 
     def prepare(self, m: Any, d: Any) -> None:
-        """Makes them such that MuJoCo Warp's own scaling, by the metric of now, ends with them."""
+        """Set inputs for which MuJoCo Warp's own scaling, by the current metric, returns them."""
         self._with_sand(m, d)
         wp.launch(
             _prepare,
@@ -68,10 +69,10 @@ def _prepare(
     scaled: wp.array2d(dtype=float),
     moved: wp.array2d(dtype=float),
 ):
-    """Undoes in advance what was done to D and to the reference, which are found scaled.
+    """Invert the scaling of D and of the reference in advance; both are found scaled.
 
     With s = D / D_scaled, what is added to the reference of D s is 1 / s of what was added to that
-    of D, because it goes with 1 / D_out - 1 / D_in.
+    of D, because it is proportional to 1 / D_out - 1 / D_in.
     """
     world, row = wp.tid()
     if row >= nefc[world]:

@@ -1,21 +1,21 @@
-"""Sand as a damping matrix of each body, by the velocity that the step is foreseen to end with.
+"""Sand as a damping matrix of each body, at the predicted velocity at the end of the step.
 
-Each element has a symmetric matrix C for the velocity of its point (`warp.resistance`). All of a
-body together are one of 6 x 6 for its spatial velocity (`warp.motions`); brought to the degrees of
-freedom, h J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with both.
+Each element has a symmetric matrix C for the velocity of its point (`warp.resistance`). The
+elements of a body sum to a 6 x 6 matrix for its spatial velocity (`warp.motions`). In joint space h
+J^T C J has the sparsity of the inertia matrix, and MuJoCo Warp solves with the sum of both.
 
-Sand that moves along (`scheme.added`) gives an element the force (start - rate n.v') n as well.
-While velocities are predicted, the rate joins C and the start is a kick, so the prediction is right
-at once where the force is linear. In the equations that the step ends with, and where (A5) limits
-the force, C is the secant of all of the element's force, and nothing is kicked.
+Added mass (`scheme.added`) gives an element the additional force (start - rate n.v') n. While
+velocities are predicted, `rate` is added to C and `start` is a constant force, so one prediction is
+exact where the force is linear. In the final equations of the step, and where (A5) limits the
+force, C is the secant of the element's total force and there is no constant force.
 """
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
 # pyright: reportAssignmentType=false, reportAttributeAccessIssue=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 
@@ -42,11 +42,11 @@ from mjgranular.warp.resistance import resistance_of, secant_of
 from mjgranular.warp.translate import struct_of, translated
 
 _STILL = 1e-3
-"""Speed of what is at rest, in parts of the softness. Chosen."""
+"""Speed below which a point counts as at rest, in units of the softness. Chosen."""
 
 _ALL_BUT = 0.05
-"""Energy gained, in parts of what the sand takes, where forces all but balance the load. Chosen:
-at 2 ms the load of a robot's weight gains so much at MuJoCo's tolerance of sleep."""
+"""Energy gain, relative to what the sand dissipates, below which forces nearly balance the load.
+Chosen: at 2 ms the weight of a robot does this much work at MuJoCo's sleep tolerance."""
 
 _Pose, _Level = struct_of(Pose), struct_of(Level)
 prolonged_by = translated(prolonged)
@@ -56,13 +56,13 @@ bound_of = translated(most_given)
 
 @functools.cache
 def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remembers: bool) -> Any:
-    """Makes the Warp kernel that gives each body its damping: one thread a world and body.
+    """Make the Warp kernel that computes each body's damping, one thread per world and body.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
         law_struct: struct of the law's parameters.
         surface_struct: struct of the surface.
-        remembers: whether each world has heights of its own.
+        remembers: whether each world has its own heights.
     """
     element_struct = struct_of(kernel.element)
     sample = translated(kernel.sample)
@@ -118,7 +118,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         law = laws[world % laws.shape[0]]
         strong = strength[world % strength.shape[0]]
         dense = density[world % density.shape[0]]
-        # Sand that is higher is a body that is lower.
+        # Raising the sand is the same as lowering the body.
         lift = height[world % height.shape[0]] * rise
         tree = subtree_com[world, slot.root] - lift
         now = spatial(cvel, world, slot.body)
@@ -130,8 +130,8 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             now,
         )
         ahead = motion_of(slot, chain, cdof, foreseen, world)
-        sure = now  # what foresight sets out from
-        past = now  # what was predicted before, which led there
+        sure = now  # the motion that the prediction started from
+        past = now  # the previous prediction, which led to `sure`
         if not first:
             sure = motion_of(slot, chain, cdof, found, world)
             change = motion_of(slot, chain, cdof, gap, world)
@@ -142,16 +142,16 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             level = _Level(wp.transpose(pose.rotation) * normal, depth_here)
         bound = most[s] / h
         soft = eps
-        if not first or time[world] > 0.0:  # else the limit is that of another episode
+        if not first or time[world] > 0.0:  # else the limit belongs to another episode
             soft = wp.max(eps, limit[world, s] / bound)
-        old = now  # the motion before the body turned
-        slower = float(1.0)  # not known yet
+        old = now  # the motion before the body's rotation changed
+        slower = float(1.0)  # not yet known
         if wp.static(adds_mass):
             turn = motion_of(slot, chain, cdof_dot, qvel, world)
             old = WarpMotion(now.angular - h * turn.angular, now.linear - h * turn.linear)
             if not first:
                 slower = share[world, s]
-        has, had = float(0.0), float(0.0)  # energies of the body's sand
+        has, had = float(0.0), float(0.0)  # energies of the body's moving sand
         limits = float(0.0)
         total = Damping()
         greatest = float(0.0)
@@ -213,19 +213,19 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
 
 @wp.func
 def _turned_back(foreseen: wp.vec3, now: wp.vec3, eps: float):
-    """Whether foresight goes against what it set out from, of what is not at rest already.
+    """Return whether a prediction reverses a velocity that is not already at rest.
 
-    What has just come to a stop is not going to turn: faces that trail have no resistance, and a
-    step that began with them would end far from where it should.
+    A point that has just stopped is not about to reverse. Trailing faces have no resistance, so a
+    step that started from a reversed velocity would end far from the solution.
     """
     return wp.dot(foreseen, now) < 0.0 and wp.length(now) > _STILL * eps
 
 
 @wp.func
 def _yielding(c: wp.mat33, v: wp.vec3, soft: float):
-    """The damping of an element that is loaded beyond its limit, and the constant force beside it.
+    """Return the damping of an element loaded beyond its limit, and the constant force.
 
-    Its resistance is the limit whatever its speed: constant along the motion, damping across.
+    Its resistance equals the limit at any speed: constant along the motion, damping across it.
     """
     speed = wp.length(v)
     kicked = wp.vec3()
@@ -248,21 +248,21 @@ def _with_momentum(
     v: wp.vec3,
     last: bool,
 ):
-    """The damping of an element with that of its moving sand, and the constant force beside it.
+    """Return the damping of an element including its added mass, and the constant force.
 
     Args:
-        c: its damping by resistance, at the velocity v.
-        tangent: what the prediction takes for that.
-        kicked: and the kick with it.
-        n: its normal.
+        c: damping by resistance, at the velocity v.
+        tangent: damping that the prediction uses instead of `c`.
+        kicked: constant force that belongs to `tangent`.
+        n: normal of the element.
         rate: m / h of its sand [kg/s].
         start: m' s_b / h [N].
-        v: its velocity, as predicted.
-        last: whether the step ends with this.
+        v: predicted velocity of the element.
+        last: whether these are the final equations of the step.
     """
     speed = wp.length(v)
     if speed > 0.0:
-        # Forces over the speed, since the secant asks for those.
+        # Divided by the speed, because the secant needs forces in that form.
         u = v / speed
         s = wp.dot(n, u)
         if s <= 0.0:
@@ -306,7 +306,7 @@ def assemble_forces(
     other: wp.array2d(dtype=float),
     force: wp.array2d(dtype=float),
 ):
-    """Adds the sand's forces at the present velocities to what other passive forces there are."""
+    """Add the sand's forces at the present velocities to the other passive forces."""
     world, i = wp.tid()
     axis = spatial(cdof, world, i)
     total = other[world, i]
@@ -333,7 +333,7 @@ def assemble_damping(
     other: wp.array2d(dtype=float),
     metric: wp.array2d(dtype=float),
 ):
-    """Adds h J^T C J, in the sparsity of the inertia matrix, to the damping of fluids."""
+    """Add h J^T C J, in the sparsity of the inertia matrix, to the damping of fluids."""
     world, k = wp.tid()
     i = rows[k]
     left, right = spatial(cdof, world, i), spatial(cdof, world, columns[k])
@@ -354,7 +354,7 @@ def foresee(
     qacc: wp.array2d(dtype=float),
     foreseen: wp.array2d(dtype=float),
 ):
-    """Velocities that the step ends with at these accelerations."""
+    """Predict the velocities at the end of the step from these accelerations."""
     world, i = wp.tid()
     foreseen[world, i] = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
 
@@ -372,9 +372,9 @@ def foresee_anew(
     found: wp.array2d(dtype=float),
     foreseen: wp.array2d(dtype=float),
 ):
-    """Velocities that the step ends with at these accelerations, the way to them prolonged.
+    """Predict the velocities at the end of the step again, with extrapolation.
 
-    One thread a world and robot. As on the processor (`scheme.damping`).
+    One thread per world and robot. The same method as on the CPU (`scheme.damping`).
     """
     world, r = wp.tid()
     h = timestep[world % timestep.shape[0]]
@@ -405,12 +405,12 @@ def warm_start(
     creep: wp.array2d(dtype=float),
     foreseen: wp.array2d(dtype=float),
 ):
-    """Velocities that the step would end with if it went on as the last one."""
+    """Predict the velocities at the end of the step by repeating the last change."""
     world, i = wp.tid()
     change = timestep[world % timestep.shape[0]] * qacc_warmstart[world, i]
-    if disabled != 0 or not wp.isfinite(change):  # of a world that was lost, say
+    if disabled != 0 or not wp.isfinite(change):  # of a world that diverged, for example
         change = 0.0
-    if time[world] > 0.0 and creep[world, i] != 0.0:  # not those of another episode
+    if time[world] > 0.0 and creep[world, i] != 0.0:  # not from another episode
         change = creep[world, i]
     foreseen[world, i] = qvel[world, i] + change
 
@@ -428,7 +428,7 @@ def wrenches_of_step(
     moment: wp.array2d(dtype=wp.vec3),
     power: wp.array2d(dtype=float),
 ):
-    """Force, moment about the centre of mass and power, at the step's last velocity."""
+    """Compute force, moment about the center of mass and power, at the step's final velocity."""
     world, s = wp.tid()
     slot = slots[s]
     arm = damping[world, s].arm
@@ -458,11 +458,11 @@ def stop_creep(
     creep: wp.array2d(dtype=float),
     qacc: wp.array2d(dtype=float),
 ):
-    """Stops robots that only creep, one thread a world and robot; keeps how they would have crept.
+    """Stop robots that only creep, and store the creep velocity; one thread per world and robot.
 
-    Forces of the law have been found that all but balance what loads the robot: it could as well
-    stand still. One creeps that is slower than MuJoCo's tolerance of sleep, and gains much less
-    energy in the step than the sand takes.
+    The forces found nearly balance the load on the robot, so it could as well stand still. A robot
+    creeps if it is slower than MuJoCo's sleep tolerance and gains much less energy in the step than
+    the sand dissipates.
     """
     world, r = wp.tid()
     h = timestep[world % timestep.shape[0]]

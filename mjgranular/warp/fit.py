@@ -1,4 +1,4 @@
-"""Whether a model fits MuJoCo Warp's step with sand, and its bodies as tables of integers."""
+"""Check that a model fits MuJoCo Warp's step with sand; list its bodies as integer tables."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from mjgranular.surface import HeightField, Plane, Surface
 from mjgranular.warp.motions import SLOT_DTYPE
 
 _HAIR = 1e-5
-"""How far `coupled` moves an inertial frame, in parts of the body's size; MuJoCo takes what is
-below 1e-6 m for nothing. Chosen."""
+"""Distance by which `coupled` moves an inertial frame, relative to the body's size. MuJoCo treats
+offsets below 1e-6 m as zero. Chosen."""
 
 
 def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The bodies in the sand, and the degrees of freedom that move each.
+    """List the bodies in the sand and the degrees of freedom that move each.
 
     Args:
-        model: the model.
-        elements: of a law, body by body.
+        model: MuJoCo model.
+        elements: elements of a law, ordered by body.
 
     Returns:
-        Records, `SLOT_DTYPE`; and the degrees of freedom to which they point, one body after the
-        other, each from its last up to its root.
+        Records of `SLOT_DTYPE`, and the degrees of freedom they index, body by body, each from its
+            last up to its root.
     """
     first = np.unique(elements["slot"], return_index=True)[1]
     slots = np.zeros(len(first), SLOT_DTYPE)
@@ -40,7 +40,7 @@ def slots_of(model: mujoco.MjModel, elements: np.ndarray) -> tuple[np.ndarray, n
 
 
 def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
-    """The degrees of freedom that move a body, from the last up."""
+    """List the degrees of freedom that move a body, from the last up."""
     while body and not model.body_dofnum[body]:
         body = int(model.body_parentid[body])
     dof = int(model.body_dofadr[body] + model.body_dofnum[body]) - 1 if body else -1
@@ -52,10 +52,10 @@ def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def slots_of_dofs(nv: int, slots: np.ndarray, chain: np.ndarray) -> tuple[list[int], list[int]]:
-    """For each degree of freedom the bodies in the sand that it moves.
+    """List, for each degree of freedom, the bodies in the sand that it moves.
 
     Returns:
-        Rows of `slots`, one degree of freedom after the other; and where each begins, nv + 1.
+        Rows of `slots`, ordered by degree of freedom; and the first index of each, nv + 1 values.
     """
     moved: list[list[int]] = [[] for _ in range(nv)]
     for s, slot in enumerate(slots):
@@ -66,7 +66,7 @@ def slots_of_dofs(nv: int, slots: np.ndarray, chain: np.ndarray) -> tuple[list[i
 
 
 def up_of(surface: Surface, model: mujoco.MjModel) -> np.ndarray:
-    """The direction in which a surface is raised, a unit vector, world frame."""
+    """Return the direction in which a surface is raised, a unit vector in the world frame."""
     if isinstance(surface, Relief):
         return up_of(surface.base, model)
     if isinstance(surface, Plane):
@@ -77,10 +77,10 @@ def up_of(surface: Surface, model: mujoco.MjModel) -> np.ndarray:
 
 
 def check_no_plugins(model: mujoco.MjModel) -> None:
-    """Checks that a model has no plugins that MuJoCo Warp refuses.
+    """Check that MuJoCo Warp accepts all plugins of a model.
 
     Raises:
-        InputError: says what would be right.
+        InputError: the model has a plugin that MuJoCo Warp rejects; says what would be right.
     """
     for of in ("body", "actuator", "sensor"):
         if (getattr(model, f"{of}_plugin") >= 0).any():
@@ -91,10 +91,10 @@ def check_no_plugins(model: mujoco.MjModel) -> None:
 
 
 def check_model(model: mujoco.MjModel, slots: np.ndarray, chain: np.ndarray, m: Any) -> None:
-    """Checks that a model of MuJoCo Warp's is that of a sand, and has a place for it.
+    """Check that a MuJoCo Warp model belongs to this sand and can hold it.
 
     Raises:
-        InputError: says what would be right.
+        InputError: it does not; says what would be right.
     """
     for name in ("nv", "nbody", "njnt", "ngeom"):
         mine, given = getattr(model, name), getattr(m, name)
@@ -134,17 +134,17 @@ def check_model(model: mujoco.MjModel, slots: np.ndarray, chain: np.ndarray, m: 
 
 
 def coupled(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """A copy of a model in which sand can couple the degrees of freedom of single bodies.
+    """Copy a model so that sand can couple the degrees of freedom of single bodies.
 
-    A body that hangs on the world by itself and has its inertial frame where its own frame is, such
-    as a ball, is "simple" to MuJoCo: its inertia is kept as a diagonal. The copy has those frames
-    moved by a hair (1e-5 of the body's size).
+    A body on its own in the world whose inertial frame is its body frame, such as a ball, is
+    "simple" to MuJoCo: its inertia is stored as a diagonal. The copy has those frames moved by 1e-5
+    of the body's size.
 
     Args:
-        spec: the model.
+        spec: model to copy.
 
     Raises:
-        InputError: it is no `MjSpec`.
+        InputError: `spec` is not an `MjSpec`.
     """
     if not isinstance(spec, mujoco.MjSpec):
         raise InputError(

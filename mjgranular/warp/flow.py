@@ -1,11 +1,11 @@
-"""Sand flows down in each world where it is steeper than it can rest."""
+"""Flow of sand in each world where it is steeper than its angle of repose."""
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 
@@ -23,11 +23,11 @@ _slope_to, _excess_of, _gains_of = (translated(each) for each in (slope_to, exce
 
 @functools.cache
 def flow_kernel(relief_struct: Any, level: Any) -> Any:
-    """Makes the kernel by which sand flows, for surfaces of a kind.
+    """Make the kernel for flow of sand on one kind of surface.
 
     Args:
         relief_struct: struct of the surface.
-        level: kernel, see `relief.probe.level_kernel`.
+        level: kernel from `relief.probe.level_kernel`.
     """
     level_at = translated(level)
 
@@ -41,9 +41,9 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
         first_column: int,
         volumes: wp.array2d(dtype=float),
     ):
-        """Brings the steepest triangles down of every other square along both axes.
+        """Level the steepest triangles of every other square along both axes.
 
-        Sand does not flow over what is remembered of a place that lies a tile away.
+        Sand does not flow over stored heights that belong to another tile.
         """
         world, lane = wp.tid()
         if task[world] != FLOWS:
@@ -56,7 +56,7 @@ def flow_kernel(relief_struct: Any, level: Any) -> Any:
         half = size // 2
         for n in range(lane, half * half, LANES):
             row, column = 2 * (n // half) + first_row, 2 * (n % half) + first_column
-            # The first node is told by whichever has been moved.
+            # The first node follows from which of the two moved.
             i, j = int(0), int(0)
             known = int(0)
             for k in range(4):

@@ -1,16 +1,16 @@
-"""The grid of heights that each world remembers, as kernels read it.
+"""The grid of heights that each world stores, as kernels read it.
 
-As on the processor (`relief.grid`) a node (i, j) of the plane is kept at (i mod size, j mod size).
-What tells its numbers from those of another node is the *tile* of the plane that it lies in,
-(i // size, j // size), as one number.
+As on the CPU (`relief.grid`), a node (i, j) of the plane is stored at (i mod size, j mod size). The
+*tile* of the plane that a node lies in, (i // size, j // size) as one integer, distinguishes it
+from other nodes stored in the same place.
 """
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,10 @@ Grid = struct(
     "Grid",
     {
         "height": wp.array3d(dtype=float),  # of nodes over the surface [m], (nworld, size, size)
-        "tile": wp.array3d(dtype=int),  # that a place's height belongs to; 0 for none
+        "tile": wp.array3d(dtype=int),  # that the height in a place belongs to; 0 for none
         "sums": wp.array3d(dtype=float),  # of the heights in a block (nworld, blocks, blocks)
         "highest": wp.array(dtype=float),  # of each world [m]
-        "world": int,  # that reads
+        "world": int,  # index of the current world
     },
 )
 
@@ -33,33 +33,33 @@ _BIAS, _STRIDE = 1 << 14, 1 << 15  # tiles from -2^14 to 2^14 on: 32 km of 2 m
 
 
 def tiles_of(i: np.ndarray, j: np.ndarray, size: int) -> np.ndarray:
-    """The tiles of nodes, numbers above 0."""
+    """Return the tiles of nodes, positive integers."""
     return (i // size + _BIAS) * _STRIDE + j // size + _BIAS + 1
 
 
 @wp.func
 def wrapped(i: int, size: int):
-    """The row or column that a node's is kept in."""
+    """Return the row or column that stores a node."""
     return ((i % size) + size) % size
 
 
 @wp.func
 def tile_of(i: int, j: int, size: int):
-    """The tile of a node, a number above 0."""
+    """Return the tile of a node, a positive integer."""
     row, column = (i - wrapped(i, size)) // size, (j - wrapped(j, size)) // size
     return (row + _BIAS) * _STRIDE + column + _BIAS + 1
 
 
 @wp.func
 def node_in(tile: int, row: int, column: int, size: int):
-    """The node (i, j) of a tile that is kept in a place."""
+    """Return the node (i, j) of a tile that a place stores."""
     first, second = (tile - 1) // _STRIDE - _BIAS, (tile - 1) % _STRIDE - _BIAS
     return first * size + row, second * size + column
 
 
 @wp.func
 def height_of_node(grid: Grid, size: int, i: int, j: int):
-    """Height of the sand over the surface at a node [m]."""
+    """Return the height of the sand over the surface at a node [m]."""
     row, column = wrapped(i, size), wrapped(j, size)
     if grid.tile[grid.world, row, column] == tile_of(i, j, size):
         return grid.height[grid.world, row, column]
@@ -116,12 +116,12 @@ def highest_of(relief: Any):
 
 @wp.func
 def in_world(relief: Any, world: int):
-    """A surface that remembers, as it is in a world."""
+    """Return a surface with memory as it is in one world."""
     relief.state.world = world
     return relief
 
 
 @wp.func
 def in_any_world(surface: Any, world: int):
-    """A surface that is the same in all worlds."""
+    """Return a surface that is the same in all worlds."""
     return surface

@@ -1,11 +1,11 @@
-"""What bodies displace is heaped up beside their prints in each world."""
+"""Displaced sand is deposited as rims beside tracks, in each world."""
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import warp as wp
 
 from mjgranular.relief.press import has_edges, is_sand
@@ -23,19 +23,19 @@ from mjgranular.warp.update import (
     tile_beside,
 )
 
-_NEAR = 32  # more than there are nodes at an edge within two cells
+_NEAR = 32  # more than the number of edge nodes within two cells
 _is_sand, _has_edges = translated(is_sand), translated(has_edges)
 
 
 @wp.func
 def share_of(volume: float, count: int, cell: float):
-    """Height of so many equal parts of a volume, each on a node [m]; the rest waits."""
+    """Return the height of one of `count` equal parts of a volume [m], at most one cell."""
     return wp.min(volume / (float(count) * cell * cell), cell)
 
 
 @wp.kernel(enable_backward=False)
 def edge(surface: PlainRelief, task: wp.array(dtype=int), foot: wp.array3d(dtype=int)):
-    """Finds the nodes of prints that have sand beside them."""
+    """Find the track nodes that have sand beside them."""
     world, lane = wp.tid()
     if task[world] < PRESSES:
         return
@@ -63,7 +63,7 @@ def surround(
     waiting: wp.array2d(dtype=float),
     count: wp.array2d(dtype=int),
 ):
-    """Finds the nodes within two cells of a print's edge: of the nearest of several prints."""
+    """Find the nodes within two cells of a track's edge; the nearest of several tracks counts."""
     world, lane = wp.tid()
     if task[world] < PRESSES:
         return
@@ -111,7 +111,7 @@ def heap(
     count: wp.array2d(dtype=int),
     volumes: wp.array2d(dtype=float),
 ):
-    """Heaps sand up beside prints."""
+    """Deposit sand beside tracks."""
     world, lane = wp.tid()
     if task[world] < PRESSES:
         return
@@ -137,7 +137,7 @@ def keep(
     count: wp.array2d(dtype=int),
     volumes: wp.array2d(dtype=float),
 ):
-    """Keeps what has found no room beside a print for later."""
+    """Keep volume that did not fit beside a track for later steps."""
     world, f = wp.tid()
     if task[world] < PRESSES or count[world, f] == 0:
         return

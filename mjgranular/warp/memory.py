@@ -1,4 +1,4 @@
-"""What each world's sand remembers: its arrays on the device, and its update after each step."""
+"""Memory of each world's sand: its arrays on the device, and its update after each step."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class WarpMemory:
     """Heights of the sand in each world.
 
     Args:
-        relief: the surface.
-        footprint: the skin of its bodies.
-        record: of the surface.
-        model: that they are in.
-        count: of worlds.
-        device: of Warp's.
+        relief: surface with memory.
+        footprint: surface points of the bodies.
+        record: record of the surface.
+        model: MuJoCo model of the bodies.
+        count: number of worlds.
+        device: Warp device.
 
     Attributes:
-        surface: struct of the surface, with the heights, as kernels read it.
+        surface: struct of the surface with its heights, as kernels read it.
 
     Raises:
         InputError: too many geoms.
@@ -78,7 +78,7 @@ class WarpMemory:
 
         self.surface = surface_on_device(relief, record, model, device, grid)
         self._plain = plain_relief(record, grid)
-        # Over a plane all surfaces are alike.
+        # Over a plane, all surfaces share one kernel.
         self._leveled = self._plain if relief.is_flat else self.surface
         struct = PlainRelief if relief.is_flat else struct_of_surface(relief, record)
         level = level_kernel(type(relief.base).probe, relief.is_flat)
@@ -88,13 +88,13 @@ class WarpMemory:
         )
 
     def update(self, m: Any, d: Any, height: wp.array, up: wp.vec3) -> None:
-        """Presses sand down under the bodies of each world, heaps it up beside them, has it flow.
+        """Press sand down under the bodies of each world, deposit rims, and let it flow.
 
         Args:
-            m: MuJoCo Warp's model.
-            d: its data.
+            m: MuJoCo Warp model.
+            d: MuJoCo Warp data.
             height: how much the surface is raised in each world [m].
-            up: the direction of that.
+            up: direction in which it is raised.
         """
         relief, foot, task, volumes = self._plain, self._foot, self._task, self._volumes
         (worlds, _, blocks), feet = self._size, self._count.shape[1]
@@ -113,7 +113,7 @@ class WarpMemory:
         self._launch(heap.surround, over_nodes, at_feet, shares)
         self._launch(heap.heap, over_nodes, at_feet, [*shares, volumes])
         self._launch(heap.keep, (worlds, feet), [relief, task, *shares, volumes])
-        # Squares that share no node at once.
+        # Squares of one pass share no node.
         for first_row in (0, 1):
             for first_column in (0, 1):
                 flowing = [self._leveled, task, self._rate, foot, first_row, first_column, volumes]
@@ -121,11 +121,11 @@ class WarpMemory:
         self._launch(update.sum_up, (worlds, blocks * blocks), [relief, task])
 
     def volumes(self) -> dict[str, np.ndarray]:
-        """Volumes of each world since it began [m^3], shape (nworld,) each.
+        """Return the volumes of each world since its start [m^3], each of shape (nworld,).
 
         Returns:
             `pressed` down, `heaped` up, `forgotten` where the grid is wrapped around, and `waiting`
-            for room beside a print.
+                to be deposited beside a track.
         """
         found = self._volumes.numpy()
         return {
@@ -136,7 +136,7 @@ class WarpMemory:
         }
 
     def heights(self, world: int, middle: tuple[float, float]) -> Heights:
-        """The heights of a world about a place; see `WarpSand.relief`."""
+        """Return the heights of a world around a point; see `WarpSand.relief`."""
         memory = self._relief.memory
         size = memory.size
         i, j = square_about(memory, middle)
@@ -151,7 +151,7 @@ class WarpMemory:
 
 
 def _skin_of(footprint: Footprint) -> np.ndarray:
-    """The points of a footprint, each with the number of its foot."""
+    """Return the points of a footprint, each with the index of its contact geom."""
     points = footprint.points.transpose(0, 2, 1)  # tile by tile, point by point
     tiles, lanes, _ = points.shape
     skin: Any = np.zeros(tiles * lanes, press.Skin.numpy_dtype())

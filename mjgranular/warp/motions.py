@@ -1,11 +1,11 @@
-"""Bodies in the sand as records, their motions, and the matrices of 6 x 6 that resist them."""
+"""Records of bodies in the sand, their motions, and their 6 x 6 damping matrices."""
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
 # pyright: reportAttributeAccessIssue=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import numpy as np
 import warp as wp
 
@@ -22,31 +22,31 @@ Slot = struct("Slot", dict.fromkeys(SLOT_DTYPE.names or (), wp.int32))
 Damping = struct(
     "Damping", {"turn": wp.mat33, "mixed": wp.mat33, "slide": wp.mat33, "arm": wp.vec3}
 )
-"""A symmetric matrix of 6 x 6 for (angular, linear), its blocks; `mixed` is (angular, linear).
+"""A symmetric 6 x 6 matrix for (angular, linear), by blocks; `mixed` is (angular, linear).
 
-It is about the point that is resisted most, which `arm` leads to from the centre of the body's
-tree. That one moves least: about any other, the power of what turns about a foot that stands would
-be a small difference of large numbers."""
+Its reference point is the one with the greatest resistance, at `arm` from the center of the body's
+tree. That point moves least; about any other, the power of a body turning about a standing foot
+would be a small difference of large numbers."""
 
 WarpMotion = struct_of(Motion)
 
 
 @wp.func
 def spatial(vectors: wp.array2d(dtype=wp.spatial_vector), world: int, i: int):
-    """A spatial vector of MuJoCo's as a motion."""
+    """Return a spatial vector of MuJoCo as a motion."""
     both = vectors[world, i]
     return WarpMotion(wp.spatial_top(both), wp.spatial_bottom(both))
 
 
 @wp.func
 def velocity_at(motion: WarpMotion, arm: wp.vec3):
-    """Velocity of a point from its place relative to the one that the motion is about."""
+    """Return the velocity of a point at `arm` from the motion's reference point."""
     return motion.linear + wp.cross(motion.angular, arm)
 
 
 @wp.func
 def moved(motion: WarpMotion, arm: wp.vec3):
-    """The same motion about another point."""
+    """Return the same motion about another point."""
     return WarpMotion(motion.angular, velocity_at(motion, arm))
 
 
@@ -58,7 +58,7 @@ def motion_of(
     rates: wp.array2d(dtype=float),
     world: int,
 ):
-    """The motion of a body about the centre of its tree, from rates of its degrees of freedom."""
+    """Compute the motion of a body about its tree's center from joint velocities."""
     angular, linear = wp.vec3(), wp.vec3()
     for k in range(slot.chain, slot.chain_end):
         axis = spatial(cdof, world, chain[k])
@@ -70,7 +70,7 @@ def motion_of(
 
 @wp.func
 def added_to(d: Damping, c: wp.mat33, arm: wp.vec3):
-    """The damping of a body with that of a point of it added."""
+    """Return the damping of a body plus that of one of its points."""
     r = wp.skew(arm - d.arm)
     rc = r * c
     return Damping(d.turn - rc * r, d.mixed + rc, d.slide + c, d.arm)
@@ -78,7 +78,7 @@ def added_to(d: Damping, c: wp.mat33, arm: wp.vec3):
 
 @wp.func
 def about(d: Damping, arm: wp.vec3):
-    """The damping of a body about another point."""
+    """Return the damping of a body about another point."""
     s = wp.skew(arm - d.arm)
     crossed = d.mixed * s
     turn = d.turn + crossed + wp.transpose(crossed) - s * d.slide * s
@@ -87,7 +87,7 @@ def about(d: Damping, arm: wp.vec3):
 
 @wp.func
 def _norm(c: wp.mat33):
-    """The greatest sum of sizes in a row: no direction is resisted by more."""
+    """Return the maximum absolute row sum: an upper bound in every direction."""
     rows = wp.vec3(1.0, 1.0, 1.0)
     sizes = wp.vec3(
         wp.dot(wp.abs(c[0]), rows), wp.dot(wp.abs(c[1]), rows), wp.dot(wp.abs(c[2]), rows)
@@ -97,14 +97,14 @@ def _norm(c: wp.mat33):
 
 @wp.func
 def bounded(d: Damping, most: float):
-    """The damping of a body, made less where it is above a bound [N s/m]."""
+    """Return the damping of a body, scaled down to an upper bound [N s/m]."""
     part = wp.min(1.0, most / _norm(d.slide))
     return Damping(part * d.turn, part * d.mixed, part * d.slide, d.arm)
 
 
 @wp.func
 def wrench_of(d: Damping, motion: WarpMotion):
-    """Force and moment -C v of a motion about its point, as a motion (moment, force)."""
+    """Return the wrench -C v of a motion about its point, as a motion (moment, force)."""
     moment = d.turn * motion.angular + d.mixed * motion.linear
     force = wp.transpose(d.mixed) * motion.angular + d.slide * motion.linear
     return WarpMotion(-moment, -force)

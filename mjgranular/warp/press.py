@@ -1,11 +1,11 @@
-"""Skin presses sand down in each world."""
+"""Surface points of bodies press sand down in each world."""
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 
@@ -31,13 +31,13 @@ from mjgranular.warp.update import (
 )
 
 Skin = struct("SkinPoint", {"foot": int, "body": int, "point": wp.vec3, "normal": wp.vec3})
-"""A point of the skin, body frame; of the axis of a rod without a normal."""
+"""A surface point of a body, body frame; points on the axis of a rod have no normal."""
 
-# Heights that skin wants are compared as whole numbers, with the foot's number behind: the lowest
-# foot's is found in any order. A nanometre is finer than single precision tells.
+# Requested heights are compared as integers with the contact geom's index in the low digits, so the
+# lowest wins in any order of threads. A nanometer is finer than single precision resolves.
 _NANOMETRES = 1e9
 UNWANTED = np.iinfo(np.int64).max
-"""What stands where no skin wants a node down."""
+"""Value of a node that no contact geom presses down."""
 
 _UNWANTED = wp.constant(wp.int64(UNWANTED))
 _is_sand, _skin_at = translated(is_sand), translated(skin_at)
@@ -45,7 +45,7 @@ _is_sand, _skin_at = translated(is_sand), translated(skin_at)
 
 @wp.func
 def place_of(relief: Any, position: wp.vec3):
-    """A point along the axes of the plane that heights are over [m]."""
+    """Return a point along the axes of the plane under the heights [m]."""
     place = position - relief.origin
     return wp.vec3(
         wp.dot(place, relief.along), wp.dot(place, relief.across), wp.dot(place, relief.normal)
@@ -54,11 +54,11 @@ def place_of(relief: Any, position: wp.vec3):
 
 @functools.cache
 def press_kernel(relief_struct: Any, level: Any) -> Any:
-    """Makes the kernel by which skin wants nodes down, for surfaces of a kind.
+    """Make the kernel in which surface points request heights, for one kind of surface.
 
     Args:
         relief_struct: struct of the surface.
-        level: kernel, see `relief.probe.level_kernel`.
+        level: kernel from `relief.probe.level_kernel`.
     """
     level_at = translated(level)
 
@@ -74,7 +74,7 @@ def press_kernel(relief_struct: Any, level: Any) -> Any:
         wanted: wp.array3d(dtype=wp.int64),
         places: wp.array2d(dtype=wp.vec3),
     ):
-        """Has each point of the skin want the four nodes around it down."""
+        """Let each surface point request lower heights at the four nodes around it."""
         world, lane = wp.tid()
         if task[world] < PRESSES:
             return
@@ -124,7 +124,7 @@ def settle(
     waiting: wp.array2d(dtype=float),
     volumes: wp.array2d(dtype=float),
 ):
-    """Presses nodes down as far as skin wants them; forgets all where a world begins anew."""
+    """Press nodes down to the requested heights; clear everything where a world restarts."""
     world, lane = wp.tid()
     if task[world] == IDLE:
         return
@@ -141,7 +141,7 @@ def settle(
         if number == _UNWANTED:
             continue
         wanted[world, row, column] = _UNWANTED
-        # Whole numbers are divided downward, whatever their sign.
+        # Integer modulo that rounds down for either sign.
         f = int(((number % wp.int64(MOST_FEET)) + wp.int64(MOST_FEET)) % wp.int64(MOST_FEET))
         low = float(
             wp.float64((number - wp.int64(f)) // wp.int64(MOST_FEET)) / wp.float64(_NANOMETRES)

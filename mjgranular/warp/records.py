@@ -1,4 +1,4 @@
-"""Structured arrays of NumPy's as arrays of Warp structs."""
+"""NumPy structured arrays as arrays of Warp structs."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from mjgranular.warp.grid import Grid
 from mjgranular.warp.structs import struct
 from mjgranular.warp.translate import MATRIX_2X3, struct_of
 
-_UNREAD = ("points", "feet")  # addresses that no kernel of ours on a device reads
+_UNREAD = ("points", "feet")  # addresses that no kernel reads on a device
 _ADDRESSES = {"data": wp.array(dtype=wp.float32), "state": Grid}
 _BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2, 3): MATRIX_2X3}
 
 
 @functools.cache
 def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
-    """The Warp struct with the fields of a structured type: numbers, vectors, matrices, records.
+    """Make the Warp struct with the fields of a dtype: numbers, vectors, matrices, records.
 
-    Addresses of heights become arrays, of the name `data`, and that of the state of a relief its
+    Addresses of heights become arrays named `data`; the address of a relief's state becomes its
     `Grid`.
     """
     fields: dict[str, Any] = {}
@@ -41,7 +41,7 @@ def struct_of_dtype(name: str, dtype: np.dtype) -> Any:
 
 
 def _of_shape(shape: tuple[int, ...]) -> Any:
-    """The type of a field of numbers."""
+    """Return the type of a numeric field."""
     if shape not in _BY_SHAPE and len(shape) == 1:
         return wp.types.vector(length=shape[0], dtype=wp.float32)
     return _BY_SHAPE[shape]
@@ -52,16 +52,16 @@ def _without_base(relief: np.dtype) -> np.dtype:
 
 
 PlainRelief = struct_of_dtype("PlainRelief", _without_base(relief_dtype(np.dtype([]))))
-"""A surface that remembers, without the one under it: all that many kernels ask for."""
+"""A surface with memory but without its base surface, which many kernels do not need."""
 
 
 def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
-    """Copies structured records to a device, as structs with fields of the same names.
+    """Copy structured records to a device, as structs with fields of the same names.
 
     Args:
         records: shape (n,).
         kind: the struct, or a named tuple (`struct_of`).
-        device: of Warp's.
+        device: Warp device.
     """
     made = struct_of(kind) if hasattr(kind, "_fields") else kind
     names = list(get_type_hints(kind)) if hasattr(kind, "_fields") else list(made.vars)
@@ -73,11 +73,11 @@ def to_device(records: np.ndarray, kind: Any, device: Any) -> wp.array:
 
 
 def struct_of_surface(surface: Surface, record: np.ndarray) -> Any:
-    """The Warp struct of a surface.
+    """Return the Warp struct of a surface.
 
     Args:
         surface: the surface.
-        record: of it, shape (1,).
+        record: its record, shape (1,).
     """
     return struct_of_dtype(_name_of(surface), record.dtype)
 
@@ -85,14 +85,14 @@ def struct_of_surface(surface: Surface, record: np.ndarray) -> Any:
 def surface_on_device(
     surface: Surface, record: np.ndarray, model: Any, device: Any, grid: Any = None
 ) -> Any:
-    """The record of a surface as a struct; of a height field with the heights of now.
+    """Return the record of a surface as a struct; a height field has its present heights.
 
     Args:
         surface: the surface.
-        record: of it, shape (1,).
-        model: that it is in.
-        device: of Warp's.
-        grid: of heights, where it remembers.
+        record: its record, shape (1,).
+        model: the surface's model.
+        device: Warp device.
+        grid: its heights, if it has memory.
     """
     made = _filled(struct_of_surface(surface, record)(), record)
     names = record.dtype.names or ()
@@ -108,11 +108,11 @@ def surface_on_device(
 
 
 def plain_relief(record: np.ndarray, grid: Any) -> Any:
-    """A surface that remembers, as `PlainRelief`.
+    """Return a surface with memory as a `PlainRelief`.
 
     Args:
-        record: of the surface, shape (1,).
-        grid: of heights.
+        record: record of the surface, shape (1,).
+        grid: its heights.
     """
     made = _filled(PlainRelief(), record)
     made.state = grid
@@ -120,7 +120,7 @@ def plain_relief(record: np.ndarray, grid: Any) -> Any:
 
 
 def _filled(made: Any, record: np.ndarray) -> Any:
-    """A struct with the numbers, vectors and matrices of a record, without what it points to."""
+    """Fill a struct with the numbers, vectors and matrices of a record, without its pointers."""
     for name in record.dtype.names or ():
         value = record[name][0]
         if name not in (*_ADDRESSES, *_UNREAD, "base"):

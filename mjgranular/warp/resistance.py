@@ -1,13 +1,13 @@
-"""Resistance of one element as a damping C, by its secant at the velocity v that is foreseen.
+"""Resistance of an element as a damping matrix C, the secant at the predicted velocity v.
 
-Where v is the velocity that the step ends with, the force -C v is the law's own (`law.secant`).
+If v is the velocity at the end of the step, the force -C v is the law's own (`law.secant`).
 """
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 import functools
 from typing import Any
 
@@ -22,14 +22,14 @@ secant_of = translated(secant)
 
 
 def resistance_of(kernel: LawKernel) -> Any:
-    """Makes the function of an element that is in the sand.
+    """Make the resistance function of an immersed element.
 
     Args:
-        kernel: of the law.
+        kernel: kernel of the law.
 
     Returns:
         A Warp function of a sample, the law, g, the velocity v, the softness eps and the factors on
-        static resistance and on drag; it gives C.
+            static resistance and on drag; it returns C.
     """
     respond = translated(kernel.respond)
     if kernel.multiplier is TWO_LIMITS:
@@ -44,7 +44,7 @@ def _soft(square: float, eps: float):
 
 @functools.cache
 def _one_limit(respond: Any) -> Any:
-    """Makes the function for a law with one limit: static resistance and drag have one secant."""
+    """Make the function for a law with one limit: static resistance and drag share one secant."""
 
     @wp.func
     def resistance(
@@ -65,7 +65,7 @@ def _one_limit(respond: Any) -> Any:
         soft = strong * _soft(square, eps)
         static, by_p, drag, by_v = respond(found, law, g, v, u, eps)
         slope = wp.mat33()
-        if eps > 0.0:  # else the law jumps, and its slopes are rounding
+        if eps > 0.0:  # else the law is discontinuous and its slopes are rounding errors
             slope = -soft * by_p - dense * by_v
         return secant_of(soft * static + (dense * per_speed) * drag, slope, u)
 
@@ -74,7 +74,7 @@ def _one_limit(respond: Any) -> Any:
 
 @functools.cache
 def _two_limits(respond: Any) -> Any:
-    """Makes the function for a law with a limit along the surface's normal and one across."""
+    """Make the function for a law with one limit along the surface's normal and one across."""
 
     @wp.func
     def resistance(

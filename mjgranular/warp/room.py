@@ -1,4 +1,4 @@
-"""Whether a device has room for sand in so many worlds, and for what they remember."""
+"""Check that a device has enough memory for the sand of all worlds and its stored heights."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from mjgranular.relief.memory import Memory
 from mjgranular.sand.cost import coarser
 
 _OF_A_NODE = 4 + 4 + 8 + 4
-"""Bytes of a node of memory: height, tile, what skin wants, and the foot there."""
+"""Bytes per node of memory: height, tile, requested height, and contact geom."""
 
 
 def check_room(
     device: Any, worlds: int, of_a_world: int, elements: np.ndarray, resolution: int | None
 ) -> None:
-    """Checks that a GPU has room for a sand; a processor's memory is the system's affair.
+    """Check that a GPU has enough memory for a sand; on a CPU the operating system manages it.
 
     Args:
-        device: of Warp's.
-        worlds: number of them.
-        of_a_world: bytes that each takes.
-        elements: of a law, which all worlds share.
-        resolution: that they were asked for with.
+        device: Warp device.
+        worlds: number of worlds.
+        of_a_world: bytes per world.
+        elements: elements of a law, shared by all worlds.
+        resolution: resolution that the user set for them.
 
     Raises:
-        InputError: says how much it takes, how much there is, and what would fit.
+        InputError: it does not fit; says the need, what is free, and what would fit.
     """
     if not device.is_cuda:
         return
@@ -45,10 +45,10 @@ def check_room(
 
 
 def check_room_to_remember(device: Any, worlds: int, memory: Memory) -> None:
-    """Checks that a GPU has room for what so many worlds remember.
+    """Check that a GPU has enough memory for the stored heights of all worlds.
 
     Raises:
-        InputError: says how much it takes, how much there is, and which cells would fit.
+        InputError: they do not fit; says the need, what is free, and which cells would fit.
     """
     if not device.is_cuda:
         return

@@ -46,34 +46,34 @@ from mjgranular.warp.records import (
 from mjgranular.warp.room import check_room, check_room_to_remember
 
 SOFTNESS = 1e-6
-"""Speed over which rest is soft [m/s]. Chosen: what rests moves by about as
-much; single precision tells a tenth of it."""
+"""Speed over which rest is softened [m/s]. Chosen: bodies at rest move at about this speed; single
+precision resolves a tenth of it."""
 
 CORRECTIONS = 3
-"""Times that a step's velocity is foreseen anew. Chosen: docs/warp.md has what each brings."""
+"""Corrections of the predicted velocity per step. Chosen: docs/warp.md shows the effect of each."""
 
-# Damping of a body in a time step, in parts of the mass of its tree, at most: MuJoCo Warp
-# factorizes the sum of inertia and damping in single precision. Chosen: of 1,500 Hoppers up to
-# 15 cm deep a third were lost within 30 steps without it, and of 300 that were deeper still some
-# with twice as much. Rest of a body is softer where its sand would be damped by more.
+# Upper bound on a body's damping in a time step, relative to the mass of its tree: MuJoCo Warp
+# factorizes the sum of inertia and damping in single precision. Chosen: without it a third of 1,500
+# Hoppers up to 15 cm deep diverged within 30 steps; with twice as much some of 300 deeper ones did.
+# Rest of a body is softer where its sand would exceed this damping.
 _MOST_DAMPING = 2e4
 
 _OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 5)
-"""Bytes of a body in a world: damping, kick, force, moment, and five numbers."""
+"""Bytes of a body in a world: damping, constant force, force, moment, and five numbers."""
 
 
 @dataclass(frozen=True)
 class _Arrays:
-    """What a step writes, on the device: made once, as CUDA graphs ask."""
+    """Arrays on the device that a step writes, allocated once, as CUDA graphs require."""
 
-    foreseen: wp.array  # velocities that the step is foreseen to end with, (nworld, nv)
-    found: wp.array  # those that the last solution of the equations ended with
-    gap: wp.array  # by how much others had been foreseen
-    share: wp.array  # of the speed of sand that moves along, after its body has turned
+    foreseen: wp.array  # predicted velocities at the end of the step, (nworld, nv)
+    found: wp.array  # final velocities of the last solution of the equations
+    gap: wp.array  # difference between the velocities predicted before and found
+    share: wp.array  # factor on the speed of moving sand after its body has turned
     damping: wp.array  # of each body in the sand, (nworld, bodies)
-    kick: wp.array  # and the momentum of sand that moves along already, per time
-    limit: wp.array  # of static resistance to each body at its elements, summed up [N]
-    creep: wp.array  # velocities that robots were stopped from, else zero, (nworld, nv)
+    kick: wp.array  # constant force of sand that already moves: momentum per time
+    limit: wp.array  # sum of static resistance over each body's elements [N]
+    creep: wp.array  # velocities removed from creeping robots, else zero, (nworld, nv)
     passive: wp.array  # other passive forces, (nworld, nv)
     fluid: wp.array  # damping by fluids, in the sparsity of the inertia matrix
 
@@ -81,33 +81,35 @@ class _Arrays:
 class WarpSand:
     """Sand under all worlds of MuJoCo Warp: `attach` once, then plain `mujoco_warp.step`.
 
-    Elements, laws, media and surfaces are those of `mjgranular.Sand`, and the laws' formulas the
-    same source, in single precision. Forces belong to the velocity that a step ends with; they are
-    solved for together with MuJoCo's constraints, by its integrator `discrete` (docs/warp.md).
+    Elements, laws, media and surfaces are those of `mjgranular.Sand`; the laws' formulas come from
+    the same source, in single precision. Forces are functions of the velocity at the end of a step
+    and are solved together with MuJoCo's constraints, by its integrator `discrete` (docs/warp.md).
 
     Args:
-        model: the MuJoCo model that MuJoCo Warp's is made of; contacts of geoms that are the sand,
-            or that it replaces, are switched off in it: make `WarpSand` before `put_model`.
+        model: MuJoCo model that the MuJoCo Warp model is made of. Contacts of geoms that are the
+            sand, or that it replaces, are disabled in it: make `WarpSand` before `put_model`.
         spec: the sand; see `SandSpec`.
-        corrections: how often in a step the velocity at its end is foreseen anew; each costs a
-            solution of MuJoCo Warp's equations. Steps take energy with any number.
-        softness: speed over which rest is soft [m/s].
-        fields: fields of the sand, in place of those of `spec`. `scheme` can be left out only.
+        corrections: how often per step the predicted final velocity is corrected; each correction
+            costs one solution of MuJoCo Warp's equations. Steps dissipate energy with any number.
+        softness: speed over which rest is softened [m/s].
+        fields: fields of the sand, in place of those of `spec`; `scheme` must be omitted.
 
     Attributes:
         bodies: names of the bodies in the sand, in the order of `force`, `moment` and `depth`.
-        strength: factor on static resistance in each world, shape (nworld,), to be assigned.
-        density: factor on drag and inertia of sand in each world, likewise.
-        height: how much the surface is raised along its normal in each world [m], likewise.
-        force: on each body in the last step [N], world frame, shape (nworld, bodies) of `wp.vec3`.
-        moment: about its centre of mass [N m].
-        depth: of its deepest element below the surface [m], negative above, shape (nworld,
-            bodies).
-        speed: greatest of its elements in the sand [m/s].
-        power: of the sand on it [W], not positive but for rounding.
+        strength: factor on static resistance in each world, shape (nworld,), assignable.
+        density: factor on drag and inertia of sand in each world, shape (nworld,), assignable.
+        height: how much the surface is raised along its normal in each world [m], shape (nworld,),
+            assignable.
+        force: force on each body in the last step [N], world frame, shape (nworld, bodies) of
+            `wp.vec3`.
+        moment: moment on each body about its center of mass [N m].
+        depth: depth of each body's deepest element below the surface [m], negative above, shape
+            (nworld, bodies).
+        speed: greatest speed of each body's elements in the sand [m/s].
+        power: power of the sand on each body [W], not positive except for rounding.
 
     Raises:
-        InputError: what MuJoCo Warp has no place for: the explicit scheme, plugins in the model.
+        InputError: MuJoCo Warp does not support it: the explicit scheme, plugins in the model.
         UnknownNameError: as with `Sand`.
     """
 
@@ -158,19 +160,19 @@ class WarpSand:
         self._attached_to: Any = None
 
     def attach(self, m: Any, d: Any) -> None:
-        """Puts the sand into a model and a data of MuJoCo Warp's.
+        """Attach the sand to a model and data of MuJoCo Warp.
 
-        From then on `mujoco_warp.step(m, d)` and its parts have sand in them. CUDA graphs are to be
-        captured after this. The callbacks `control` and `sensor` that `m` has are called first;
-        those that are to be set must be set before.
+        From then on `mujoco_warp.step(m, d)` and its parts include the sand. Capture CUDA graphs
+        after this call. Callbacks `control` and `sensor` already in `m` are called first; set yours
+        before this call.
 
         Args:
             m: `mujoco_warp.Model` of this sand's model.
             d: `mujoco_warp.Data`, of any number of worlds.
 
         Raises:
-            InputError: the sand is attached already, the model is another, it has an integrator or
-                a flag under which sand would be left out, or the device has no room for it.
+            InputError: the sand is already attached, the model is another, its integrator or a flag
+                would omit the sand, or the device has too little memory.
         """
         if self._attached_to is not None:
             raise InputError(
@@ -242,17 +244,17 @@ class WarpSand:
         self._constraints = Constraints(d)
         self._control_before, self._sensor_before = m.callback.control, m.callback.sensor
         m.callback.control, m.callback.sensor = self._on_control, self._on_sensor
-        m.has_fluid = True  # else the damping is not looked at
+        m.has_fluid = True  # else MuJoCo Warp ignores the damping
 
     def set_media(self, media: Sequence[str | Medium]) -> None:
-        """Gives each world a medium of its own, with this sand's kind of law.
+        """Give each world its own medium, with this sand's kind of law.
 
         Args:
             media: one for each world, or one for all.
 
         Raises:
-            InputError: the sand is not attached, or so many worlds there are not.
-            UnknownNameError: a medium that does not exist, or has no constants for the law.
+            InputError: the sand is not attached, or the number of media does not match the worlds.
+            UnknownNameError: a medium does not exist, or has no constants for the law.
         """
         self._check_attached("set_media")
         if isinstance(media, (str, Medium)):
@@ -267,16 +269,16 @@ class WarpSand:
         self._laws = to_device(np.concatenate(records), self._law_struct, self._device)
 
     def relief(self, d: Any, world: int, middle: tuple[float, float] | None = None) -> Heights:
-        """What the sand of a world remembers: heights over its surface.
+        """Return the stored heights of a world's sand over its surface.
 
         Args:
             d: `mujoco_warp.Data`.
-            world: its number.
-            middle: of the square that is asked for, along the axes of the surface's plane [m]; None
-                for the middle of the bodies that meet the sand.
+            world: index of the world.
+            middle: center of the returned square, along the axes of the surface's plane [m]; None
+                for the center of the bodies that meet the sand.
 
         Raises:
-            InputError: the sand has no memory, or is not attached, or so many worlds there are not.
+            InputError: the sand has no memory, is not attached, or has no world of that index.
         """
         self._check_attached("relief")
         if self._memory is None or not isinstance(self.surface, Relief):
@@ -291,11 +293,11 @@ class WarpSand:
         return self._memory.heights(world, middle)
 
     def volumes(self) -> dict[str, np.ndarray]:
-        """Sand that each world has moved since it began [m^3], shape (nworld,) each.
+        """Return the sand that each world has moved since its start [m^3], shape (nworld,) each.
 
         Returns:
             `pressed` down, `heaped` up, `forgotten` where the grid is wrapped around, and `waiting`
-            for room beside a print.
+                to be deposited beside a track.
 
         Raises:
             InputError: the sand has no memory, or is not attached.
@@ -306,9 +308,9 @@ class WarpSand:
         return self._memory.volumes()
 
     def bad_worlds(self, d: Any) -> list[int]:
-        """The numbers of worlds whose state is not finite; the others are not touched by them.
+        """Return the indices of worlds whose state is not finite; they do not affect the others.
 
-        `mujoco_warp.reset_data(m, d, reset)` begins them anew.
+        `mujoco_warp.reset_data(m, d, reset)` restarts them.
         """
         good = np.isfinite(d.qpos.numpy()).all(1) & np.isfinite(d.qvel.numpy()).all(1)
         return np.flatnonzero(~good).tolist()
@@ -318,7 +320,7 @@ class WarpSand:
             raise InputError(f"{what}: attach the sand first, by sand.attach(m, d)")
 
     def _on_control(self, m: Any, d: Any) -> None:
-        """Finds the damping of this step; where MuJoCo Warp asks for control."""
+        """Compute the damping of this step when MuJoCo Warp calls the control callback."""
         if self._control_before is not None:
             self._control_before(m, d)
         a = self._arrays
@@ -348,7 +350,7 @@ class WarpSand:
         self._constraints.prepare(m, d)
 
     def _on_sensor(self, m: Any, d: Any, stage: Any) -> None:
-        """Reads the forces that acted, once accelerations are known."""
+        """Read the forces that acted, once accelerations are known."""
         if self._sensor_before is not None:
             self._sensor_before(m, d, stage)
         if int(stage) != int(mujoco.mjtStage.mjSTAGE_ACC):
@@ -382,7 +384,7 @@ class WarpSand:
         self._launch(foresee, shape, [m.opt.timestep, d.qvel, d.qacc], [self._arrays.foreseen])
 
     def _resist_all(self, m: Any, d: Any, *, first: bool, last: bool) -> None:
-        """Damping at the velocities that are foreseen; its forces and its part of the metric."""
+        """Compute damping at the predicted velocities, its forces and its part of the metric."""
         a, n = self._arrays, self._size[0]
         self._launch(
             self._resist,

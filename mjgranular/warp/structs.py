@@ -1,4 +1,4 @@
-"""Warp structs by their fields."""
+"""Make Warp structs from their fields."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import warp as wp
 
 
 def struct(name: str, fields: dict[str, Any]) -> Any:
-    """Makes a Warp struct.
+    """Make a Warp struct.
 
     Args:
-        name: its name.
+        name: name of the struct.
         fields: types by name.
     """
     return wp.struct(type(name, (), {"__annotations__": fields, "__module__": __name__}))

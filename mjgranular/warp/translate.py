@@ -1,9 +1,9 @@
 """The kernels of laws and surfaces, compiled by Warp from the same source.
 
-A kernel is Python that numba compiles (`kernel.compiled`). Warp compiles Python too; what differs
-is what the names in it stand for. `translated` takes a kernel's own code and gives the names their
-meaning there: vectors are `wp.vec3`, named tuples are structs, a kernel that is called is
-translated first. So each formula stands in one place. All numbers are of single precision.
+A kernel is Python that numba compiles (`kernel.compiled`). Warp compiles Python too; only the
+meaning of the names differs. `translated` takes a kernel's code and binds its names to Warp's
+equivalents: vectors are `wp.vec3`, named tuples are structs, a kernel that is called is translated
+first. So each formula is written once. All numbers are single precision.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _diagonal(a: float):
 
 @wp.func
 def _read(array: Any, first: Any):
-    """Reads a vector or matrix of a record: there it is one already."""
+    """Read a vector or matrix of a record, which has that type already in Warp."""
     return array
 
 
@@ -77,7 +77,7 @@ def _no_length(size: int):
 
 
 class _Math:
-    """What kernels use of `math`."""
+    """Functions of `math` that kernels use."""
 
     pi = math.pi
     nan = math.nan
@@ -86,7 +86,7 @@ class _Math:
     copysign = _copysign
 
 
-# What stands for a name that is not a kernel of ours to translate, by the identity of the thing.
+# Replacements of names that are not kernels to translate, by identity of the object.
 _MEANINGS: dict[int, Any] = {
     id(thing): meaning
     for thing, meaning in (
@@ -134,7 +134,7 @@ _TUPLES: dict[type, Any] = {
 
 
 def struct_of(kind: type) -> Any:
-    """The Warp struct of a named tuple (`kernel.fields`)."""
+    """Return the Warp struct of a named tuple (`kernel.fields`)."""
     if kind not in _TUPLES:
         fields = {name: _field_type(each) for name, each in get_type_hints(kind).items()}
         _TUPLES[kind] = struct(kind.__name__, fields)
@@ -149,10 +149,10 @@ def _field_type(kind: Any) -> Any:
 
 @functools.cache
 def translated(kernel: Any) -> Any:
-    """The Warp function of a kernel.
+    """Return the Warp function of a kernel.
 
     Args:
-        kernel: a compiled function of vectors, numbers and named tuples.
+        kernel: compiled function of vectors, numbers and named tuples.
     """
     source: Callable[..., Any] = kernel.py_func
     names = source.__code__.co_names
@@ -168,7 +168,7 @@ def translated(kernel: Any) -> Any:
 
 
 def _meaning(thing: Any) -> Any:
-    """What a thing that a kernel names is under Warp."""
+    """Return the Warp equivalent of an object that a kernel names."""
     if id(thing) in _MEANINGS:
         return _MEANINGS[id(thing)]
     if hasattr(thing, "py_func"):
@@ -181,7 +181,7 @@ def _meaning(thing: Any) -> Any:
 
 
 def _identity(thing: Any) -> str:
-    """A name for a kernel that its source and what it encloses give, in every process alike."""
+    """Return a name for a kernel from its source and closure, the same in every process."""
     if not hasattr(thing, "py_func"):
         return getattr(thing, "__name__", repr(thing))
     source = thing.py_func

@@ -1,21 +1,21 @@
-"""What a step leaves behind in each world: sand is pressed down, heaped up, and flows.
+"""Update of the heights after a step in each world: press, deposit rims, flow.
 
-The rules are those of `relief.update`, their formulas the same source; what differs is that all
-nodes are seen to at once. Skin that wants a node down leaves its height there, and the lowest
-wins (`warp.press`); each node beside a print takes its share of what the nearest body has displaced
-(`warp.heap`); and sand flows in squares of four nodes, every other one along both axes, so
-that no two share a node (`warp.flow`).
+The rules are those of `relief.update`, with formulas from the same source, but all nodes are
+processed at once. Each surface point requests a height at its nodes, and the lowest wins
+(`warp.press`). Each node beside a track takes its share of what the nearest body displaced
+(`warp.heap`). Sand flows in squares of four nodes, every other one along both axes, so that no two
+share a node (`warp.flow`).
 
-`LANES` threads of each world go over its points or nodes, at once or not: a world that has
-nothing to do costs next to nothing.
+`LANES` threads per world process its points or nodes, in any order. A world with nothing to do
+costs almost nothing.
 """
 
-# The code of kernels is Warp's language, of which type checkers of Python know little.
+# Kernels are written in Warp's language, which Python type checkers do not understand.
 # pyright: reportInvalidTypeForm=false, reportArgumentType=false, reportCallIssue=false
 # pyright: reportOperatorIssue=false, reportGeneralTypeIssues=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false, reportAssignmentType=false
 
-# Without `annotations` of the future: Warp reads types of local structs where they stand.
+# No `from __future__ import annotations`: Warp reads the types of local structs in place.
 from typing import Any
 
 import warp as wp
@@ -25,17 +25,18 @@ from mjgranular.warp.grid import corner_of, in_world, tile_of, wrapped
 from mjgranular.warp.records import PlainRelief
 
 LANES = 256
-"""Threads of a world. Chosen."""
+"""Threads per world. Chosen."""
 
 IDLE, BEGINS, PRESSES, FLOWS = range(4)
-"""What a world does in a step; who flows also presses."""
+"""What a world does in a step; one that flows also presses."""
 
 NOTHING, LEFT, BESIDE = -1, -2, -3
-"""At a node there is no foot; one has just left; from here down, nodes beside prints, by foot and
-by how many nodes at the print's edge they are near. Above are feet, at edges `MOST_FEET` more."""
+"""Labels of nodes: no contact geom; one has just left; and, from here down, nodes beside tracks, by
+contact geom and by the number of edge nodes of the track near them. Nonnegative labels are contact
+geoms, plus `MOST_FEET` at edges."""
 
 MOST_FEET = 1 << 12
-"""Geoms that press sand down, at most."""
+"""Maximum number of geoms that press sand down."""
 
 PRESSED, HEAPED, FORGOTTEN = range(3)
 """Volumes of each world [m^3]."""
@@ -43,7 +44,7 @@ PRESSED, HEAPED, FORGOTTEN = range(3)
 
 @wp.func
 def tile_beside(place: wp.vec3, row: int, column: int, cell: float, size: int):
-    """The tile of the node that is kept in a place and lies nearest to a body."""
+    """Return the tile of the node that a place stores and that is nearest to a body."""
     i, j, a, b = corner_of(cell, place[0], place[1])
     half = size // 2
     i = i - half + wrapped(row - (i - half), size)
@@ -53,7 +54,7 @@ def tile_beside(place: wp.vec3, row: int, column: int, cell: float, size: int):
 
 @wp.func
 def claim(relief: Any, tile: int, row: int, column: int, volumes: wp.array2d(dtype=float)):
-    """Makes a place that of a tile: what was there before is forgotten."""
+    """Assign a place to a tile; the height stored there before is forgotten."""
     grid = relief.state
     if grid.tile[grid.world, row, column] != tile:
         lost = relief.cell * relief.cell * grid.height[grid.world, row, column]
@@ -76,7 +77,7 @@ def begin(
     volumes: wp.array2d(dtype=float),
     highest: wp.array(dtype=float),
 ):
-    """Finds what each world does now, by its own time: one whose time is less has begun anew."""
+    """Choose the task of each world by its time: a world whose time decreased has restarted."""
     world = wp.tid()
     now = time[world]
     passed = now - last[world]
@@ -113,7 +114,7 @@ def begin(
 
 @wp.kernel(enable_backward=False)
 def sum_up(surface: PlainRelief, task: wp.array(dtype=int)):
-    """Sums heights up over blocks, and finds the highest."""
+    """Sum heights over blocks, and find the highest."""
     world, block = wp.tid()
     if task[world] == IDLE:
         return
