@@ -163,11 +163,10 @@ def exposures(model: mujoco.MjModel, data: mujoco.MjData, facets: np.ndarray) ->
             "ni,ni->n", *(np.linalg.norm(facets[k][mine], axis=2) for k in ("edges", "spread"))
         )
         for k, row in enumerate(mine):
-            others = facets["geom"][mine] != facets["geom"][row]
-            if model.geom_type[facets["geom"][row]] == _MESH:
-                others = mine != row
-            seen = _unrolled(hinge, k, points[mine], frames)
-            if not _anything_ahead(k, others, *seen, bulges):
+            # Of several geoms, one may hide the facets of another, so all rays are cast.
+            if len(geoms) == 1 and not _anything_ahead(
+                k, *_unrolled(hinge, k, points[mine], frames), bulges
+            ):
                 continue
             n, (first, second), width = normals[row], edges[row], facets["width"][row]
             start = points[row] + (bulges[k] + _TOUCH * width) * n
@@ -354,14 +353,11 @@ def _unrolled(
     return places, turned
 
 
-def _anything_ahead(
-    row: int, others: np.ndarray, at: np.ndarray, axes: np.ndarray, bulge: np.ndarray
-) -> bool:
+def _anything_ahead(row: int, at: np.ndarray, axes: np.ndarray, bulge: np.ndarray) -> bool:
     """Return whether rays from a facet can hit others of the same rigid body.
 
     Args:
         row: the facet.
-        others: the other facets, shape (n,).
         at: centers of all, shape (n, 3).
         axes: half edges and normals of all, shape (n, 3, 3).
         bulge: how far surfaces may stand out from their planes, shape (n,).
@@ -372,7 +368,7 @@ def _anything_ahead(
     reach = np.linalg.norm(axes[:, :2], axis=2).sum(axis=1)
     aside = np.linalg.norm(away - (away @ n)[:, None] * n, axis=1) - reach - reach[row]
     found = (ahead > _TOUCH * reach[row]) & (aside < _SPREAD * ahead)
-    found &= others
+    found[row] = False
     return bool(found.any())
 
 
