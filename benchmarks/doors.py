@@ -21,7 +21,7 @@ _SETTLED = 2000  # steps before them
 
 
 def _model(timestep: float, *, fluid: bool = False, **sand: Any) -> mujoco.MjModel:
-    """The paper's link; with MuJoCo's ellipsoid fluid, or with sand in the model."""
+    """Return the paper's link; with MuJoCo's ellipsoid fluid, or with sand in the model."""
     spec = Link().spec()
     spec.option.timestep = timestep
     if fluid:
@@ -45,7 +45,7 @@ def _inside(name: str, model: mujoco.MjModel, steps: int = _STEPS) -> Case:
 
 
 def _looped(name: str, model: mujoco.MjModel, step: Callable[[mujoco.MjData], None]) -> Case:
-    """A call from Python each step."""
+    """Return a call from Python each step."""
     data = mujoco.MjData(model)
 
     def run() -> None:

@@ -61,7 +61,7 @@ def seconds_a_step(model: mujoco.MjModel, sand: Sand) -> float:
 
 
 def main() -> None:
-    """Prints microseconds a step, and how many times those of the quasi-static law they are."""
+    """Print microseconds a step, and how many times those of the quasi-static law they are."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--turns", type=int, default=7)
     turns = parser.parse_args().turns

@@ -23,7 +23,7 @@ _MEDIUM = "quikrete_medium"
 
 
 def _ball(scheme: str, resolution: int | None, height: float) -> Case:
-    """A ball at 1 m/s, the surface that far above its middle; one element without a resolution."""
+    """Return a ball at 1 m/s, the surface that far above its middle; one element without a resolution."""
     spec = mujoco.MjSpec.from_string(_BALL)
     bare = spec.compile()
     law = mjgranular.DepthVelocityLaw(stiffness=100.0, quadratic=1.0)

@@ -102,7 +102,7 @@ class Figure:
 def measure(
     group: Group, effort: Effort, *, progress: Callable[[], object] = lambda: None
 ) -> dict[str, Figure]:
-    """Measures a group.
+    """Measure a group.
 
     Args:
         group: what.
@@ -139,7 +139,7 @@ def _once(case: Case) -> float:
 
 
 def _repeats(case: Case, seconds: float) -> int:
-    """Warms a case up, and says how often it has to run to take that long."""
+    """Warm a case up, and say how often it has to run to take that long."""
     _once(case)
     return max(1, round(seconds / _once(case) + 0.5))
 
@@ -158,7 +158,7 @@ def _spread(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def machine() -> str:
-    """The processor, in words."""
+    """Return the processor, in words."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text().splitlines():

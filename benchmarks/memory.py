@@ -56,7 +56,7 @@ class Case:
             self.actions = np.array([gait.action(k * self.task.dt, size) for k in range(count)])
 
     def turn(self, piece: int = 25) -> np.ndarray:
-        """Runs the actions; times of pieces of so many [s per step of the model]."""
+        """Run the actions; times of pieces of so many [s per step of the model]."""
         times, random = [], np.random.default_rng(1)
         model, data, task = self.model, self.data, self.task
         self._begin(random)
@@ -79,7 +79,7 @@ class Case:
 
 
 def main() -> None:
-    """Prints a table."""
+    """Print a table."""
     options = tyro.cli(Options)
     table = Table("environment", "cells [mm]", "without [µs]", "with [µs]", "ratio")
     for name in options.names:

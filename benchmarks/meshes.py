@@ -128,7 +128,7 @@ def _loads(sand: Sand, states: Sequence[tuple[Any, Any]]) -> tuple[np.ndarray, .
 
 
 def main(options: Options) -> None:
-    """Prints a table."""
+    """Print a table."""
     warnings.simplefilter("ignore", GranularWarning)
     model = mujoco.MjModel.from_xml_path(str(options.model))
     exact = Sand(

@@ -32,7 +32,7 @@ class NumpySand:
         self._velocity = np.zeros(6)
 
     def wrench(self, data: mujoco.MjData) -> np.ndarray:
-        """Force [N] and moment about the centre of mass [N m], world axes, shape (6,)."""
+        """Force [N] and moment about the center of mass [N m], world axes, shape (6,)."""
         law, d = self._law, self._diameter
         center = data.geom_xpos[self._geom]
         axis = data.geom_xmat[self._geom].reshape(3, 3)[:, 2]

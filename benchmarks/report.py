@@ -18,7 +18,7 @@ assert _NAMES.keys() == UNITS.keys()
 
 
 def show(console: Console, group: Group, figures: dict[str, Figure], before: Any) -> None:
-    """Prints the figures of a group, beside earlier ones where there are some."""
+    """Print the figures of a group, beside earlier ones where there are some."""
     table = Table(title=group.title, title_justify="left")
     table.add_column("case")
     for heading in (_NAMES[group.unit], "quartiles", "ratio", "quartiles"):
@@ -56,7 +56,7 @@ def _beside(figure: Figure, before: dict[str, Any] | None) -> list[str]:
 
 
 def save(path: Path, machine: dict[str, Any], found: dict[str, dict[str, Figure]]) -> None:
-    """Writes the figures to a JSON file."""
+    """Write the figures to a JSON file."""
     plain = {
         title: {name: figure.plain() for name, figure in figures.items()}
         for title, figures in found.items()
@@ -66,12 +66,12 @@ def save(path: Path, machine: dict[str, Any], found: dict[str, dict[str, Figure]
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The figures that `save` wrote, in plain values."""
+    """Return the figures that `save` wrote, in plain values."""
     return json.loads(path.read_text(encoding="utf-8"))["figures"]
 
 
 def markdown(machine: dict[str, Any], found: list[tuple[Group, dict[str, Figure]]]) -> str:
-    """The figures as a part of a page."""
+    """Return the figures as a part of a page."""
     lines = [
         f"{machine['processor']}, {machine['cores']} cores, {machine['platform']}. Python "
         f"{machine['python']}, MuJoCo {machine['mujoco']}, mjgranular {machine['mjgranular']}, "
@@ -90,7 +90,7 @@ def markdown(machine: dict[str, Any], found: list[tuple[Group, dict[str, Figure]
 
 
 def write_page(path: Path, text: str) -> None:
-    """Puts figures into a page, between `BEGIN` and `END`; the rest of it stays.
+    """Put figures into a page, between `BEGIN` and `END`; the rest of it stays.
 
     Raises:
         ValueError: the page has no such place.

@@ -56,7 +56,7 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _sandy(file: str, **options: Any) -> tuple[mujoco.MjModel, int]:
-    """The robot with sand in place of its floor, and the number of elements."""
+    """Return the robot with sand in place of its floor, and the number of elements."""
     spec = _spec(file)
     spec.geom("floor").contype = spec.geom("floor").conaffinity = 0
     arguments = {"medium": "quikrete_medium", "scheme": "implicit", **options}

@@ -57,7 +57,7 @@ def way(seconds: float, *, turn: float, cell: float | None) -> float:
 
 
 def main(options: Options) -> None:
-    """Prints the ways."""
+    """Print the ways."""
     for degrees in (0, 45):
         for cell in (None, *options.cells):
             length = way(options.seconds, turn=math.radians(degrees), cell=cell)

@@ -54,7 +54,7 @@ class Options:
 
 
 def on_floor(name: str) -> mujoco.MjSpec:
-    """An environment's robot on a rigid floor."""
+    """Return an environment's robot on a rigid floor."""
     spec = tasks[name]().scene()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON  # MuJoCo Warp has no PGS
@@ -92,18 +92,18 @@ class InWarp:
             self.graph = capture.graph
 
     def begin(self) -> None:
-        """Puts all worlds where they were when they had fallen."""
+        """Put all worlds where they were when they had fallen."""
         for name, value in zip(("qpos", "qvel"), self.start, strict=True):
             getattr(self.d, name).assign(value)
         wp.synchronize_device(self.device)
 
     def steps(self) -> None:
-        """Steps all worlds."""
+        """Step all worlds."""
         for _ in range(self.count):
             mjw.step(self.m, self.d)
 
     def run(self) -> None:
-        """Steps all worlds, to the end of it."""
+        """Step all worlds, to the end of it."""
         if self.graph is None:
             self.steps()
         else:
@@ -124,17 +124,17 @@ class OnProcessor:
         self.start = [values.copy() for values in self.state]
 
     def begin(self) -> None:
-        """Puts all of them where they were when they had fallen."""
+        """Put all of them where they were when they had fallen."""
         for values, start in zip(self.state, self.start, strict=True):
             values[:] = start
 
     def run(self) -> None:
-        """Steps them, on all cores."""
+        """Step them, on all cores."""
         self.batch.step(nstep=self.count)
 
 
 def group(name: str, options: Options, told: Callable[[str], object]) -> Group:
-    """The cases of an environment."""
+    """Return the cases of an environment."""
 
     def prepare() -> list[Case]:
         count = options.worlds * options.steps
@@ -158,7 +158,7 @@ def group(name: str, options: Options, told: Callable[[str], object]) -> Group:
 
 
 def main() -> None:
-    """Prints a table."""
+    """Print a table."""
     options, console = tyro.cli(Options), Console()
     wp.config.log_level = wp.LOG_ERROR
     device = wp.get_device(options.device)

@@ -52,7 +52,7 @@ class Cameras:
         self._surfaces = [choice.surface for choice in task.choices]
 
     def look(self, model: mujoco.MjModel, data: mujoco.MjData, sand: int) -> np.ndarray | None:
-        """A picture, shape (height, width, 3), or a look in the window.
+        """Return a picture, shape (height, width, 3), or a look in the window.
 
         Args:
             model: the model, of the task or a copy.
@@ -79,14 +79,14 @@ class Cameras:
         return self._renderer.render()
 
     def close(self) -> None:
-        """Gives back what was taken from the machine."""
+        """Release what was taken from the machine."""
         for thing in (self._renderer, self._viewer):
             if thing is not None:
                 thing.close()
         self._renderer = self._viewer = None
 
     def _show_ground(self, model: mujoco.MjModel, sand: int) -> None:
-        """Shows the ground that is there and hides the other."""
+        """Show the ground that is there and hides the other."""
         if len(set(self._surfaces)) < 2:
             return
         dunes = self._surfaces[sand] == "dunes"
@@ -127,7 +127,7 @@ class Cameras:
 
 
 def _set(camera: mujoco.MjvCamera, settings: dict[str, Any]) -> None:
-    """Sets a camera as Gymnasium does: `lookat` and numbers by their names."""
+    """Set a camera as Gymnasium does: `lookat` and numbers by their names."""
     body = settings.get("trackbodyid")
     if body is not None:
         camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, body

@@ -52,7 +52,7 @@ class Dunes:
 
 
 def add_dunes(spec: mujoco.MjSpec, dunes: Dunes) -> None:
-    """Adds dunes about the height of the model's floor."""
+    """Add dunes about the height of the model's floor."""
     heights = dunes.heights()
     low, high = float(heights.min()), float(heights.max())
     field = spec.add_hfield(name=DUNES)

@@ -48,7 +48,7 @@ class Figures:
     def read(
         self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0
     ) -> dict[str, np.ndarray]:
-        """The sand's figures of n simulations.
+        """Return the sand's figures of n simulations.
 
         They are those of the last substep. The Froude number is |v| / sqrt(g w) with the greatest
         speed in the sand and the smallest width of a geom that meets it: never too small. Whether

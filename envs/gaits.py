@@ -31,7 +31,7 @@ class Gait(ABC):
 
     @abstractmethod
     def action(self, time: float, size: int) -> np.ndarray:
-        """The action at a time [s], shape (size,), within one either way."""
+        """Return the action at a time [s], shape (size,), within one either way."""
 
 
 @dataclass(frozen=True)
@@ -161,12 +161,12 @@ class Script:
         self.gait, self._size = gait, size
 
     def __call__(self, time: float) -> np.ndarray:
-        """The action at a time [s]."""
+        """Return the action at a time [s]."""
         return self.gait.action(time, self._size).astype(np.float32)
 
 
 def gait(task: Task, **parameters: Any) -> Script:
-    """The scripted gait of a task.
+    """Return the scripted gait of a task.
 
     Args:
         task: the task, as `env.unwrapped.task`.

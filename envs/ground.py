@@ -32,7 +32,7 @@ def put_on_sand(
     cut: float = 0.0,
     tile: float = TILE,
 ) -> mujoco.MjModel:
-    """Takes the floor's contacts away and adds sand, and sensors of it.
+    """Take the floor's contacts away and adds sand, and sensors of it.
 
     What changes beside: RK4 becomes the implicit-fast integrator, because sand that holds at rest
     does not act within a step of RK4; a fluid that fills the world goes; the floor is drawn as
@@ -73,7 +73,7 @@ def put_on_sand(
 def place(
     spec: mujoco.MjSpec, sands: Sequence[SandSpec], *, cut: float = 0.0, tile: float = TILE
 ) -> list[SandSpec]:
-    """Makes a model ready for sand in the place of its floor; what changes, `put_on_sand` says.
+    """Make a model ready for sand in the place of its floor; what changes, `put_on_sand` says.
 
     Args:
         spec: the model to be; it is changed.
@@ -155,7 +155,7 @@ def _is_floor(geom: mujoco.MjsGeom) -> bool:
 
 
 def _surface_of(floors: Sequence[mujoco.MjsGeom]) -> Plane:
-    """The level plane at the height of the floor."""
+    """Return the level plane at the height of the floor."""
     if not floors:
         raise InputError("the model has no floor (a plane geom of the world): give a surface=...")
     for floor in floors:

@@ -68,12 +68,12 @@ class Robot(Task):
         return Start(qpos, qvel)
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
-        """Lifts a start onto dunes; nothing on the plane."""
-        reach = (-0.5, 0.0, 0.5)  # [m]; chosen: the robots are about a metre long
+        """Lift a start onto dunes; nothing on the plane."""
+        reach = (-0.5, 0.0, 0.5)  # [m]; chosen: the robots are about a meter long
         qpos[1] += max(height(float(qpos[0]) + x, 0.0) for x in reach)
 
     def seen(self, qpos: np.ndarray) -> np.ndarray:
-        """The positions that are observed."""
+        """Return the positions that are observed."""
         return qpos[:, self.hidden if self.exclude_current_positions_from_observation else 0 :]
 
     def mark(self, state: State) -> np.ndarray:
@@ -103,7 +103,7 @@ class _Legged(Robot):
         return np.concatenate((self.seen(state.qpos), velocity), axis=1)
 
     def healthy(self, state: State) -> np.ndarray:
-        """Tells whether the robot stands, shape (n,)."""
+        """Return True if the robot stands, shape (n,)."""
         z, angle = state.qpos[:, 1], state.qpos[:, 2]
         low, high = self.healthy_z_range
         left, right = self.healthy_angle_range
@@ -150,10 +150,10 @@ class Hopper(_Legged):
     `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Hopper-v5`.
 
     ## Starting State
-    As in `Hopper-v5`, its foot a centimetre over the sand.
+    As in `Hopper-v5`, its foot a centimeter over the sand.
 
     ## Episode End
-    Terminated when unhealthy, as in `Hopper-v5`: the foot sinks in by a few centimetres, while the
+    Terminated when unhealthy, as in `Hopper-v5`: the foot sinks in by a few centimeters, while the
     healthy range ends 0.5 m below the start. Truncated after 1000 steps.
 
     ## Arguments
@@ -195,7 +195,7 @@ class Walker2d(_Legged):
     `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Walker2d-v5`.
 
     ## Starting State
-    As in `Walker2d-v5`, its feet a centimetre over the sand.
+    As in `Walker2d-v5`, its feet a centimeter over the sand.
 
     ## Episode End
     Terminated when unhealthy, as in `Walker2d-v5`. Truncated after 1000 steps.

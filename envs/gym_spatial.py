@@ -41,11 +41,11 @@ class _Spatial(Robot):
         return spec
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
-        reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a metre across
+        reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a meter across
         qpos[2] += max(height(float(qpos[0]) + x, float(qpos[1]) + y) for x in reach for y in reach)
 
     def healthy(self, state: State) -> np.ndarray:
-        """Tells whether the robot is at its height, shape (n,)."""
+        """Return True if the robot is at its height, shape (n,)."""
         raise NotImplementedError
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
@@ -62,7 +62,7 @@ class _Spatial(Robot):
         return ~self.stands(state)
 
     def where(self, state: State) -> np.ndarray:
-        """The place whose speed is paid for, shape (n, 2)."""
+        """Return the place whose speed is paid for, shape (n, 2)."""
         raise NotImplementedError
 
     def here(self, state: State) -> np.ndarray:

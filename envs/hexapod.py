@@ -23,7 +23,7 @@ class Hexapod(Task):
     ## Description
     A robot of 2.4 kg, 0.36 m long, with two servos in each leg, stands on loosely packed poppy seed
     (`mjgranular.models.Hexapod`). Its feet are balls of 50 mm that sink in by
-    some centimetres; a leg that pushes hard digs itself in.
+    some centimeters; a leg that pushes hard digs itself in.
 
     ## Action Space
     `Box(-1, 1, (12,), float32)`: angles that the servos go to, in units of 0.6 rad; for each leg

@@ -32,17 +32,17 @@ _OURS: tuple[type[Task], ...] = (
 
 
 def id_of(name: str) -> str:
-    """The id of the task of that name."""
+    """Return the id of the task of that name."""
     return f"{NAMESPACE}/{name}-v{VERSION}"
 
 
 def name_of(identity: str) -> str:
-    """The task's name in an id; a name is taken as it is."""
+    """Return the task's name in an id; a name is taken as it is."""
     return identity.removeprefix(f"{NAMESPACE}/").removesuffix(f"-v{VERSION}")
 
 
 def register_task(task: type[Task]) -> str:
-    """Makes a task known by the name of its class: to `gymnasium.make` and to the command line.
+    """Make a task known by the name of its class: to `gymnasium.make` and to the command line.
 
     A class that is defined again, as in a cell of a notebook, takes the place of what it was.
 
@@ -82,6 +82,6 @@ def register_task(task: type[Task]) -> str:
 
 
 def register() -> None:
-    """Makes the package's tasks known; more than once does no harm."""
+    """Make the package's tasks known; more than once does no harm."""
     for task in _OURS:
         register_task(task)

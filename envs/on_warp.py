@@ -39,7 +39,7 @@ class WarpVectorEnv(SandVectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advances every simulation by `frame_skip` substeps, or begins its next episode."""
+        """Advance every simulation by `frame_skip` substeps, or begins its next episode."""
         observation, reward, terminated, truncated, info = super().step(actions)
         info["sand/lost"] = self.batch.lost.copy()
         return observation, reward, terminated, truncated, info

@@ -40,7 +40,7 @@ def check_option(name: str, value: Any, default: Any) -> None:
 
 
 def _is_range(value: Any) -> bool:
-    """Tells whether a value is two numbers, which may be infinite."""
+    """Return True if a value is two numbers, which may be infinite."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         return False
     return all(isinstance(one, Real) and not math.isnan(one) for one in value)

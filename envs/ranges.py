@@ -96,7 +96,7 @@ class SandRanges:
             raise InputError(f"SandRanges: {name} has its low end above its high end: {given}")
 
     def check_within(self, other: SandRanges) -> None:
-        """Makes sure that a curriculum draws no sand that the model has not got.
+        """Make sure that a curriculum draws no sand that the model has not got.
 
         Args:
             other: what the model was made for.
@@ -116,7 +116,7 @@ class SandRanges:
 
 
 def check_drawing(ranges: Any, curriculum: Any) -> None:
-    """Makes sure of what an environment is given to draw its sand by.
+    """Make sure of what an environment is given to draw its sand by.
 
     Raises:
         InputError: something else than ranges, or a curriculum without any.
@@ -172,7 +172,7 @@ def draw(
     *,
     span: float = 0.0,
 ) -> Sample:
-    """Draws a sand.
+    """Draw a sand.
 
     Args:
         ranges: from where.
@@ -201,7 +201,7 @@ def lay(
     gravity: np.ndarray,
     strength: float,
 ) -> None:
-    """Gives a simulation the sand that was drawn.
+    """Return a simulation the sand that was drawn.
 
     Args:
         sample: what was drawn.
@@ -226,7 +226,7 @@ def lay(
 def next_ranges(
     ranges: SandRanges, curriculum: Callable[[int], SandRanges] | None, episode: int
 ) -> SandRanges:
-    """The ranges for an episode: the curriculum's, or the same as ever.
+    """Return the ranges for an episode: the curriculum's, or the same as ever.
 
     Raises:
         InputError: a curriculum that gives something else, or ranges beyond these.
@@ -262,7 +262,7 @@ def told(
 def sands_of(
     ranges: SandRanges | None, base: SandSpec, dunes: Any
 ) -> tuple[list[SandSpec], list[Choice]]:
-    """The sands that a model needs for these ranges, and what each of them is.
+    """Return the sands that a model needs for these ranges, and what each of them is.
 
     Args:
         ranges: from where sand is drawn; None for the one sand.

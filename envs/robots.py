@@ -47,7 +47,7 @@ def on_sand(
     curriculum: Callable[[int], SandRanges] | None = None,
     **options: Any,
 ) -> gym.Env:
-    """Makes a MuJoCo environment of Gymnasium's with sand in the place of its floor.
+    """Make a MuJoCo environment of Gymnasium's with sand in the place of its floor.
 
     Observation, reward, start and end are the environment's own. What is different:
 
@@ -59,7 +59,7 @@ def on_sand(
     - `info` has the sand's figures, `sand/force`, `sand/depth`, `sand/power`, `sand/froude`,
       `sand/valid` and `sand/error` (`mjgranular.envs.figures`).
 
-    Healthy ranges are as they were: robots sink in by millimetres to centimetres.
+    Healthy ranges are as they were: robots sink in by millimeters to centimeters.
 
     Args:
         environment: a class that derives from `MujocoEnv`, or the id of an environment of such a
@@ -107,12 +107,12 @@ def on_sand(
 
 
 def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) -> gym.Env:
-    """Makes the environment itself, without wrappers; what `on_sand` says."""
+    """Make the environment itself, without wrappers; what `on_sand` says."""
     return sandy(environment)(sand, **options)
 
 
 def sandy(environment: str | type) -> type[OnSand]:
-    """The class of an environment with sand in the place of its floor.
+    """Return the class of an environment with sand in the place of its floor.
 
     Args:
         environment: its class, or `module:Class`, which worker processes find as well.
@@ -207,7 +207,7 @@ class OnSand(MujocoEnv):
         return super()._get_reset_info() | self.sand_figures()
 
     def sand_figures(self) -> dict[str, Any]:
-        """The sand's figures now; see `Figures.read`."""
+        """Return the sand's figures now; see `Figures.read`."""
         drawn = self._drawn
         active, slope = np.array([drawn.number]), np.array([drawn.slope])
         read = self._figures.read(self._readings.read(self.data), active, slope)
@@ -222,7 +222,7 @@ def _again(environment: str | type, sand: dict[str, Any], options: dict[str, Any
 
 
 def _find(environment: Any) -> EnvSpec:
-    """The facts of an environment whose class takes sand.
+    """Return the facts of an environment whose class takes sand.
 
     Raises:
         UnknownNameError: no such environment, or no such module.
@@ -268,7 +268,7 @@ def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
 
 
 def _creator(spec: EnvSpec) -> Any:
-    """The class of an environment, or the function that makes it."""
+    """Return the class of an environment, or the function that makes it."""
     made: Any = spec.entry_point
     return load_env_creator(made) if isinstance(made, str) else made
 

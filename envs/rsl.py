@@ -51,7 +51,7 @@ class RslVecEnv(VecEnv):
         self._observations = self._seen(env.reset()[0])
 
     def seed(self, seed: int) -> None:
-        """Begins all episodes anew, from a seed."""
+        """Begin all episodes anew, from a seed."""
         self._observations = self._seen(self.env.reset(seed=seed)[0])
         self.episode_length_buf.zero_()
 
@@ -62,7 +62,7 @@ class RslVecEnv(VecEnv):
     def step(
         self, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Advances all environments; actions beyond the task's are cut off."""
+        """Advance all environments; actions beyond the task's are cut off."""
         space = self.env.single_action_space
         wanted = actions.detach().cpu().numpy().reshape(self.num_envs, *(space.shape or ()))
         wanted = np.clip(wanted, space.low, space.high)  # pyright: ignore[reportAttributeAccessIssue]

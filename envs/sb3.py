@@ -48,25 +48,25 @@ class SandVecEnv(VecEnv):
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Begins all episodes, with the seeds of the last `seed`."""
+        """Begin all episodes, with the seeds of the last `seed`."""
         seeds, self._next_seeds = self._next_seeds, [None] * self.num_envs
         observations, info = self.batch.reset(seed=list(seeds))
         self.reset_infos = _split(info, np.ones(self.num_envs, bool))
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Sets the seeds of the next reset: this and those that follow."""
+        """Set the seeds of the next reset: this and those that follow."""
         if seed is None:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
         self._next_seeds = [seed + number for number in range(self.num_envs)]
         return self._next_seeds
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Notes the actions."""
+        """Note the actions."""
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Advances by a step."""
+        """Advance by a step."""
         if self._actions is None:
             raise InputError("step_async comes before step_wait")
         observations, rewards, terminated, truncated, info = self.batch.step(self._actions)
@@ -91,26 +91,26 @@ class SandVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Gives back what was taken for rendering."""
+        """Release what was taken for rendering."""
         self.batch.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """A picture of each simulation."""
+        """Return a picture of each simulation."""
         frames = self.batch.render()
         return [None] * self.num_envs if frames is None else list(frames)
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batch, for each of the simulations asked for."""
+        """Return an attribute of the batch, for each of the simulations asked for."""
         return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of the batch, which is that of all simulations."""
+        """Set an attribute of the batch, which is that of all simulations."""
         setattr(self.batch, attr_name, value)
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Calls a method of the batch, once, for all of the simulations asked for."""
+        """Call a method of the batch, once, for all of the simulations asked for."""
         result = getattr(self.batch, method_name)(*args, **kwargs)
         return [result for _ in self._get_indices(indices)]
 
@@ -128,7 +128,7 @@ def make_vec_env(
     warp: str | None = None,
     **options: Any,
 ) -> SandVecEnv:
-    """A batch for Stable-Baselines3.
+    """Return a batch for Stable-Baselines3.
 
     Args:
         environment: id, such as `mjgranular/ChainSwim-v0`.
@@ -173,7 +173,7 @@ def make_vec_env(
 
 
 def _split(info: dict[str, Any], mask: np.ndarray) -> list[dict[str, Any]]:
-    """The `info` of each simulation of the mask, empty ones of the others."""
+    """Return the `info` of each simulation of the mask, empty ones of the others."""
     infos: list[dict[str, Any]] = [{} for _ in mask]
     entries: Iterable[tuple[str, Any]] = [
         (name, value) for name, value in info.items() if f"_{name}" in info

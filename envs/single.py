@@ -69,7 +69,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begins an episode; `options` are not used."""
+        """Begin an episode; `options` are not used."""
         super().reset(seed=seed)
         task, model, data = self.task, self.model, self.data
         random = self.np_random
@@ -89,7 +89,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         return task.observation(self._state)[0], first_of(task.reset_info(self._state))
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Advances by `frame_skip` substeps.
+        """Advance by `frame_skip` substeps.
 
         Raises:
             InputError: an action of another shape, or one that is not finite.
@@ -113,16 +113,16 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         )
 
     def render(self) -> np.ndarray | None:
-        """A picture, shape (height, width, 3), or a look in the window."""
+        """Return a picture, shape (height, width, 3), or a look in the window."""
         return self.cameras.look(self.model, self.data, int(self._state.active[0]))
 
     def close(self) -> None:
-        """Gives back what was taken for rendering."""
+        """Release what was taken for rendering."""
         self.cameras.close()
 
 
 def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:
-    """The entries of the only simulation: Python's numbers, arrays in memory of their own."""
+    """Return the entries of the only simulation: Python's numbers, arrays in memory of their own."""
     return {
         name: value.item() if value.ndim == 1 else value[0].copy() for name, value in info.items()
     }

@@ -123,7 +123,7 @@ class Task(SandSpec, ABC):
 
     @abstractmethod
     def robot(self) -> mujoco.MjSpec:
-        """The robot over a floor, a plane geom of the world."""
+        """Return the robot over a floor, a plane geom of the world."""
 
     @abstractmethod
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
@@ -149,11 +149,11 @@ class Task(SandSpec, ABC):
         """
 
     def mark(self, state: State) -> Any:
-        """Copies what `rewards` needs from before a step."""
+        """Copy what `rewards` needs from before a step."""
         return None
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
-        """The reward, from its terms, shape (n,)."""
+        """Return the reward, from its terms, shape (n,)."""
         return np.asarray(sum(terms.values()))
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
@@ -164,7 +164,7 @@ class Task(SandSpec, ABC):
         return action
 
     def terminated(self, state: State) -> np.ndarray:
-        """Tells whether an episode is over, shape (n,)."""
+        """Return True if an episode is over, shape (n,)."""
         return np.zeros(len(state.qpos), bool)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
@@ -210,7 +210,7 @@ class Task(SandSpec, ABC):
         return model, Figures(model, sands), np.array(model.opt.gravity)
 
     def scene(self) -> mujoco.MjSpec:
-        """The robot, and dunes where they are drawn, before sand is put in the floor's place."""
+        """Return the robot, and dunes where they are drawn, before sand is put in the floor's place."""
         spec = self.robot()
         if any(choice.surface == "dunes" for choice in self.choices):
             add_dunes(spec, self.dunes)
@@ -267,7 +267,7 @@ class Task(SandSpec, ABC):
         return (*always, *(("userdata",) if self.model.nuserdata else ()), *self.reads)
 
     def new_state(self, arrays: dict[str, np.ndarray]) -> State:
-        """A state of these arrays, on the sand that the model starts with."""
+        """Return a state of these arrays, on the sand that the model starts with."""
         n = len(arrays["qpos"])
         return State(
             **arrays,
@@ -279,11 +279,11 @@ class Task(SandSpec, ABC):
         )
 
     def state_of(self, data: mujoco.MjData) -> State:
-        """The state of one simulation: views of its data with a leading axis of one."""
+        """Return the state of one simulation: views of its data with a leading axis of one."""
         return self.new_state({name: getattr(data, name)[None] for name in self.bound})
 
     def sample(self, random: np.random.Generator, episode: int) -> Sample | None:
-        """Draws the sand of an episode; None where it is always the same.
+        """Draw the sand of an episode; None where it is always the same.
 
         Args:
             random: of that simulation.
@@ -300,7 +300,7 @@ class Task(SandSpec, ABC):
     def lay(
         self, sample: Sample, state: State, row: int, plugin_state: np.ndarray, gravity: np.ndarray
     ) -> None:
-        """Gives a simulation the sand that was drawn.
+        """Return a simulation the sand that was drawn.
 
         Args:
             sample: what was drawn.
@@ -350,12 +350,12 @@ class Task(SandSpec, ABC):
         return info
 
     def options(self) -> dict[str, Any]:
-        """The task's fields by name, of which another is made."""
+        """Return the task's fields by name, of which another is made."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
 def _height_of(surface: Surface) -> Callable[[float, float], float]:
-    """The height of a surface over the floor; of a model's own geom, nothing is known: zero."""
+    """Return the height of a surface over the floor; of a model's own geom, nothing is known: zero."""
     if not isinstance(surface, Plane):
         return lambda x, y: 0.0
     rise = math.tan(surface.slope)

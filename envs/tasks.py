@@ -14,7 +14,7 @@ tasks: Registry[type[Task]] = Registry("environment")
 
 
 def get_task(task: str | Task, options: dict[str, Any]) -> Task:
-    """A task from its name and its options.
+    """Return a task from its name and its options.
 
     Raises:
         UnknownNameError: no such task; lists those there are.

@@ -28,7 +28,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         task: a task or its name.
         num_envs: number of simulations.
         max_episode_steps: after which an episode is truncated; None for never.
-        autoreset_mode: when an episode that is over begins anew.
+        autoreset_mode: when an episode that is over starts over.
         threads: number of threads; 0 for one a core.
         render_mode: None or "rgb_array".
         width: of pictures [px].
@@ -121,7 +121,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seed: int | list[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begins episodes.
+        """Begin episodes.
 
         Args:
             seed: of the first simulation, the others have the following ones; or one each.
@@ -155,7 +155,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advances every simulation by `frame_skip` substeps, or begins its next episode.
+        """Advance every simulation by `frame_skip` substeps, or begins its next episode.
 
         Raises:
             InputError: actions of another shape, or not finite.
@@ -202,7 +202,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return task.observation(state), rewards, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture of each simulation, shape (height, width, 3)."""
+        """Return a picture of each simulation, shape (height, width, 3)."""
         if self.render_mode is None:
             return None
         frames = []
@@ -213,12 +213,12 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Gives back what was taken for rendering."""
+        """Release what was taken for rendering."""
         if "cameras" in vars(self):  # not where making it was refused
             self.cameras.close()
 
     def _make_batch(self, threads: int) -> Any:
-        """Makes what steps the simulations, with the methods of `mujoco.batch.Batch`."""
+        """Make what steps the simulations, with the methods of `mujoco.batch.Batch`."""
         return _batch_class()(self.task.model, self.num_envs, threads)
 
     def _terminated(self) -> np.ndarray:
@@ -233,7 +233,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return random
 
     def _begin(self, ids: np.ndarray) -> None:
-        """Begins episodes of some simulations."""
+        """Begin episodes of some simulations."""
         task, state = self.task, self._state
         samples, starts = [], []
         for number in ids:
@@ -255,7 +255,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         state.found.clear()
 
     def _finish(self, info: dict[str, Any], over: np.ndarray, only_step: dict[str, Any]) -> None:
-        """Puts what episodes ended with into `info`, as Gymnasium does."""
+        """Put what episodes ended with into `info`, as Gymnasium does."""
         last = self.task.observation(self._state)
         final = np.full(self.num_envs, None, object)
         for number in np.flatnonzero(over):
@@ -278,7 +278,7 @@ def _batch_class() -> Any:
 
 
 def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:
-    """Adds entries of those simulations that the mask has, each with the mask, as Gymnasium does.
+    """Add entries of those simulations that the mask has, each with the mask, as Gymnasium does.
 
     Others have zeros, or None where entries are no numbers. What no simulation has is left out.
     """

@@ -87,7 +87,7 @@ class Worlds:
         self.lost = np.zeros(count, bool)
 
     def bind(self, name: str) -> np.ndarray:
-        """The array of a field of `mjData`, shape (n, ...).
+        """Return the array of a field of `mjData`, shape (n, ...).
 
         Args:
             name: of the field.
@@ -104,12 +104,12 @@ class Worlds:
         return self._arrays[name]
 
     def expand(self, name: str) -> np.ndarray:
-        """An option of the model for each world; there is `opt.gravity`."""
+        """Return an option of the model for each world; there is `opt.gravity`."""
         assert name == "opt.gravity"
         return self._gravity
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
-        """Steps all worlds; those that are not in `ids` are to be reset before they are read."""
+        """Step all worlds; those that are not in `ids` are to be reset before they are read."""
         self._write(("ctrl",))
         device = self._d.qpos.device
         if device.is_cuda:
@@ -128,13 +128,13 @@ class Worlds:
             self.forward(np.flatnonzero(self.lost))
 
     def reset(self, ids: np.ndarray, stage: int = 0) -> None:
-        """Gives worlds the model's first state."""
+        """Return worlds the model's first state."""
         data = mujoco.MjData(self._full)
         for name, value in self._arrays.items():
             value[ids] = getattr(data, name) if value.size else 0.0
 
     def forward(self, ids: np.ndarray) -> None:
-        """Writes the state of worlds, their sand and gravity, and finds what follows from them."""
+        """Write the state of worlds, their sand and gravity, and finds what follows from them."""
         self._write(_INPUTS)
         for name in ("qacc_warmstart", "act", "time"):
             field = getattr(self._d, name)
@@ -156,12 +156,12 @@ class Worlds:
         return self._sand.volumes()
 
     def get_model(self, number: int) -> mujoco.MjModel:
-        """The task's model, with the gravity of a world."""
+        """Return the task's model, with the gravity of a world."""
         self._full.opt.gravity[:] = self._gravity[number]
         return self._full
 
     def get_data(self, number: int) -> mujoco.MjData:
-        """The state of a world."""
+        """Return the state of a world."""
         data = mujoco.MjData(self._full)
         for name in _INPUTS:
             getattr(data, name)[:] = self._arrays[name][number]
@@ -178,7 +178,7 @@ class Worlds:
             getattr(self._d, name).assign(self._arrays[name].astype(np.float32))
 
     def _read(self, ids: np.ndarray | None) -> None:
-        """Reads what is bound; of all worlds, or of some."""
+        """Read what is bound; of all worlds, or of some."""
         rows = slice(None) if ids is None else ids
         for name, value in self._arrays.items():
             if name in ("ctrl", "plugin_state", "userdata"):
@@ -203,7 +203,7 @@ class Worlds:
         )
 
     def _external(self) -> np.ndarray:
-        """The sand's part of `cfrc_ext`: moments about the centre of the tree, and forces."""
+        """Return the sand's part of `cfrc_ext`: moments about the center of the tree, and forces."""
         forces, moments = self._sand.force.numpy(), self._sand.moment.numpy()
         centres, trees = self._d.xipos.numpy(), self._d.subtree_com.numpy()
         wrenches = np.zeros((self._count, self._model.nbody, 6))

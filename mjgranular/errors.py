@@ -19,7 +19,7 @@ _PART = 3  # characters of a name that are looked for in others
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: short, whatever it is."""
+    """Return a value as a message shows it: short, whatever it is."""
     if isinstance(value, str):
         return repr(_cut(value, _LONGEST_VALUE))
     if isinstance(value, int) and value.bit_length() > 64:
@@ -33,7 +33,7 @@ def shown(value: object) -> str:
 
 
 def one_line(text: str) -> str:
-    """A text without line breaks, and with characters that cannot be printed written as escapes."""
+    """Return a text without line breaks, and with characters that cannot be printed written as escapes."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
@@ -206,7 +206,7 @@ class UnfeltWarning(GranularWarning):
 
 
 def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> None:
-    """Warns with a `GranularWarning` that points at the user's line, the last outside this package.
+    """Warn with a `GranularWarning` that points at the user's line, the last outside this package.
 
     Args:
         message: one sentence, as an error's.

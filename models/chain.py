@@ -28,7 +28,7 @@ _ACROSS, _ALONG = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)  # axes of q (as in link.xml
 class Chain:
     """Equal slender links, each jointed to the end of the one before.
 
-    Bodies `link0`, `link1`, ... have their frame at the mass centre C and their length along z;
+    Bodies `link0`, `link1`, ... have their frame at the mass center C and their length along z;
     in the vertical plane the chain goes on from the pole at -z. Site `T0`, `T1`, ... is that end of
     each link. A link ends where the next begins: at the joint between them. Links do not touch one
     another; they do touch geoms whose contype has bit 0.
@@ -140,7 +140,7 @@ class Chain:
         return {"hinge": 0.9 * self.reach, "level": -3 * self.diameter}.get(self.base, 0.0)
 
     def spec(self) -> mujoco.MjSpec:
-        """An editable model: `link.xml` with this chain in it, scenery scaled with its length.
+        """Return an editable model: `link.xml` with this chain in it, scenery scaled with its length.
 
         Key frame `start`: the chain straight at 45 degrees, as `posed` puts it; free, with 1 m/s
         down.
@@ -168,7 +168,7 @@ class Chain:
         return spec
 
     def model(self, timestep: float) -> mujoco.MjModel:
-        """The compiled model with that time step [s]."""
+        """Return the compiled model with that time step [s]."""
         spec = self.spec()
         spec.option.timestep = timestep
         return spec.compile()

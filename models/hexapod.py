@@ -79,11 +79,11 @@ class Hexapod:
 
     @property
     def standing(self) -> float:
-        """Height of the torso's centre when the feet are at z = 0, all angles zero [m]."""
+        """Height of the torso's center when the feet are at z = 0, all angles zero [m]."""
         return self.lower + self.foot
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
-        """An editable model, with a floor at z = 0, at a time step [s].
+        """Return an editable model, with a floor at z = 0, at a time step [s].
 
         Args:
             timestep: with the implicit-fast integrator.

@@ -18,7 +18,7 @@ _PAPER_LENGTH = 0.2  # of the link in link.xml [m]; scenery is scaled with the l
 
 
 def model_path(name: str) -> Path:
-    """The MJCF file of that name, "link" for example.
+    """Return the MJCF file of that name, "link" for example.
 
     Raises:
         UnknownNameError: no such model; lists those there are.
@@ -70,7 +70,7 @@ class Link:
         return self.mass * self.length**2 / 12
 
     def spec(self) -> mujoco.MjSpec:
-        """An editable model: `link.xml` with this link in it, scenery scaled with its length."""
+        """Return an editable model: `link.xml` with this link in it, scenery scaled with its length."""
         spec = mujoco.MjSpec.from_file(str(model_path("link")))
         body = spec.body("link")
         body.mass = self.mass
@@ -96,7 +96,7 @@ class Link:
         return spec
 
     def model(self, timestep: float) -> mujoco.MjModel:
-        """The compiled model with that time step [s]."""
+        """Return the compiled model with that time step [s]."""
         spec = self.spec()
         spec.option.timestep = timestep
         return spec.compile()

@@ -93,7 +93,7 @@ class Projectile(Link):
         if self.shape == "cylinder":
             across = m * (3 * x * x + 4 * z * z) / 12
             return across, across, m * x * x / 2
-        # A capsule: cylinder of half height h, and two half spheres with their centres at its ends.
+        # A capsule: cylinder of half height h, and two half spheres with their centers at its ends.
         h = z - x
         tube, ends = self.density * 2 * math.pi * x * x * h, self.density * 4 / 3 * math.pi * x**3
         across = tube * (3 * x * x + 4 * h * h) / 12

@@ -25,7 +25,7 @@ class Worm:
 
     A level worm is free in the level plane at a depth and nowhere else; its joints turn about z. An
     upright one is free in the plane y = 0, and its joints turn about -y. Both have their head
-    ahead, at +x. The tree of bodies begins at the middle link, whose centre moves on slides `x` and
+    ahead, at +x. The tree of bodies begins at the middle link, whose center moves on slides `x` and
     `y` or `z` and turns by `q0`; a joint `qi` between links i - 1 and i, counted from the head, is
     the angle of the latter to the former. A time step moves the root along a straight line and
     all else about it: with the root in the middle the faults of both halves cancel, while from the
@@ -119,7 +119,7 @@ class Worm:
         return self.chain.mass
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
-        """An editable model, with a floor at z = 0, at a time step [s].
+        """Return an editable model, with a floor at z = 0, at a time step [s].
 
         Args:
             timestep: with the implicit-fast integrator.

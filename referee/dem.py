@@ -201,7 +201,7 @@ def _run(
     name: str,
     aside: float = 0.5,
 ) -> np.ndarray:
-    """Runs LAMMPS; rows of time, depth, speed down, force up, force along x, pitch [deg].
+    """Run LAMMPS; rows of time, depth, speed down, force up, force along x, pitch [deg].
 
     The forces of each plate along x follow.
     """
@@ -254,7 +254,7 @@ def _script(
     speed: float,
     name: str,
 ) -> str:
-    """The input script of a run."""
+    """Return the input script of a run."""
     count, free = len(bed.centers), options.what == "drop"
     single = len(intruder.centers) == 1
     step = bed.grains.timestep(options.stiffness)
@@ -362,7 +362,7 @@ def _script(
         f" file {name}.state screen no",
     ]
     if intruder.sides:
-        # The leading plate's centre, not that of its first sphere.
+        # The leading plate's center, not that of its first sphere.
         parts.insert(-6, "variable low equal xcm(plate0,z)")
         parts.insert(-6, "variable high equal xcm(plate0,z)")
     if free and intruder.body["shape"] != "capsule":
@@ -386,7 +386,7 @@ def _keep(
     rows: int,
     seconds: float,
 ) -> None:
-    """Writes where a run comes from."""
+    """Write where a run comes from."""
     last = options.name
     if options.what == "drag":
         last = f"{options.name}_{options.speed[-1]:g}"
@@ -413,7 +413,7 @@ def _keep(
 
 
 def write_thin(path: Path, names: list[str], rows: np.ndarray, averaged: list[str]) -> None:
-    """Writes at most `_ROWS` rows; those named are averaged over what each row stands for."""
+    """Write at most `_ROWS` rows; those named are averaged over what each row stands for."""
     picks = np.unique(np.linspace(0, len(rows) - 1, min(_ROWS, len(rows))).round().astype(int))
     thin = rows[picks].copy()
     for name in averaged:
@@ -436,7 +436,7 @@ def _of_bed(bed: Bed) -> dict[str, Any]:
 
 
 def _words() -> list[str]:
-    """The command line without the folders, which are of one machine."""
+    """Return the command line without the folders, which are of one machine."""
     words = sys.argv[1:]
     words = [w for i, w in enumerate(words) if i != 1]
     if "--into" in words:

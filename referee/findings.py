@@ -52,7 +52,7 @@ def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
 
 
 def write_findings(file: Path, found: list[list[Comparison]]) -> None:
-    """Writes `mjgranular/law/error_table.py`."""
+    """Write `mjgranular/law/error_table.py`."""
     lines = [
         '"""Errors of laws against measured motion: written by `python referee/validate.py`."""',
         "",

@@ -61,7 +61,7 @@ class Grains:
         return self.contact_time(stiffness) / _STEPS_A_CONTACT
 
     def contact(self, stiffness: float) -> str:
-        """The contact in LAMMPS's words: kn, kt, gamma_n, gamma_t, friction, no damping along."""
+        """Return the contact in LAMMPS's words: kn, kt, gamma_n, gamma_t, friction, no damping along."""
         return (
             f"{stiffness:g} {2 / 7 * stiffness:g} {self.damping(stiffness):.6g} 0 "
             f"{self.friction:g} 0 limit_damping"
@@ -91,7 +91,7 @@ neigh_modify delay 0
 
 
 def run_lammps(folder: Path, script: str, name: str) -> None:
-    """Runs an input script in one process of low priority; its log lies beside it.
+    """Run an input script in one process of low priority; its log lies beside it.
 
     Raises:
         SystemExit: there is no LAMMPS, or it ended with an error.
@@ -187,7 +187,7 @@ def make_bed(
     seed: int,
     shaken: float = 0.0,
 ) -> None:
-    """Rains grains, settles and levels them, and stiffens the contacts in steps.
+    """Rain grains, settles and levels them, and stiffens the contacts in steps.
 
     Args:
         folder: for its files.
@@ -273,7 +273,7 @@ def make_bed(
 
 
 def read_bed(folder: Path, grains: Grains, stiffness: float) -> Bed:
-    """Reads a bed that `make_bed` has made.
+    """Read a bed that `make_bed` has made.
 
     Raises:
         SystemExit: there is none.

@@ -20,9 +20,9 @@ class Intruder:
 
     Attributes:
         body: in the words of `runs.yaml`: shape and sizes [m].
-        centers: of its spheres about the centre of the body [m], shape (n, 3).
+        centers: of its spheres about the center of the body [m], shape (n, 3).
         diameters: [m], shape (n,).
-        inertia: about the centre, xx, yy, zz, xy, xz, yz, for a mass of one [m^2].
+        inertia: about the center, xx, yy, zz, xy, xz, yz, for a mass of one [m^2].
         angle: of the axis from the vertical, in the x-z plane, towards +x at the top [rad].
         sides: of a plate, along x, y and z [m].
         places: of the centers of plates that are rigid together, the leading one first [m].
@@ -38,11 +38,11 @@ class Intruder:
 
     @property
     def lowest(self) -> float:
-        """Height of its lowest point over its centre [m]."""
+        """Height of its lowest point over its center [m]."""
         return float((self.centers[:, 2] - self.diameters / 2).min())
 
     def start_over(self, bed: Bed) -> np.ndarray:
-        """Centre of the body over the middle of the bed, just clear of the first grain [m]."""
+        """Center of the body over the middle of the bed, just clear of the first grain [m]."""
         middle = np.array([bed.lengths[0] / 2, bed.lengths[1] / 2, 0.0])
         high = bed.centers[bed.centers[:, 2] > bed.surface - 4 * bed.grains.diameter]
         wide = bed.diameters[bed.centers[:, 2] > bed.surface - 4 * bed.grains.diameter]
@@ -65,7 +65,7 @@ def sphere(diameter: float) -> Intruder:
 
 
 def capsule(length: float, diameter: float, angle: float) -> Intruder:
-    """A rod with round ends; inertia of the uniform cylinder.
+    """Return a rod with round ends; inertia of the uniform cylinder.
 
     Args:
         length: overall [m].
@@ -86,7 +86,7 @@ def capsule(length: float, diameter: float, angle: float) -> Intruder:
 def plate(
     length: float, thickness: float, *, upright: bool = False, count: int = 1, gap: float = 0.0
 ) -> Intruder:
-    """A square plate, a flat foot or a row of them, as shells of spheres within the outer sizes.
+    """Return a square plate, a flat foot or a row of them, as shells of spheres within the outer sizes.
 
     Args:
         length: its side [m].

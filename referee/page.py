@@ -78,7 +78,7 @@ _SITUATIONS: tuple[tuple[str, Callable[[MeasuredRun, float], bool]], ...] = (
 
 
 def write_page(file: Path, found: list[list[Comparison]], figures: dict[str, str]) -> None:
-    """Writes the page."""
+    """Write the page."""
     lines = [_HEAD.replace("{quantities}", "\n".join(_quantities(found)))]
     lines += [f"- *{mark}*: {meaning};" for mark, meaning in MARKS.items()]
     lines[-1] = lines[-1][:-1] + "."

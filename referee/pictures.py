@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from mjgranular.referee import Motion
 
-# Okabe and Ito's colours; dashes for the laws without inertia, dots for those with an added mass,
+# Okabe and Ito's colors; dashes for the laws without inertia, dots for those with an added mass,
 # dashes and dots for those for fast motion.
 _LOOK = {
     "link": ("#AA4499", "--"),
@@ -52,7 +52,7 @@ _AXES = {
 
 
 def draw(found: list[Comparison], folder: Path) -> str:
-    """Draws all runs of a set; returns the name of the file."""
+    """Draw all runs of a set; returns the name of the file."""
     runs = found[0].runs
     columns = min(3, len(runs.runs))
     lines = -(-len(runs.runs) // columns)

@@ -112,7 +112,7 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def main() -> None:
-    """Prints all scores."""
+    """Print all scores."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--law", default="rft3d_dynamic", help="with its constants, as for Sand")
     found = score(parser.parse_args().law)

@@ -53,7 +53,7 @@ KAPPA, ADDED_BY = 2.5, ("sphere 1 m/s", "sphere 3 m/s")
 
 
 def candidates(runs: RunSet) -> list[Candidate]:
-    """The laws that there are constants for, with and without the inertial term."""
+    """Return the laws that there are constants for, with and without the inertial term."""
     found: list[Candidate] = []
     stiffness, fitted = _slow_stiffness(runs)
     play_sand = "play sand's of the link paper; the density is that of the bed"
@@ -89,7 +89,7 @@ def candidates(runs: RunSet) -> list[Candidate]:
 def _dynamic(
     runs: RunSet, law: Rft2dLaw | Rft3dLaw, by: tuple[str, ...], theirs: tuple[str, ...]
 ) -> Candidate:
-    """The dynamic law, its strength from the slowest push of a level plate where there is one."""
+    """Return the dynamic law, its strength from the slowest push of a level plate where there is one."""
     if isinstance(law, Rft3dLaw):
         made = DynamicRft3dLaw.from_medium(runs.medium)
     elif Rft2dLaw.name in runs.medium.constants:
@@ -143,7 +143,7 @@ def _resistive(
 
 
 def _slow_push(runs: RunSet) -> MeasuredRun | None:
-    """The slowest push of a level plate by which constants are chosen."""
+    """Return the slowest push of a level plate by which constants are chosen."""
     pushes = [r for r in runs.runs if r.kind == "intrude" and r.mark == "fitted to"]
     return min(pushes, key=lambda run: run.speed, default=None)
 
@@ -160,7 +160,7 @@ def _slow_stiffness(runs: RunSet) -> tuple[float | None, tuple[str, ...]]:
 
 
 def _scale_to_line(runs: RunSet, law: Rft2dLaw | Rft3dLaw) -> float:
-    """The factor with which a law at rest gives the published line K z of drawn plates."""
+    """Return the factor with which a law at rest gives the published line K z of drawn plates."""
     run = runs.runs[0]
     still = replace(run, motion=replace(run.motion, speed=np.full_like(run.motion.depth, 1e-6)))
     force = simulate(still, runs.medium, law).force

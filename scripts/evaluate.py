@@ -17,7 +17,7 @@ import mjgranular  # noqa: F401  its environments are known to Gymnasium
 
 
 def main(env_id: str, folder: Path) -> None:
-    """Prints the mean return; `mjgranular evaluate` does it on other sands, with intervals."""
+    """Print the mean return; `mjgranular evaluate` does it on other sands, with intervals."""
     plain = DummyVecEnv([lambda: Monitor(gym.make(env_id))])
     env = VecNormalize.load(str(folder / "normalizer.pkl"), plain)
     env.training, env.norm_reward = False, False

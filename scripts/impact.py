@@ -12,7 +12,7 @@ from mjgranular.models import model_path
 
 
 def main() -> None:
-    """Runs one impact."""
+    """Run one impact."""
     model = mujoco.MjModel.from_xml_path(str(model_path("link")))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("impact").id)  # 45 degrees, 10 m/s down

@@ -70,7 +70,7 @@ class Weighed:
 
 
 def draw(seed: int, number: int, sizes: tuple[int, ...]) -> tuple[str, mujoco.MjModel]:
-    """Draws a model that MuJoCo Warp takes, with as many degrees of freedom as one of some numbers.
+    """Draw a model that MuJoCo Warp takes, with as many degrees of freedom as one of some numbers.
 
     Returns:
         Arguments of the sand, as they would be written, and the model.
@@ -96,7 +96,7 @@ def draw(seed: int, number: int, sizes: tuple[int, ...]) -> tuple[str, mujoco.Mj
 
 
 def weigh(seed: int, number: int, *, steps: int = STEPS, sizes: tuple[int, ...] = SIZES) -> Weighed:
-    """Walks a model and weighs the sand's work in each step."""
+    """Walk a model and weighs the sand's work in each step."""
     given, model = draw(seed, number, sizes)
     rng = np.random.default_rng([seed, number, 1])
     sand = WarpSand(model, **arguments(given))
@@ -129,7 +129,7 @@ def _weigh_step(
     wrenches: np.ndarray,
     weighed: Weighed,
 ) -> None:
-    """Weighs one step of one world."""
+    """Weigh one step of one world."""
     h = model.opt.timestep
     data.qpos, data.qvel, end = state
     data.qacc = (end - state[1]) / h
@@ -156,7 +156,7 @@ def _weigh_step(
 
 
 def main() -> int:
-    """Weighs models, and says what was found."""
+    """Weigh models, and say what was found."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--models", type=int, default=200)

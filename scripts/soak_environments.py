@@ -22,7 +22,7 @@ NUM_ENVS = 64
 
 
 def soak(name: str, steps: int) -> bool:
-    """Runs one environment; says what happened and whether all was well."""
+    """Run one environment; says what happened and whether all was well."""
     batch = SandVectorEnv(name, NUM_ENVS, max_episode_steps=tasks[name].episode, randomise=RANGES)
     batch.reset(seed=0)
     batch.action_space.seed(0)
@@ -48,7 +48,7 @@ def soak(name: str, steps: int) -> bool:
 
 
 def main() -> int:
-    """Runs those that are named, or all."""
+    """Run those that are named, or all."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", default=list(tasks))
     parser.add_argument("--steps", type=int, default=1_000_000)

@@ -1,4 +1,4 @@
-"""Trains a policy on sand with Stable-Baselines3 alone, and saves it with its normaliser.
+"""Trains a policy on sand with Stable-Baselines3 alone, and saves it with its normalizer.
 
 python scripts/train.py mjgranular/ChainSwim-v0 100000 policy
 """
@@ -15,7 +15,7 @@ import mjgranular  # noqa: F401  its environments are known to Gymnasium
 
 
 def main(env_id: str, steps: int, out: Path) -> None:
-    """Trains for so many steps; `mjgranular train` does it with checkpoints and tuned settings."""
+    """Train for so many steps; `mjgranular train` does it with checkpoints and tuned settings."""
     env = VecNormalize(make_vec_env(lambda: gym.make(env_id), n_envs=4, seed=0))
     model = PPO("MlpPolicy", env, n_steps=512, batch_size=256, seed=0, device="cpu")
     model.learn(steps)

@@ -16,7 +16,7 @@ from mjgranular.envs.rllib import register_env
 
 
 def main(env_id: str, iterations: int, out: Path) -> None:
-    """Trains for some iterations of 4096 steps each, sampled by two env runners."""
+    """Train for some iterations of 4096 steps each, sampled by two env runners."""
     ray.init(address="local", num_cpus=2, include_dashboard=False)
     config = (
         PPOConfig()

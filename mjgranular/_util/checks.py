@@ -91,7 +91,7 @@ def check_switch(name: str, value: Any) -> None:
 
 
 def check_count(name: str, value: Any, least: int = 1) -> None:
-    """Refuses what is no whole number from some number up.
+    """Refuses what is no integer from some number up.
 
     Args:
         name: of the argument.
@@ -108,7 +108,7 @@ def check_count(name: str, value: Any, least: int = 1) -> None:
 
 
 def is_finite(value: Any) -> bool:
-    """Tells whether a value is a number, and a finite one."""
+    """Return True if a value is a number, and a finite one."""
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)
 
 
@@ -122,5 +122,5 @@ def kind_of(value: Any) -> str:
 
 
 def _one(name: str) -> str:
-    """A name with its article; those of MuJoCo's are spoken letter by letter."""
+    """Return a name with its article; those of MuJoCo's are spoken letter by letter."""
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

@@ -9,7 +9,7 @@ from mjgranular.errors import MissingExtraError
 
 
 def need(package: str, *, extra: str, purpose: str) -> Any:
-    """Imports a module.
+    """Import a module.
 
     Args:
         package: its dotted name.

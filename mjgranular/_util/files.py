@@ -48,7 +48,7 @@ _TRIES = 5
 
 @contextmanager
 def whole(file: Path) -> Iterator[Path]:
-    """Gives a path to write to; what it holds at the end is `file`, whole or not at all.
+    """Return a path to write to; what it holds at the end is `file`, whole or not at all.
 
     Raises:
         OutputError: it cannot be written.
@@ -68,7 +68,7 @@ def whole(file: Path) -> Iterator[Path]:
 
 
 def write_bytes(file: Path, content: bytes) -> None:
-    """Writes a file whole or not at all.
+    """Write a file whole or not at all.
 
     Raises:
         OutputError: it cannot be written.
@@ -78,7 +78,7 @@ def write_bytes(file: Path, content: bytes) -> None:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Writes a text file whole or not at all, in UTF-8.
+    """Write a text file whole or not at all, in UTF-8.
 
     Raises:
         OutputError: it cannot be written.
@@ -91,7 +91,7 @@ def write_text(file: Path, text: str) -> None:
 
 @contextmanager
 def published(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]:
-    """Gives a folder to write files to; at the end they are all in `folder`, or none of them.
+    """Return a folder to write files to; at the end they are all in `folder`, or none of them.
 
     Args:
         folder: must be locked.
@@ -121,7 +121,7 @@ def published(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]
 
 
 def finish_publishing(folder: Path) -> None:
-    """Puts files in their places that a killed process had published; the folder must be locked."""
+    """Put files in their places that a killed process had published; the folder must be locked."""
     ready = folder / _READY
     if not ready.is_dir():
         return
@@ -140,13 +140,13 @@ def finish_publishing(folder: Path) -> None:
 
 
 def current(folder: Path, name: str) -> Path:
-    """Finds a file of a folder: in its place, or where it waits to be put there."""
+    """Find a file of a folder: in its place, or where it waits to be put there."""
     waiting = folder / _READY / name
     return waiting if waiting.exists() else folder / name
 
 
 def consistently(folder: Path, name: str, read: Callable[[], T]) -> T:
-    """Reads several files of a folder so that all are of the same result.
+    """Read several files of a folder so that all are of the same result.
 
     Args:
         folder: with the files.
@@ -182,7 +182,7 @@ def consistently(folder: Path, name: str, read: Callable[[], T]) -> T:
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Writes a folder whole or not at all, with a manifest of sizes and SHA-256 sums.
+    """Write a folder whole or not at all, with a manifest of sizes and SHA-256 sums.
 
     Args:
         folder: replaced if it is there.
@@ -217,7 +217,7 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
 
 
 def remove_folder(folder: Path) -> None:
-    """Removes a folder so that a half removed one is never taken for a whole one."""
+    """Remove a folder so that a half removed one is never taken for a whole one."""
     if folder.exists():
         gone = folder.with_name(f".{folder.name}{_PART}{secrets.token_hex(4)}")
         folder.replace(gone)
@@ -225,7 +225,7 @@ def remove_folder(folder: Path) -> None:
 
 
 def fault(folder: Path, names: Sequence[str] = ()) -> str | None:
-    """Finds what is wrong with a folder written by `write_folder`; None if nothing is.
+    """Find what is wrong with a folder written by `write_folder`; None if nothing is.
 
     Args:
         folder: the folder.
@@ -253,7 +253,7 @@ def fault(folder: Path, names: Sequence[str] = ()) -> str | None:
 
 
 def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
-    """Removes what killed processes left half written; the folder must be locked.
+    """Remove what killed processes left half written; the folder must be locked.
 
     Args:
         folder: the folder.
@@ -283,7 +283,7 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
-    """Keeps other processes out of a folder, which is made if it is not there.
+    """Keep other processes out of a folder, which is made if it is not there.
 
     Before anything is read that is to be changed, not only before it is written. A file system
     without locks gives a warning.
@@ -326,7 +326,7 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
 
 
 def _lock(file: Path) -> int:
-    """Opens and locks a file; raises `BlockingIOError` if another process has it."""
+    """Open and locks a file; raises `BlockingIOError` if another process has it."""
     tries = 0
     while True:
         try:
@@ -372,7 +372,7 @@ def _sum(file: Path) -> str:
 
 
 def _said(path: Path, error: OSError) -> OSError:
-    """The error in one sentence, unless it is one already."""
+    """Return the error in one sentence, unless it is one already."""
     if isinstance(error, GranularError):
         return error
     return OutputError(f"cannot write {path}: {error.strerror or error}")

@@ -8,7 +8,7 @@ import sys
 
 
 def choose_renderer() -> None:
-    """Sets `MUJOCO_GL=egl` where that is the way to draw and nobody has chosen otherwise.
+    """Set `MUJOCO_GL=egl` where that is the way to draw and nobody has chosen otherwise.
 
     That is on Linux without a display, with an EGL library, before mujoco is imported: MuJoCo
     reads the variable once. Its own default there (GLFW) needs a display and fails.

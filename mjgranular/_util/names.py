@@ -6,7 +6,7 @@ import mujoco
 
 
 def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
-    """The name of a body, geom or the like, "" for none; bytes that are no UTF-8 are shown.
+    """Return the name of a body, geom or the like, "" for none; bytes that are no UTF-8 are shown.
 
     MuJoCo takes them, but its Python bindings raise `UnicodeDecodeError` where they are read.
 

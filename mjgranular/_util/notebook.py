@@ -7,7 +7,7 @@ from typing import Any
 
 
 def show(film: Any, *, fps: int = 30, seconds: float = 5.0, camera: str | None = None) -> None:
-    """Plays a film where a notebook shows what a cell gives.
+    """Play a film where a notebook shows what a cell gives.
 
     Args:
         film: pictures, shape (height, width, 3), uint8, one by one or as an array; or the result of

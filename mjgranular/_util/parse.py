@@ -17,11 +17,11 @@ from mjgranular.errors import InputError, shown
 T = TypeVar("T")
 
 LARGEST = 100_000
-"""Of whole numbers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
+"""Of integers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
 
 
 def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T], dict[str, Any]]:
-    """Reads a name and its options: the class of that name, and the options by their names.
+    """Read a name and its options: the class of that name, and the options by their names.
 
     Args:
         text: `name option=value ...`.
@@ -54,7 +54,7 @@ def split_words(text: str) -> list[str]:
 
 
 def read_value(text: str, kind: Any, name: str) -> Any:
-    """A value of a type: bool, int, float or str; a float may be one that need not be given.
+    """Return a value of a type: bool, int, float or str; a float may be one that need not be given.
 
     Raises:
         InputError: it is of another, or cannot be written at all.
@@ -78,7 +78,7 @@ def read_value(text: str, kind: Any, name: str) -> Any:
 
 
 def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
-    """Reads `name=value` words as fields of a dataclass.
+    """Read `name=value` words as fields of a dataclass.
 
     Raises:
         InputError: an option of `what` that is unknown, given twice, or of a wrong type.

@@ -36,7 +36,7 @@ class NotRegularError(OSError):
 
 
 def beginning(path: Path, most: int) -> bytes:
-    """The first bytes of a regular file, opened so that nothing blocks.
+    """Return the first bytes of a regular file, opened so that nothing blocks.
 
     Raises:
         NotRegularError: it is something else.
@@ -51,7 +51,7 @@ def beginning(path: Path, most: int) -> bytes:
 
 
 def read_file(path: Path, what: str, *, largest: int) -> bytes:
-    """The content of a regular file; others are not waited for.
+    """Return the content of a regular file; others are not waited for.
 
     Args:
         path: to the file.
@@ -77,7 +77,7 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
 
 
 def place(path: Path) -> str:
-    """A path as a message shows it."""
+    """Return a path as a message shows it."""
     text = one_line(str(path))
     return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
 

@@ -18,7 +18,7 @@ class Registry(Mapping[str, T]):
         self._things: dict[str, T] = {}
 
     def add(self, name: str, thing: T, *, replace: bool = False) -> None:
-        """Makes `thing` known under `name`.
+        """Make `thing` known under `name`.
 
         Raises:
             InputError: the name is taken by something else and `replace` is false.

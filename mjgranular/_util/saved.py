@@ -28,7 +28,7 @@ _LONGEST = 4096  # characters of a name
 
 
 def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
-    """The content of a regular file.
+    """Return the content of a regular file.
 
     Args:
         file: the file.
@@ -50,7 +50,7 @@ def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
 
 
 def read_text(file: Path) -> str:
-    """The text of a file, UTF-8.
+    """Return the text of a file, UTF-8.
 
     Raises:
         OutputError: it cannot be read, or is no text.
@@ -62,7 +62,7 @@ def read_text(file: Path) -> str:
 
 
 def read_json(file: Path) -> dict[str, Any]:
-    """The object in a JSON file.
+    """Return the object in a JSON file.
 
     Raises:
         OutputError: it cannot be read, is not JSON, or not an object; says where.
@@ -71,7 +71,7 @@ def read_json(file: Path) -> dict[str, Any]:
 
 
 def parse_json(text: str, where: str) -> dict[str, Any]:
-    """The object in a JSON text.
+    """Return the object in a JSON text.
 
     Args:
         text: the text.
@@ -126,7 +126,7 @@ def read_arrays(
 
 
 def number(content: Mapping[str, Any], name: str, where: object) -> float | None:
-    """A finite number or None from an object that was read.
+    """Return a finite number or None from an object that was read.
 
     Raises:
         OutputError: it is missing, or something else.
@@ -138,7 +138,7 @@ def number(content: Mapping[str, Any], name: str, where: object) -> float | None
 
 
 def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
-    """The fields of a dataclass from an object that was read: known names, right types.
+    """Return the fields of a dataclass from an object that was read: known names, right types.
 
     Args:
         cls: the dataclass; annotated with plain types, their unions, tuples and literals.
@@ -160,7 +160,7 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
 
 
 def fits(value: object, kind: Any) -> bool:
-    """Return whether a value read from a file is of a type.
+    """Return True if a value read from a file is of a type.
 
     Args:
         value: of JSON or TOML; numbers must be finite, strings printable.
@@ -191,7 +191,7 @@ def fits(value: object, kind: Any) -> bool:
 
 
 def is_plain_name(name: object) -> bool:
-    """Tells whether a name is that of a visible file in the folder itself, and nowhere else."""
+    """Return True if a name is that of a visible file in the folder itself, and nowhere else."""
     return (
         isinstance(name, str)
         and is_text(name)
@@ -202,12 +202,12 @@ def is_plain_name(name: object) -> bool:
 
 
 def is_text(value: object) -> bool:
-    """Tells whether a text can be shown: of sensible length, without control codes."""
+    """Return True if a text can be shown: of sensible length, without control codes."""
     return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable()
 
 
 def _kind(value: object) -> str:
-    """A value for a message: never long, never with control codes."""
+    """Return a value for a message: never long, never with control codes."""
     if isinstance(value, (dict, list)):
         return "an object" if isinstance(value, dict) else "a list"
     if value is None or isinstance(value, (bool, int, float)):

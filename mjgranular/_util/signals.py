@@ -24,13 +24,13 @@ class Stopped(KeyboardInterrupt):
 
 
 def signal_of(stop: KeyboardInterrupt) -> int:
-    """The number of the signal that an interruption comes from."""
+    """Return the number of the signal that an interruption comes from."""
     return stop.number if isinstance(stop, Stopped) else int(signal.SIGINT)
 
 
 @contextmanager
 def stopped_by_signals() -> Iterator[None]:
-    """Raises `Stopped` where SIGTERM or SIGHUP would end the process on the spot.
+    """Raise `Stopped` where SIGTERM or SIGHUP would end the process on the spot.
 
     A signal that something else takes care of, or that is ignored (`nohup`), is left alone.
     """

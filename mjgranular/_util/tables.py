@@ -9,7 +9,7 @@ from mjgranular.errors import one_line
 
 
 def html_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table as HTML; all texts are shown as they are, whatever is in them.
+    """Return a table as HTML; all texts are shown as they are, whatever is in them.
 
     Args:
         title: stands above it.

@@ -14,10 +14,10 @@ from mjgranular.errors import InputError, UnknownNameError
 
 
 def import_own(name: str, what: str) -> ModuleType:
-    """Imports a module that is installed, or lies in the current folder.
+    """Import a module that is installed, or lies in the current folder.
 
     The current folder is looked in last, so that nothing in it takes the place of what is
-    installed. It stays in `sys.path`: the module may import its neighbours later, and processes
+    installed. It stays in `sys.path`: the module may import its neighbors later, and processes
     that Python starts anew find the module there.
 
     Args:

@@ -174,7 +174,7 @@ class Bench:
         return depth
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """The sand's force on the model in a state of motion [N], world frame, shape (3,)."""
+        """Return the sand's force on the model in a state of motion [N], world frame, shape (3,)."""
         model, data = self.model, self.data
         assert self._binding is not None
         data.qpos[:], data.qvel[:] = qpos, qvel

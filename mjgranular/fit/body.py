@@ -100,7 +100,7 @@ class Body:
         return f"{self.shape} of {size}{weight}"
 
     def heavier(self, factor: float) -> Body:
-        """The same body with so many times its mass."""
+        """Return the same body with so many times its mass."""
         return Body(self.shape, self.diameter, self.length, self.projectile.mass * factor)
 
 

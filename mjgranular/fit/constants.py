@@ -44,7 +44,7 @@ class Material:
 
     @classmethod
     def of(cls, medium: Medium, law: str | Law | None) -> Material:
-        """The law with the medium's constants; `law` as `Sand` takes it.
+        """Return the law with the medium's constants; `law` as `Sand` takes it.
 
         Raises:
             UnknownNameError: no such law, or none of its constants.
@@ -111,7 +111,7 @@ class Material:
         return tuple(found)
 
     def value(self, name: str) -> float:
-        """The value of a constant; a strength is one."""
+        """Return the value of a constant; a strength is one."""
         if name == STRENGTH:
             return 1.0
         if name == DENSITY and DENSITY not in self._numbers:
@@ -119,7 +119,7 @@ class Material:
         return float(getattr(self.law, name))
 
     def changed(self, values: dict[str, float]) -> Material:
-        """The material with other values of some constants; strength is a factor on it.
+        """Return the material with other values of some constants; strength is a factor on it.
 
         Raises:
             InputError: a value that the law, or the medium, does not accept.
@@ -189,7 +189,7 @@ class Material:
         return False
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """The least and the greatest value that the law accepts; infinite where there is none."""
+        """Return the least and the greatest value that the law accepts; infinite where there is none."""
         value = self.value(name)
         size = abs(value) or 1.0
         return self._end(name, value, -size), self._end(name, value, size)
@@ -222,7 +222,7 @@ class Material:
         return True
 
     def unit(self, name: str) -> str:
-        """The unit of a constant, as the law's docstring has it; "" where it says none."""
+        """Return the unit of a constant, as the law's docstring has it; "" where it says none."""
         if name == DENSITY:
             return "kg/m^3"
         line = re.search(
@@ -234,7 +234,7 @@ class Material:
         return unit[1] if unit else ""
 
     def constants(self) -> dict[str, float]:
-        """The law's constants that a medium has to have: all but defaults."""
+        """Return the law's constants that a medium has to have: all but defaults."""
         every = {field.name: field for field in fields(self.law)}  # pyright: ignore
         kept = {}
         for name in self._numbers:

@@ -95,7 +95,7 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
-    """Refuses depths and times that cannot be in metres and seconds; guesses what they are in.
+    """Refuses depths and times that cannot be in meters and seconds; guesses what they are in.
 
     Args:
         time: [s], shape (n,).

@@ -90,7 +90,7 @@ class Fit:
         return Material.of(get_medium(self.medium), self.law)
 
     def config(self) -> dict[str, Any]:
-        """The fit in plain values, resolved."""
+        """Return the fit in plain values, resolved."""
         material = self.material
         return {
             "law": material.law.name,
@@ -104,7 +104,7 @@ class Fit:
 
 
 def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
-    """Fits constants to runs, and predicts the others.
+    """Fit constants to runs, and predicts the others.
 
     Args:
         fit: what is to be fitted to what.
@@ -173,7 +173,7 @@ def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
 
 
 def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
-    """The material to start from: where a default lies on a bound, the power of ten that fits best.
+    """Return the material to start from: where a default lies on a bound, the power of ten that fits best.
 
     Raises:
         InputError: a start that was given lies on a bound.
@@ -267,7 +267,7 @@ def _steps(free: Sequence[str], scale: np.ndarray) -> np.ndarray:
 def _interval(
     value: float, half: float, relative: float, low: float, high: float
 ) -> tuple[float | None, float | None]:
-    """Ends of an interval, within what the law accepts; None for no end."""
+    """End of an interval, within what the law accepts; None for no end."""
     below, above = value - half, value + half
     if not relative < _NOTHING_KNOWN:
         below, above = -np.inf, np.inf

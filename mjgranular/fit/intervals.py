@@ -3,7 +3,7 @@
 Errors along one trajectory are not independent: a camera that is off stays off, a law that is wrong
 is wrong for a while. Of each series the integrated autocorrelation time of its residuals (the sum
 over lags up to the first pair that is not positive, C. J. Geyer, Statistical Science 7 (1992)) says
-how many rows count for one. Of few rows that comes out too small: where neighbours are alike beyond
+how many rows count for one. Of few rows that comes out too small: where neighbors are alike beyond
 chance, that of a first-order process is taken if it is longer, its coefficient corrected for the
 bias of short series (M. G. Kendall, Biometrika 41 (1954)).
 

@@ -19,7 +19,7 @@ _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 
 
 def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
-    """The medium of a file of runs: constants of the law by their names, perhaps upon another.
+    """Return the medium of a file of runs: constants of the law by their names, perhaps upon another.
 
     Args:
         entry: a mapping with `base` (a medium's name or file), `name`, `title`, `density`, `grain`
@@ -89,7 +89,7 @@ def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
 
 
 def number(value: Any, key: str) -> float:
-    """A finite number that stands in a file.
+    """Return a finite number that stands in a file.
 
     Raises:
         InputError: it is none.
@@ -104,7 +104,7 @@ def number(value: Any, key: str) -> float:
 
 
 def _base(name: str, path: Path) -> str | Path:
-    """A medium's name, or the path of its file beside that of the runs."""
+    """Return a medium's name, or the path of its file beside that of the runs."""
     return path.parent / name if name.endswith((".yaml", ".yml")) else name
 
 
@@ -138,7 +138,7 @@ def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> 
 
 
 def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
-    """A medium's constants of a law, with the values that they have in it."""
+    """Return a medium's constants of a law, with the values that they have in it."""
     key = medium.key_for(kind.name)
     if key is None:
         return dict(medium.constants.get(_table(kind, medium.constants), {}))
@@ -152,7 +152,7 @@ def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
 def fitted_medium(
     result: FitResult, name: str, *, source: str = "", title: str | None = None
 ) -> Medium:
-    """The medium that a fit has found: what was free with its interval, what was known as it was.
+    """Return the medium that a fit has found: what was free with its interval, what was known as it was.
 
     Args:
         result: the fit.
@@ -204,7 +204,7 @@ def _interval(result: FitResult, name: str) -> str:
 
 
 def medium_text(medium: Medium) -> str:
-    """A medium as the text of a YAML file that `read_medium` reads."""
+    """Return a medium as the text of a YAML file that `read_medium` reads."""
     lines = [
         f"name: {_quoted(medium.name)}",
         f"title: {_quoted(medium.title)}",
@@ -225,5 +225,5 @@ def _entry(quantity: Quantity) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text in YAML's single quotes."""
+    """Return a text in YAML's single quotes."""
     return "'" + " ".join(text.split()).replace("'", "''") + "'"

@@ -60,12 +60,12 @@ class Problem:
         return np.array([*constants, *shifts], float)
 
     def material_at(self, x: np.ndarray) -> Material:
-        """The material with those constants."""
+        """Return the material with those constants."""
         values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
         return self.material.changed(values)
 
     def shift_of(self, x: np.ndarray, trial: int) -> float | None:
-        """The touch of a run."""
+        """Return the touch of a run."""
         if trial not in self.shifted:
             return None
         return float(x[self.count + self.shifted.index(trial)])

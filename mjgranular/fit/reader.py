@@ -43,7 +43,7 @@ def read_fit(
     free: Sequence[str] = (),
     hold_out: Sequence[str] = (),
 ) -> Fit:
-    """Reads what is known of a medium, and runs, from a YAML file of the form of `EXAMPLE`.
+    """Read what is known of a medium, and runs, from a YAML file of the form of `EXAMPLE`.
 
     Files of data are looked for beside it. Angles are in degrees there.
 

@@ -83,7 +83,7 @@ class Valley:
         effect: root of the mean square by which the curves differ at a change of 10 %, in parts of
             their greatest values.
         one_speed: whether all runs are of one speed: then a narrow interval rests on the law's
-            being right to the last, and says nothing on other speeds.
+            being right to the last, and say nothing on other speeds.
     """
 
     change: Mapping[str, float]
@@ -130,7 +130,7 @@ class FitResult:
     evaluations: int
 
     def summary(self) -> dict[str, Any]:
-        """The result in plain numbers, SI units."""
+        """Return the result in plain numbers, SI units."""
         return {
             "law": self.material.law.name,
             "medium": self.material.medium.name,

@@ -107,7 +107,7 @@ class Run:
         return self.speed or _PUSH_SPEED
 
     def measured(self) -> dict[str, np.ndarray]:
-        """The columns by their names, in SI units and degrees.
+        """Return the columns by their names, in SI units and degrees.
 
         Raises:
             InputError: a column is missing, is not of numbers, or not as long as the others.
@@ -131,7 +131,7 @@ class Run:
         return read_table(Path(self.data), needed, optional, self.columns)
 
     def config(self) -> dict[str, Any]:
-        """The run in plain values."""
+        """Return the run in plain values."""
         plain = {
             "name": self.name,
             "kind": self.kind,

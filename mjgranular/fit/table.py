@@ -38,7 +38,7 @@ def read_table(
     optional: Iterable[str] = (),
     columns: Mapping[str, str] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Reads columns of a CSV file, in SI units and degrees.
+    """Read columns of a CSV file, in SI units and degrees.
 
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
     SI. Columns of other names are passed over.
@@ -84,7 +84,7 @@ def read_table(
 
 
 def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
-    """The index of a column; None if it is not there."""
+    """Return the index of a column; None if it is not there."""
     if called is not None:
         if called not in headings:
             raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")

@@ -106,7 +106,7 @@ def further_tests(
     half: np.ndarray,
     scale: np.ndarray,
 ) -> tuple[FurtherTest, ...]:
-    """Tests that were not made, simulated by the fitted law; those that add most first.
+    """Test that were not made, simulated by the fitted law; those that add most first.
 
     Args:
         problem: the fit.
@@ -145,7 +145,7 @@ def _information(
 
 
 def _candidates(trials: Sequence[Trial], material: Material) -> Iterator[tuple[str, Trial]]:
-    """Tests with the bodies that there are, in words."""
+    """Test with the bodies that there are, in words."""
     drops = [t for t in trials if type(t) is DropTrial]
     pushes = [t for t in trials if isinstance(t, PushTrial)]
     bodies = [t.run.body for t in (*drops, *pushes) if t.run.body is not None]

@@ -71,7 +71,7 @@ class Trial(ABC):
 
     @abstractmethod
     def predicted(self, outcome: Any, shift: float | None) -> list[np.ndarray]:
-        """The series as they would have been measured."""
+        """Return the series as they would have been measured."""
 
     @abstractmethod
     def errors(self, outcome: Any, shift: float | None) -> RunErrors:

@@ -87,7 +87,7 @@ def make_baseline(
     seed: int = 0,
     gait: Mapping[str, float] | None = None,
 ) -> Agent:
-    """An agent that needs no training.
+    """Return an agent that needs no training.
 
     Args:
         name: zero, random or gait.
@@ -111,7 +111,7 @@ def make_baseline(
 def make_gait(
     env_id: str, env: Any, parameters: Mapping[str, float] | Sequence[Mapping[str, float]]
 ) -> Gaits:
-    """The scripted gait of an environment.
+    """Return the scripted gait of an environment.
 
     Args:
         env_id: of the environment.

@@ -90,7 +90,7 @@ class Evaluation:
         check_seeds(self.seeds, self.first_seed)
 
     def blocks(self) -> list[_Block]:
-        """The episodes, job by job."""
+        """Return the episodes, job by job."""
         return [
             _Block(job, self.first_seed + done, min(AT_ONCE, self.seeds - done))
             for job in range(len(self.jobs))
@@ -98,7 +98,7 @@ class Evaluation:
         ]
 
     def journal(self, folder: Path | None) -> Journal:
-        """The episodes that a folder keeps; None for a file that is soon gone."""
+        """Return the episodes that a folder keeps; None for a file that is soon gone."""
         asked = {
             "jobs": [{**job.actor.config(), "variant": job.variant} for job in self.jobs],
             "seeds": self.seeds,
@@ -114,7 +114,7 @@ def run_evaluation(
     journal: Journal | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Score] | Mapped:
-    """Runs all episodes. Numbers are the same wherever that is.
+    """Run all episodes. Numbers are the same wherever that is.
 
     Args:
         evaluation: what is evaluated.

@@ -65,7 +65,7 @@ class Progress:
 
 
 def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
-    """Writes a checkpoint whole or not at all, and removes all but the newest two.
+    """Write a checkpoint whole or not at all, and removes all but the newest two.
 
     Args:
         run: whose folder it goes to.
@@ -98,7 +98,7 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
 def load_checkpoint(
     folder: Path, run: Run, env: Any, make_model: Callable[[], Any]
 ) -> tuple[Any, Progress]:
-    """The model and progress of a checkpoint.
+    """Return the model and progress of a checkpoint.
 
     Nothing in it is executed.
 
@@ -166,14 +166,14 @@ def check_spaces(weights: Weights, env: Any, folder: Path, run: Run) -> None:
 
 
 def write_policy(run: Run, checkpoint: Path) -> None:
-    """Puts what evaluation needs from a checkpoint into the run's folder itself, at once."""
+    """Put what evaluation needs from a checkpoint into the run's folder itself, at once."""
     with files.published(run.path) as waiting:
         for name in _OF_THE_END:
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
 
 
 def write_replay(file: Path, buffer: Any) -> None:
-    """Writes the part of a `ReplayBuffer` that is in use, as arrays."""
+    """Write the part of a `ReplayBuffer` that is in use, as arrays."""
     used = len(buffer.rewards) if buffer.full or buffer.optimize_memory_usage else buffer.pos
     arrays = {name: getattr(buffer, name)[:used] for name in _arrays_of(buffer)}
     with file.open("wb") as stream:
@@ -181,7 +181,7 @@ def write_replay(file: Path, buffer: Any) -> None:
 
 
 def read_replay(file: Path, buffer: Any) -> None:
-    """Puts what `write_replay` wrote into a fresh buffer.
+    """Put what `write_replay` wrote into a fresh buffer.
 
     Raises:
         OutputError: it is damaged, or of another buffer.

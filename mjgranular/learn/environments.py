@@ -108,7 +108,7 @@ def for_training(
 
 
 def _in_processes(env_id: str, arguments: Mapping[str, Any], num_envs: int) -> Any:
-    """A process for each environment; they are given names and make all that they need anew."""
+    """Return a process for each environment; they are given names and make all that they need anew."""
     from stable_baselines3.common.vec_env import SubprocVecEnv
 
     if _has_vector_form(env_id):
@@ -184,7 +184,7 @@ def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
-    """Calls `make`; turns an environment's own complaints into one sentence.
+    """Call `make`; turns an environment's own complaints into one sentence.
 
     The argument `refine` makes the substeps of an environment of MuJoCo's so many times shorter,
     with so many more of them between two actions: a policy that does otherwise then has learned the

@@ -44,7 +44,7 @@ def run_episodes(
     progress: Callable[[int], None] | None = None,
     threads: int | None = None,
 ) -> Episodes:
-    """Runs one episode for each seed.
+    """Run one episode for each seed.
 
     Args:
         env_id: Gymnasium's.
@@ -104,7 +104,7 @@ def _run(env: Any, agent: Agent, seeds: list[int], progress: Callable[[int], obj
 
 
 def _is_number_each(values: object, count: int) -> bool:
-    """Tells whether an entry of `info` is one number, or yes or no, for each simulation."""
+    """Return True if an entry of `info` is one number, or yes or no, for each simulation."""
     return (
         isinstance(values, np.ndarray)
         and values.shape == (count,)

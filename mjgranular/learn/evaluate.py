@@ -42,7 +42,7 @@ class Mean:
 
 
 def mean_of(values: Sequence[float] | np.ndarray) -> Mean:
-    """The mean of at least two values and its 95 % confidence interval."""
+    """Return the mean of at least two values and its 95 % confidence interval."""
     stats = need("scipy.stats", extra="train", purpose="Evaluating policies")
     array = np.asarray(values, dtype=float)
     if array.size < LEAST_SEEDS:
@@ -80,7 +80,7 @@ class Score:
         return mean_of(self.episodes.lengths)
 
     def figure(self, name: str) -> Mean | None:
-        """The mean over episodes of a number in `info`; None if the environment has none."""
+        """Return the mean over episodes of a number in `info`; None if the environment has none."""
         values = self.episodes.figures.get(name)
         return None if values is None else mean_of(values)
 
@@ -115,7 +115,7 @@ def evaluate(
     first_seed: int = FIRST_SEED,
     progress: Callable[[int], None] | None = None,
 ) -> Score:
-    """Runs an agent for one episode a seed.
+    """Run an agent for one episode a seed.
 
     Args:
         agent: for people.

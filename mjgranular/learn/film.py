@@ -31,7 +31,7 @@ def film_episode(
     camera: str | None,
     progress: Callable[[int], object] | None = None,
 ) -> float:
-    """Films one episode at the speed of life, from its beginning, for `film.seconds` at most.
+    """Film one episode in real time, from its beginning, for `film.seconds` at most.
 
     Args:
         path: of the file; .mp4 or .gif.

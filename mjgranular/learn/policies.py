@@ -79,7 +79,7 @@ class Policy:
 
 
 def load_policy(where: Path | str) -> Policy:
-    """Loads a policy, as data: nothing in its files is executed.
+    """Load a policy, as data: nothing in its files is executed.
 
     Args:
         where: a run's folder (its newest checkpoint is taken), a checkpoint's, a policy's folder or
@@ -108,7 +108,7 @@ def load_policy(where: Path | str) -> Policy:
 
 
 def _load(run: Run, holder: Path) -> Policy:
-    """The policy in the folder of a run or of one of its checkpoints."""
+    """Return the policy in the folder of a run or of one of its checkpoints."""
     file = files.current(holder, POLICY)
     if not file.exists():
         raise OutputError(
@@ -134,7 +134,7 @@ def _load(run: Run, holder: Path) -> Policy:
 
 
 def shipped_policies() -> dict[str, Run]:
-    """The policies that come with the package, by name."""
+    """Return the policies that come with the package, by name."""
     found = sorted(SHIPPED.rglob(POLICY)) if SHIPPED.is_dir() else []
     folders = [file.parent for file in found]
     return {folder.relative_to(SHIPPED).as_posix(): open_run(folder) for folder in folders}
@@ -171,7 +171,7 @@ def _folder(where: Path | str) -> Path:
 
 
 def _warn_of_version(run: Run) -> None:
-    """Says so where physics may have changed since the training."""
+    """Say so where physics may have changed since the training."""
     there = str(run.versions.get("mujoco"))
     if there.partition(".")[0] != mujoco.__version__.partition(".")[0]:
         warn_user(f"{run.path} was trained with MuJoCo {there}, this is {mujoco.__version__}")

@@ -90,7 +90,7 @@ class Run:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keeps other processes out. The system lets go of the lock when this process ends.
+        """Keep other processes out. The system lets go of the lock when this process ends.
 
         Raises:
             OutputError: another process is at work in the folder.
@@ -103,7 +103,7 @@ class Run:
         return sorted((self.path / CHECKPOINTS).glob("step-*"), reverse=True)
 
     def newest_checkpoint(self) -> Path | None:
-        """The newest checkpoint that is whole; a damaged one is skipped with a warning."""
+        """Return the newest checkpoint that is whole; a damaged one is skipped with a warning."""
         for folder in self.checkpoints():
             wrong = files.fault(folder, _IN_A_CHECKPOINT)
             if wrong is None:
@@ -117,7 +117,7 @@ class Run:
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
     def remove_old_checkpoints(self, written: Path | None = None) -> None:
-        """Keeps the newest two that are whole, and damaged ones among them to be looked at.
+        """Keep the newest two that are whole, and damaged ones among them to be looked at.
 
         Args:
             written: a checkpoint that was written just now, and need not be looked through.
@@ -130,7 +130,7 @@ class Run:
                 whole += 1
 
     def extended(self, total_steps: int) -> Run:
-        """The run with another number of steps to go to, noted in its folder."""
+        """Return the run with another number of steps to go to, noted in its folder."""
         longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
         file = self.path / CONFIG
         content = {**read_json(file), **longer.config()}
@@ -138,12 +138,12 @@ class Run:
         return longer
 
     def discard(self) -> None:
-        """Removes the folder of a run that came to nothing: one without a checkpoint."""
+        """Remove the folder of a run that came to nothing: one without a checkpoint."""
         if not self.checkpoints():
             shutil.rmtree(self.path, ignore_errors=True)
 
     def steps(self) -> int:
-        """Steps that the newest checkpoint has behind it; 0 without one."""
+        """Step that the newest checkpoint has behind it; 0 without one."""
         folder = self.newest_checkpoint()
         return 0 if folder is None else read_state(folder)[0]
 
@@ -164,7 +164,7 @@ class Run:
         return f"was begun on other sand: {', '.join(found)}" if found else None
 
     def check_environment(self) -> None:
-        """Makes sure that nothing is imported only because a stranger's file names it.
+        """Make sure that nothing is imported only because a stranger's file names it.
 
         An environment `module:Name-v0` executes its module. It may if the user vouches for the run,
         or has imported the module himself.
@@ -185,7 +185,7 @@ class Run:
 
 
 def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: int) -> Run:
-    """Makes the folder of a new run. Of two processes that try at once one is refused.
+    """Make the folder of a new run. Of two processes that try at once one is refused.
 
     The environment is made once, for its sand to be noted.
 
@@ -233,7 +233,7 @@ def current_versions() -> dict[str, Any]:
 
 
 def open_run(path: Path, *, trust: bool = False) -> Run:
-    """The run whose `config.json` is in a folder: a run, one of its checkpoints, a policy.
+    """Return the run whose `config.json` is in a folder: a run, one of its checkpoints, a policy.
 
     Nothing of it is executed.
 
@@ -272,7 +272,7 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
 
 
 def read_state(checkpoint: Path) -> tuple[int, float]:
-    """Steps and seconds behind a checkpoint.
+    """Step and seconds behind a checkpoint.
 
     Raises:
         OutputError: its file is damaged.
@@ -286,7 +286,7 @@ def read_state(checkpoint: Path) -> tuple[int, float]:
 
 
 def curve_text(rows: Sequence[Sequence[float]]) -> str:
-    """A learning curve as CSV."""
+    """Return a learning curve as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CURVE_COLUMNS)
@@ -295,7 +295,7 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
 
 
 def read_curve(file: Path) -> list[tuple[float, ...]]:
-    """Reads a learning curve; rows of `CURVE_COLUMNS`.
+    """Read a learning curve; rows of `CURVE_COLUMNS`.
 
     Raises:
         OutputError: it cannot be read, or is no curve.

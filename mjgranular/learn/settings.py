@@ -125,7 +125,7 @@ class Settings:
 
     @classmethod
     def from_json(cls, content: object) -> Settings:
-        """The settings of which `as_json` made `content`.
+        """Return the settings of which `as_json` made `content`.
 
         Raises:
             InputError: it made no such thing; says what is wrong.
@@ -143,7 +143,7 @@ class Settings:
 def find_settings(
     env_id: str, *, algorithm: str | None = None, file: Path | None = None
 ) -> Settings:
-    """The settings for an environment.
+    """Return the settings for an environment.
 
     Args:
         env_id: Gymnasium's, such as `mjgranular/ChainSwim-v0`.
@@ -158,7 +158,7 @@ def find_settings(
 
 
 def settings_file(env_id: str) -> Path:
-    """The file with the settings that come with the package for an environment."""
+    """Return the file with the settings that come with the package for an environment."""
     # `module:namespace/Name-v0` is Gymnasium's way to name an environment of a module.
     identity = env_id.rpartition(":")[2]
     own = FOLDER / f"{identity}.toml"
@@ -166,7 +166,7 @@ def settings_file(env_id: str) -> Path:
 
 
 def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
-    """Reads settings: `algorithm`, a table `[environment]`, and a table for each algorithm.
+    """Read settings: `algorithm`, a table `[environment]`, and a table for each algorithm.
 
     Raises:
         InputError: the file cannot be read, or has a wrong key or value in it; says which.
@@ -248,7 +248,7 @@ def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
 
 
 def toml_value(text: str) -> Any:
-    """A value as TOML writes it; a bare word is a text."""
+    """Return a value as TOML writes it; a bare word is a text."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
@@ -256,7 +256,7 @@ def toml_value(text: str) -> Any:
 
 
 def algorithm_class(name: str) -> Any:
-    """The class of an algorithm in Stable-Baselines3.
+    """Return the class of an algorithm in Stable-Baselines3.
 
     Raises:
         MissingExtraError: that is not installed.

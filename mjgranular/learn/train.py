@@ -62,17 +62,17 @@ def train(
     threads: int | None = None,
     warp: str | None = None,
 ) -> Training:
-    """Trains until `total_steps`, from the newest checkpoint if there is one.
+    """Train until `total_steps`, from the newest checkpoint if there is one.
 
     SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one at
     once. The run must be locked by the caller.
 
-    At each checkpoint the environments begin new episodes and all random numbers begin anew from
+    At each checkpoint the environments begin new episodes and all random numbers start over from
     the run's seed and the number of steps, whether the process goes on or another one does. So a
     run that was killed and resumed gives the same policy, to the last bit, as one that was not.
 
     Where the environment has other sand by now than the run was begun on, as when a default has
-    changed, it goes on upon that which it was begun on.
+    changed, it continues on that which it was begun on.
 
     Args:
         run: what to train.
@@ -121,7 +121,7 @@ def train(
 
 
 def begin_episodes(model: Any, seed: int) -> None:
-    """Begins new episodes, with all random numbers following from the seed and the steps done."""
+    """Begin new episodes, with all random numbers following from the seed and the steps done."""
     torch = need("torch", extra="train", purpose="Training a policy")
     word = int(np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)[0]) % 2**31
     random.seed(word)
@@ -135,7 +135,7 @@ def begin_episodes(model: Any, seed: int) -> None:
 
 
 def _warn_of_versions(run: Run) -> None:
-    """Says so where a run goes on with other packages than it was begun with."""
+    """Say so where a run goes on with other packages than it was begun with."""
     now = current_versions()
     changed = [
         f"{name} {then} (now {now[name]})"
@@ -149,7 +149,7 @@ def _warn_of_versions(run: Run) -> None:
 
 
 def _on_its_sand(run: Run) -> Run:
-    """The run, with arguments that restore the sand that it was begun on, if need be.
+    """Return the run, with arguments that restore the sand that it was begun on, if need be.
 
     Raises:
         OutputError: none do.
@@ -169,7 +169,7 @@ def _on_its_sand(run: Run) -> Run:
 
 
 def environments_of(run: Run, *, threads: int | None = None, warp: str | None = None) -> Any:
-    """The environments of a run as a `VecNormalize`."""
+    """Return the environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -203,7 +203,7 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
 
 
 def new_model(run: Run, env: Any) -> Any:
-    """An algorithm of Stable-Baselines3 that has learned nothing yet."""
+    """Return an algorithm of Stable-Baselines3 that has learned nothing yet."""
     settings = run.settings
     try:
         return algorithm_class(settings.algorithm)(
@@ -265,7 +265,7 @@ def _learn(
 
 
 def _keeper(run: Run, progress: Progress, report: Report | None, received: Sequence[int]) -> Any:
-    """The callback that writes the curve and the checkpoints, each when it is due."""
+    """Return the callback that writes the curve and the checkpoints, each when it is due."""
     # Its base class comes with an optional package: hence a class within a function.
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -354,7 +354,7 @@ def _check_finite(model: Any, run: Run) -> None:
 
 @contextmanager
 def collected_signals() -> Iterator[list[int]]:
-    """Collects SIGTERM and SIGINT; the second one acts at once, as ever."""
+    """Collect SIGTERM and SIGINT; the second one acts at once, as ever."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield received  # signals belong to the main thread

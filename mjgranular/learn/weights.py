@@ -169,7 +169,7 @@ def _entry(archive: zipfile.ZipFile, name: str, file: Path) -> bytes:
 
 
 def _tensors(content: bytes) -> Any:
-    """Reads what PyTorch saved, if that is tensors and plain values."""
+    """Read what PyTorch saved, if that is tensors and plain values."""
     torch = need("torch", extra="train", purpose=_PURPOSE)
     # Its older kinds of files are not zips, and were not safe to read in older versions.
     if not content.startswith(b"PK"):
@@ -180,7 +180,7 @@ def _tensors(content: bytes) -> Any:
 
 
 def _state(state: object, file: Path) -> dict[str, Any]:
-    """A policy's weights, if that is what they are: finite numbers by name."""
+    """Return a policy's weights, if that is what they are: finite numbers by name."""
     torch = need("torch", extra="train", purpose=_PURPOSE)
     if not isinstance(state, dict) or not state:
         raise OutputError(f"{file} is damaged: it holds no weights of a policy")
@@ -195,7 +195,7 @@ def _state(state: object, file: Path) -> dict[str, Any]:
 
 
 def _lists(value: object) -> list[list[int]]:
-    """Lists of whole numbers within a value."""
+    """List of integers within a value."""
     if isinstance(value, Mapping):
         return [found for item in value.values() for found in _lists(item)]
     if isinstance(value, (list, tuple)):

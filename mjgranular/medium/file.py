@@ -32,7 +32,7 @@ _REQUIRED = ("name", "title", "density", "default_law", "constants")
 
 
 def read_medium(path: str | Path) -> Medium:
-    """Reads a medium from a YAML file of the form of `EXAMPLE`.
+    """Read a medium from a YAML file of the form of `EXAMPLE`.
 
     The file may be anybody's: nothing in it is executed, and no more is read than a medium needs
     (`LARGEST`, `medium.outline`).
@@ -103,7 +103,7 @@ def _quantity(key: str, entry: Any) -> Quantity:
 
 
 def _number(key: str, value: Any) -> float:
-    """A number as Python writes it, or .inf or .nan, which are YAML's."""
+    """Return a number as Python writes it, or .inf or .nan, which are YAML's."""
     if isinstance(value, str):
         plain = value.lower().replace(".inf", "inf").replace(".nan", "nan")
         try:

@@ -19,7 +19,7 @@ _WORDS = re.compile(r"(.*?\S)((?:\s+\w+=\S*)+)\s*")
 
 
 def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
-    """Makes a medium known by its name, everywhere a name of a medium is taken.
+    """Make a medium known by its name, everywhere a name of a medium is taken.
 
     Raises:
         InputError: another medium has that name and `replace` is false, or it is no medium.
@@ -34,7 +34,7 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
 
 
 def get_medium(medium: str | Path | Medium) -> Medium:
-    """The medium of that name, or `medium` itself if it is one.
+    """Return the medium of that name, or `medium` itself if it is one.
 
     A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`). With
     `density=1500` behind a name the medium has another bulk density [kg/m^3].
@@ -57,7 +57,7 @@ def get_medium(medium: str | Path | Medium) -> Medium:
 
 
 def _with_options(medium: Medium, options: list[str], name: str) -> Medium:
-    """A medium of another density: what else a medium has are constants of a law, and go there."""
+    """Return a medium of another density: what else a medium has are constants of a law, and go there."""
     given = dict(option.split("=", 1) for option in options)
     others = given.keys() - {"density"}
     if others or len(given) < len(options):

@@ -138,7 +138,7 @@ class Medium:
         return (self.default_law, *others)
 
     def key_for(self, law: str) -> str | None:
-        """Finds the law under whose name this medium has constants for a law; None if it has none.
+        """Find the law under whose name this medium has constants for a law; None if it has none.
 
         Constants of a quasi-static law serve that for fast motion, whose name is longer by
         `DYNAMIC`, where it has none of its own.
@@ -147,7 +147,7 @@ class Medium:
         return next((name for name in (law, slow) if name in self.constants), None)
 
     def constants_for(self, law: str) -> dict[str, float]:
-        """The values of this medium's constants for a law, under the name that `key_for` finds.
+        """Return the values of this medium's constants for a law, under the name that `key_for` finds.
 
         Raises:
             UnknownNameError: the medium has no constants for that law; lists those it has.

@@ -28,7 +28,7 @@ class OutlineError(InputError):
 def read_outline_file(
     path: Path, what: str, needed: str, *, largest: int, extra: str, purpose: str
 ) -> Any:
-    """Reads a YAML file as `read_outline` does.
+    """Read a YAML file as `read_outline` does.
 
     Args:
         path: of the file.
@@ -53,7 +53,7 @@ def read_outline_file(
 
 
 def read_outline(text: str, yaml: Any) -> Any:
-    """Reads YAML: dicts, lists, texts, and None, True and False where they stand without quotes.
+    """Read YAML: dicts, lists, texts, and None, True and False where they stand without quotes.
 
     Args:
         text: one document.

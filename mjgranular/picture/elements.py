@@ -41,7 +41,7 @@ _LIGHT = np.array([0.35, -0.60, 0.72])  # towards the light of a figure
 
 
 def count(number: int, things: str) -> str:
-    """A number of things in words: "1 facet", "184 facets", "2 bodies"."""
+    """Return a number of things in words: "1 facet", "184 facets", "2 bodies"."""
     one = "body" if things == "bodies" else things.removesuffix("s")
     return f"{number} {one if number == 1 else things}"
 
@@ -70,7 +70,7 @@ def draw_elements(
     title: str | None = None,
     file: str | Path | None = None,
 ) -> Figure:
-    """Draws the elements as they lie on the bodies, in space, all axes to the same scale.
+    """Draw the elements as they lie on the bodies, in space, all axes to the same scale.
 
     Rods have their length and width. A facet is a parallelogram, or a disc where it has no edges,
     as a mesh's triangle; its area is the true one. Blobs are drawn as the outlines that their
@@ -80,7 +80,7 @@ def draw_elements(
         sand: whose elements.
         qpos: where the bodies are; None for the model's `qpos0`.
         qvel: how they move; None for not at all. Matters to `forces` only.
-        color: what colours stand for: "body", "geom", or "depth" below the surface.
+        color: what colors stand for: "body", "geom", or "depth" below the surface.
         normals: whether facets have their normals drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
         title: first line above the picture, over the counts.
@@ -92,7 +92,7 @@ def draw_elements(
     Raises:
         InputError: a state of the wrong length or not finite, or a kind of file that cannot be
             written.
-        UnknownNameError: nothing can be coloured so; lists the ways.
+        UnknownNameError: nothing can be colored so; lists the ways.
         MissingExtraError: matplotlib is not installed; gives the install line.
         OutputError: the file cannot be written.
     """
@@ -137,7 +137,7 @@ def _save(figure: Figure, file: Path) -> None:
 
 
 def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: bool) -> None:
-    """Draws the elements, the sand and what the colours mean into an empty figure."""
+    """Draw the elements, the sand and what the colors mean into an empty figure."""
     art = need("mpl_toolkits.mplot3d.art3d", extra="figures", purpose="Drawing elements")
     axes = figure.add_axes((0.0, 0.06, 0.88, 0.86), projection="3d", computed_zorder=False)
     polygons, owners = polygons_of(shown)
@@ -178,7 +178,7 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
 
 
 def _shaded(polygons: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """Colours of polygons under a light, whichever side is seen."""
+    """Color of polygons under a light, whichever side is seen."""
     normals = area_vectors(polygons)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     light = np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
@@ -206,7 +206,7 @@ def _set_axes(axes: Any, low: np.ndarray, high: np.ndarray) -> None:
 
 
 def _draw_plane(axes: Any, art: Any, plane: Plane, low: np.ndarray, high: np.ndarray) -> None:
-    """Draws the sand's surface where it passes through the box."""
+    """Draw the sand's surface where it passes through the box."""
     cut = _cut_box(plane, low, high)
     if len(cut) < 3:
         return
@@ -246,7 +246,7 @@ def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
 
 
 def _draw_scale(figure: Any, depth: np.ndarray) -> None:
-    """Scale of the colours of depth."""
+    """Scale of the colors of depth."""
     cm = need("matplotlib.cm", extra="figures", purpose="Drawing elements")
     colors = need("matplotlib.colors", extra="figures", purpose="Drawing elements")
     low, high = float(depth.min()), float(depth.max())

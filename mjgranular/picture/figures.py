@@ -30,7 +30,7 @@ _STYLE = {
 
 
 def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
-    """An empty figure of that size in inches, made without pyplot's global state."""
+    """Return an empty figure of that size in inches, made without pyplot's global state."""
     matplotlib = need("matplotlib", extra="figures", purpose="Drawing figures")
     need("matplotlib.figure", extra="figures", purpose="Drawing figures")
     context = matplotlib.rc_context(_STYLE)
@@ -39,7 +39,7 @@ def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
 
 
 def save_figure(figure: Any, context: Any, path: Path) -> None:
-    """Writes a figure of `figure_of_size`."""
+    """Write a figure of `figure_of_size`."""
     try:
         with whole(path) as part:
             figure.savefig(part)
@@ -187,7 +187,7 @@ def draw_intrusion(
         path: of the picture.
         depth: of the intruder's deepest point [m], shape (n,).
         force: along the path, across it and sideways [N], shape (n, 3).
-        moment: about the intruder's centre [N m], shape (n, 3).
+        moment: about the intruder's center [N m], shape (n, 3).
         title: above the figure.
     """
     figure, context = figure_of_size(6.4, 6.4)

@@ -58,6 +58,6 @@ def draw_fit(path: Path, result: FitResult, *, title: str = "") -> None:
 
 
 def _constants(result: FitResult) -> str:
-    """The constants that were found, in a line."""
+    """Return the constants that were found, in a line."""
     values = (f"{name} = {value:.3g}" for name, value in result.values.items())
     return f"{result.material.law.name}: {', '.join(values)}"

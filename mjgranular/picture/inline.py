@@ -17,7 +17,7 @@ _PURPOSE = "Showing a film"
 
 
 def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
-    """Plays a film; see `mjgranular.show`."""
+    """Play a film; see `mjgranular.show`."""
     if not isinstance(fps, int) or not 1 <= fps <= 240:
         raise InputError(f"a film has 1 to 240 frames a second, a whole number, not {kind_of(fps)}")
     mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
@@ -27,7 +27,7 @@ def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
 
 
 def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[np.ndarray]:
-    """The pictures of a film, or of a result."""
+    """Return the pictures of a film, or of a result."""
     if isinstance(film, DropResult):
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
         model, _ = load(film.drop)

@@ -6,7 +6,7 @@ from mjgranular.errors import one_line
 
 
 def plain(text: str) -> str:
-    """A text that matplotlib draws as it is: no formula between dollars, nothing left out.
+    """Return a text that matplotlib draws as it is: no formula between dollars, nothing left out.
 
     Labels that begin with an underscore would be missing from a legend.
     """

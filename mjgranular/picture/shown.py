@@ -17,12 +17,12 @@ Color = Literal["body", "geom", "depth"]
 # A field that the elements of one kind have and those of the others have not.
 _MARKS: dict[str, Kind] = {"half_length": "rods", "normal": "facets", "halves": "blobs"}
 
-# Okabe and Ito's colours, which stay apart for colour-blind readers.
+# Okabe and Ito's colors, which stay apart for color-blind readers.
 _PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8A8A8A", "#F0E442")
 DEPTHS = ("#F7E3B5", "#E0A85E", "#B0653B", "#6B3A3A", "#2B1B33")
-"""Colours from shallow to deep."""
+"""Colors from shallow to deep."""
 RED, INK = "#C0281C", "#303030"
-"""Colours of forces, and of lines."""
+"""Colors of forces, and of lines."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Shown:
         turn: axes of each element's body in columns, shape (n, 3, 3).
         report: what the sand does to them.
         colors: red, green and blue, 0 to 1, shape (n, 3).
-        names: what the colours stand for, in the order of the model; empty for depths.
+        names: what the colors stand for, in the order of the model; empty for depths.
     """
 
     kind: Kind
@@ -49,7 +49,7 @@ class Shown:
 
     @classmethod
     def at(cls, sand: Sand, data: mujoco.MjData, color: str) -> Shown:
-        """The elements where the bodies in `data` are."""
+        """Return the elements where the bodies in `data` are."""
         kind, elements, report = kind_of(sand), sand.elements, sand.report(data)
         if color == "depth":
             names, colors = {}, _depth_colors(report.table.depth)
@@ -95,7 +95,7 @@ class Shown:
         return float(((middles + half).max(axis=0) - (middles - half).min(axis=0)).max())
 
     def normals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of short normals of the facets [m], each of shape (n, 3)."""
+        """End of short normals of the facets [m], each of shape (n, 3)."""
         if self.kind != "facets":
             return np.zeros((0, 3)), np.zeros((0, 3))
         length = np.minimum(0.5 * self.sizes, 0.06 * self.reach)
@@ -103,7 +103,7 @@ class Shown:
         return self.middles, self.place(ends[:, None])[:, 0]
 
     def forces(self, scale: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of arrows of the forces [m], each of shape (m, 3), m at most n.
+        """End of arrows of the forces [m], each of shape (m, 3), m at most n.
 
         Facets are pushed from outside: their arrows end where the force acts. Others begin there.
 
@@ -120,7 +120,7 @@ class Shown:
 
 
 def kind_of(sand: Sand) -> Kind:
-    """Finds the kind of elements that a law has cut the geoms into.
+    """Find the kind of elements that a law has cut the geoms into.
 
     Raises:
         InputError: a law of one's own with elements of another kind.
@@ -136,17 +136,17 @@ def kind_of(sand: Sand) -> Kind:
 
 
 def rgb(color: str) -> np.ndarray:
-    """Red, green and blue, 0 to 1, of a colour as #RRGGBB."""
+    """Red, green and blue, 0 to 1, of a color as #RRGGBB."""
     return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255
 
 
 def with_alpha(colors: np.ndarray, alpha: float) -> np.ndarray:
-    """Colours with an opacity, shape (n, 4)."""
+    """Color with an opacity, shape (n, 4)."""
     return np.column_stack([colors, np.full(len(colors), alpha)])
 
 
 def _depth_colors(depth: np.ndarray) -> np.ndarray:
-    """Colours between the shallowest and the deepest of some depths, shape (n, 3)."""
+    """Color between the shallowest and the deepest of some depths, shape (n, 3)."""
     stops = np.array([rgb(color) for color in DEPTHS])
     share = (depth - depth.min()) / max(float(np.ptp(depth)), 1e-300)
     at = np.linspace(0, 1, len(stops))

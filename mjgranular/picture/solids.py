@@ -13,7 +13,7 @@ from mjgranular.picture.shown import INK, RED, Color, Shown, rgb, with_alpha
 from mjgranular.sand import Sand
 
 GAP = 0.97
-"""Part of their size that solids have, so that neighbours can be told apart."""
+"""Part of their size that solids have, so that neighbors can be told apart."""
 
 
 def add_elements(
@@ -27,7 +27,7 @@ def add_elements(
     force_scale: float | None = None,
     fade: float = 0.25,
 ) -> int:
-    """Adds the elements to a scene, as decoration: to the scene of a renderer or of a viewer.
+    """Add the elements to a scene, as decoration: to the scene of a renderer or of a viewer.
 
     Call it after `renderer.update_scene(data)`, or for a passive viewer with `viewer.user_scn`,
     whose `ngeom` is set to 0 first. Positions are those in `data`, as the scene's own are. Facets
@@ -37,7 +37,7 @@ def add_elements(
         scene: to be added to.
         sand: whose elements.
         data: the simulation.
-        color: what colours stand for: "body", "geom", or "depth" below the surface.
+        color: what colors stand for: "body", "geom", or "depth" below the surface.
         normals: whether facets have their normals drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
         force_scale: length of an arrow of one newton [m]; None to make the greatest of the instant
@@ -52,7 +52,7 @@ def add_elements(
     Raises:
         InputError: the scene has too little room, and then nothing is added; or `data` belongs to
             another model.
-        UnknownNameError: nothing can be coloured so; lists the ways.
+        UnknownNameError: nothing can be colored so; lists the ways.
     """
     shown = Shown.at(sand, data, color)
     tails, tips = shown.normals() if normals else (np.zeros((0, 3)),) * 2
@@ -79,7 +79,7 @@ def add_elements(
 
 
 def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
-    """Adds what stands for the elements themselves."""
+    """Add what stands for the elements themselves."""
     place = {"facets": facet_bodies, "rods": _rod_bodies, "blobs": _blob_bodies}[shown.kind]
     kinds, sizes, frames = place(shown.elements)
     frames = shown.turn @ frames

@@ -59,7 +59,7 @@ _UNITS = {
 
 
 def axis_of(column: str) -> Axis:
-    """The axis of a varied field, by the name of its column."""
+    """Return the axis of a varied field, by the name of its column."""
     name = column.removesuffix("_deg")
     unit = _UNITS.get(column) if name == column else "deg"
     words = name if name.startswith("law.") else name.replace("_", " ")
@@ -75,7 +75,7 @@ def draw_study(
     joined: bool,
     title: str = "",
 ) -> None:
-    """Draws two outcomes against one varied field, or over two.
+    """Draw two outcomes against one varied field, or over two.
 
     Args:
         path: of the picture.
@@ -128,7 +128,7 @@ def _draw_over(
     *,
     joined: bool,
 ) -> Any:
-    """Colours over the plane of two fields; gives what a bar of colours is made for."""
+    """Color over the plane of two fields; gives what a bar of colors is made for."""
     (x, x_names), (y, y_names) = (_places(columns[one.column]) for one in inputs)
     values = _numbers(columns[outcome.column]) * outcome.scale
     if joined:

@@ -92,7 +92,7 @@ class _Frame:
 
 
 def _frames(film: Film, end: float, stop: float | None) -> list[_Frame]:
-    """The instants that are shown."""
+    """Return the instants that are shown."""
     goes_on = stop is not None and end > 1.05 * stop
     phases = [(0.0, stop), (stop, end)] if stop is not None and goes_on else [(0.0, end)]
     frames: list[_Frame] = []
@@ -113,7 +113,7 @@ def frames_of_run(
     prints: Prints | None = None,
     sand: SandSpec | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
-    """The pictures of a run, one by one.
+    """Return the pictures of a run, one by one.
 
     Args:
         film: how it is filmed.
@@ -217,7 +217,7 @@ def frames_of_model(
     prints: Prints | None = None,
     memory: Memory | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
-    """The pictures of a run of any model, at the speed of life or slower to fill the film.
+    """Return the pictures of a run of any model, in real time or slower to fill the film.
 
     Args:
         film: how it is filmed; `camera` may be "free", which has the whole run in view.
@@ -335,7 +335,7 @@ class View:
         return cls((low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6))
 
     def camera(self, model: mujoco.MjModel, film: Film) -> mujoco.MjvCamera:
-        """A free camera that has it in view, a little from above."""
+        """Return a free camera that has it in view, a little from above."""
         angle = math.radians(model.vis.global_.fovy) / 2
         angle = min(angle, math.atan(math.tan(angle) * film.width / film.height))
         camera = mujoco.MjvCamera()
@@ -372,16 +372,16 @@ class _Ground:
             self._geoms = surface.geoms(model)
 
     def moves(self, time: float) -> bool:
-        """Tells whether sand has flowed between the last picture and a time [s]."""
+        """Return True if sand has flowed between the last picture and a time [s]."""
         return self._cover is not None and self._prints.change(self._replay.time, time)
 
     def lay(self, time: float, middle: np.ndarray) -> None:
-        """Brings prints to a time [s], around a place [m]: before a scene is made."""
+        """Bring prints to a time [s], around a place [m]: before a scene is made."""
         if self._cover is not None:
             self._cover.lay(self._replay.to(time), middle)
 
     def show(self, scene: mujoco.MjvScene) -> None:
-        """Adds a plane; keeps a geom that is sand from casting shadows, which would speckle it."""
+        """Add a plane; keeps a geom that is sand from casting shadows, which would speckle it."""
         if self._cover is not None:
             self._cover.show(scene)
         if self._look is not None and self._plane is not None:
@@ -393,7 +393,7 @@ class _Ground:
 
 
 def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
-    """The box of sand behind a link or a chain, which is drawn with prints in its place.
+    """Return the box of sand behind a link or a chain, which is drawn with prints in its place.
 
     Returns:
         The box, and the edge of the picture of grains on it [m].
@@ -421,7 +421,7 @@ def _renderer(model: mujoco.MjModel, film: Film) -> Any:
 
 
 def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> None:
-    """Adds an arrow to a scene."""
+    """Add an arrow to a scene."""
     if scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
@@ -443,7 +443,7 @@ class _Captions:
         self._font = font.load_default(size=self._size)
 
     def write(self, picture: np.ndarray, frame: _Frame, at: dict[str, float]) -> np.ndarray:
-        """A copy of the picture with the figures of a link's impact."""
+        """Return a copy of the picture with the figures of a link's impact."""
         lines = (
             f"t = {frame.time * 1e3:.2f} ms",
             f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
@@ -453,7 +453,7 @@ class _Captions:
         return self.put(picture, lines)
 
     def put(self, picture: np.ndarray, lines: tuple[str, ...]) -> np.ndarray:
-        """A copy of the picture with these lines in a corner."""
+        """Return a copy of the picture with these lines in a corner."""
         image = self._image.fromarray(picture)
         pen = self._draw.Draw(image)
         pen.multiline_text(
@@ -481,7 +481,7 @@ def write_video(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Writes pictures as an MP4 (H.264).
+    """Write pictures as an MP4 (H.264).
 
     Args:
         path: of the file.

@@ -32,13 +32,13 @@ class Switch:
         self.held = False
 
     def press(self, key: int) -> None:
-        """Reacts to a key."""
+        """React to a key."""
         if key == _SPACE:
             self.held = not self.held
 
 
 def check_display() -> None:
-    """Makes sure that a window can be opened: without one MuJoCo's viewer waits for ever.
+    """Make sure that a window can be opened: without one MuJoCo's viewer waits for ever.
 
     Raises:
         RenderError: it cannot.
@@ -103,7 +103,7 @@ def follow(
     speed: float = 1.0,
     duration: float | None = None,
 ) -> None:
-    """Steps a simulation as the clock goes, and shows it, until the viewer is closed.
+    """Step a simulation as the clock goes, and shows it, until the viewer is closed.
 
     Where steps cost more than they simulate, it runs slower than the clock, and stays responsive.
 

@@ -17,7 +17,7 @@ _LONGEST = 500  # characters of what an error says of itself; chosen
 
 
 def run_chunk(function: Function, shared: Any, chunk: Chunk) -> tuple[list[Answer], float]:
-    """Answers to all tasks, and the seconds that it took. A task that raises spoils no other."""
+    """Answer to all tasks, and the seconds that it took. A task that raises spoils no other."""
     begin = time.perf_counter()
     answers = [_answer(function, shared, index, task) for index, task in chunk]
     return answers, time.perf_counter() - begin

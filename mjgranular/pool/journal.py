@@ -72,7 +72,7 @@ class Journal:
         return json.loads(self._file.readline())["row"]
 
     def results(self) -> Iterator[dict[str, Any]]:
-        """The results that are there, in the order of their tasks."""
+        """Return the results that are there, in the order of their tasks."""
         return (self[index] for index in range(len(self._places)) if index in self)
 
     def missing(self) -> Iterator[int]:
@@ -80,15 +80,15 @@ class Journal:
         return (index for index in range(len(self._places)) if index not in self)
 
     def goes_on(self) -> bool:
-        """Tells whether the folder holds results, or a beginning, of what is asked for."""
+        """Return True if the folder holds results, or a beginning, of what is asked for."""
         return self._path is not None and self._path.exists() and self.fault() is None
 
     def fault(self) -> str | None:
-        """Finds why the file in the folder cannot be gone on from; None if it can be."""
+        """Find why the file in the folder cannot be gone on from; None if it can be."""
         return self._read()[0]
 
     def begin(self) -> None:
-        """Opens the file: results of what is asked for stay, anything else in it is gone then.
+        """Open the file: results of what is asked for stay, anything else in it is gone then.
 
         Raises:
             OutputError: it cannot be written.
@@ -108,7 +108,7 @@ class Journal:
             self.count = sum(place != _NONE for place in places)
 
     def keep(self, results: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
-        """Adds results, all of them in one go.
+        """Add results, all of them in one go.
 
         Raises:
             OutputError: they cannot be written.
@@ -170,7 +170,7 @@ class Journal:
         return None, places, end
 
     def _place(self, line: bytes, at: int, places: array[int]) -> str | None:
-        """Enters a line of the file; returns what is wrong with it."""
+        """Enter a line of the file; returns what is wrong with it."""
         try:
             content = parse_json(line.decode(), UNFINISHED)
         except (OutputError, UnicodeDecodeError):

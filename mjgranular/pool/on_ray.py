@@ -32,7 +32,7 @@ class _Refused(NamedTuple):
 
 
 def begin_ray(workers: Workers) -> tuple[Any, bool]:
-    """Begins a session of Ray, or finds the one that this process has.
+    """Begin a session of Ray, or finds the one that this process has.
 
     Args:
         workers: where; how many cores a Ray on this machine is told of.
@@ -144,7 +144,7 @@ def _run(
 
 
 def _why(error: Any) -> str:
-    """A sentence on what kept a worker from beginning."""
+    """Return a sentence on what kept a worker from beginning."""
     cause = error.cause if isinstance(getattr(error, "cause", None), Exception) else error
     if isinstance(cause, GranularError):
         return str(cause)
@@ -195,7 +195,7 @@ def _check_answers(address: str) -> None:
 
 @contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Undoes what Ray does to this process's signals, which end a run so that nothing is lost."""
+    """Undo what Ray does to this process's signals, which end a run so that nothing is lost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -73,7 +73,7 @@ def map_tasks(
     progress: Callable[[int], None] | None = None,
     answered: Callable[[int, Any], None] | None = None,
 ) -> Mapped:
-    """Calls a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps what is done.
+    """Call a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps what is done.
 
     A worker that dies is replaced, and its chunk done again, three times at most: the last time
     each of its tasks by itself, so that one that ends its process costs no other its result.

@@ -101,11 +101,11 @@ class Pool(Protocol):
     """Chunks that it works on at a time."""
 
     def submit(self, key: int, chunk: Chunk) -> None:
-        """Takes a chunk; not more than `slots` at a time."""
+        """Take a chunk; not more than `slots` at a time."""
         ...
 
     def wait(self) -> list[Done | Lost]:
-        """Waits until something has become of a chunk, and says what.
+        """Wait until something has become of a chunk, and say what.
 
         Raises:
             InputError: no worker can do anything, as where another version is installed there.
@@ -113,5 +113,5 @@ class Pool(Protocol):
         ...
 
     def close(self) -> None:
-        """Ends all workers, whatever they do."""
+        """End all workers, whatever they do."""
         ...

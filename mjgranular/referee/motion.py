@@ -17,7 +17,7 @@ class Motion:
     Attributes:
         depth: of the body's lowest point [m], positive below the surface; NaN where it is unknown.
         time: [s]; None for a push or drag without one.
-        speed: of the mass centre, down; of a drag, wheel or robot along its path [m/s]; None if it
+        speed: of the mass center, down; of a drag, wheel or robot along its path [m/s]; None if it
             is not known.
         force: of the sand against the motion [N]: of a drop its mean since the row before, up; of a
             wheel along its heading, of a leg that turns along x. None if it is not known.
@@ -49,7 +49,7 @@ class Motion:
 
     @property
     def stop(self) -> float | None:
-        """Time from the touch to the stop of the mass centre [s].
+        """Time from the touch to the stop of the mass center [s].
 
         It has stopped where its downward speed is first below 1 % of the greatest. Without a column
         of speeds, that of the lowest point is taken, from differences. A record `to_the_stop` of
@@ -84,7 +84,7 @@ class Motion:
 
 
 def _crossing(time: np.ndarray, depth: np.ndarray) -> float | None:
-    """The time at which a body touches the surface."""
+    """Return the time at which a body touches the surface."""
     wet = np.flatnonzero(depth >= 0)
     if not len(wet):
         return None

@@ -199,7 +199,7 @@ class RunSet:
     runs: tuple[MeasuredRun, ...] = field(repr=False)
 
     def __getitem__(self, name: str) -> MeasuredRun:
-        """The run of that name.
+        """Return the run of that name.
 
         Raises:
             UnknownNameError: there is none; lists those there are.
@@ -223,7 +223,7 @@ def load_machine(file: Path) -> mujoco.MjSpec:
 
 
 def read_runs(folder: str | Path) -> RunSet:
-    """Reads a set of runs from its folder.
+    """Read a set of runs from its folder.
 
     Raises:
         InputError: a file cannot be read, lacks something, or has what cannot be; says which.
@@ -271,7 +271,7 @@ def _about(file: Path) -> dict[str, Any]:
 
 
 def _medium(name: str, about: dict[str, Any], given: Any) -> Medium:
-    """The medium of a set: a registered one by `base`, or what is known of the sand."""
+    """Return the medium of a set: a registered one by `base`, or what is known of the sand."""
     if not isinstance(given, dict):
         raise InputError("medium: say what is known, {density: ..., internal_friction: ..., ...}")
     if "base" in given:
@@ -342,7 +342,7 @@ def _body(folder: Path, entry: Any) -> Projectile | Path:
 
 
 def _motion(file: Path, kind: Kind, numbers: dict[str, float]) -> Motion:
-    """The columns of a CSV file by their headings."""
+    """Return the columns of a CSV file by their headings."""
     text = read_file(file, "the run", largest=_LARGEST).decode("utf-8-sig", "replace")
     rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
     headings = [cell.strip() for cell in rows[0]] if rows else []

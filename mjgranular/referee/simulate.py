@@ -132,7 +132,7 @@ def _seen(body: Projectile, data: mujoco.MjData) -> tuple[float, float, float]:
 def _pushed(
     run: MeasuredRun, medium: Medium | str, law: Law | str | None, *, timestep: float
 ) -> Motion:
-    """A push at constant speed in which sand is set in motion: mean forces since the row before.
+    """Return a push at constant speed in which sand is set in motion: mean forces since the row before.
 
     The body is heavy and is put back on its way after each step; what the sand has taken of its
     momentum is the force.
@@ -189,7 +189,7 @@ def _moved(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Mot
 
 
 def _led(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
-    """A body from an MJCF file at the place and velocity of each row: forces of the law."""
+    """Return a body from an MJCF file at the place and velocity of each row: forces of the law."""
     assert isinstance(run.body, Path)
     model = load_machine(run.body).compile()
     sand = Sand(model, medium=medium, law=law, scheme=Explicit(prescribed=True))
@@ -217,7 +217,7 @@ def _led(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motio
 
 
 def _sunk(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
-    """A wheel under its load that is led along and turned: depth at the end, mean forces before.
+    """Return a wheel under its load that is led along and turned: depth at the end, mean forces before.
 
     It is heavy along what it is led, and is put back to its speed after each step; what the sand
     has taken of its momentum is the force.
@@ -249,7 +249,7 @@ def _sunk(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Moti
 
 
 def _walked(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
-    """A robot with legs that keep their rate: mean speed along x over whole turns."""
+    """Return a robot with legs that keep their rate: mean speed along x over whole turns."""
     assert isinstance(run.body, Path)
     spec = load_machine(run.body)
     spec.option.timestep = _WALK_STEP

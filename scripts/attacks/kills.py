@@ -349,7 +349,7 @@ def attack(command: Command, rng: random.Random, kills: int) -> list[str]:
 
 
 def _is_done(command: Command, status: int | None) -> bool:
-    """Return whether the command had come to its end, so that the same command is an error."""
+    """Return True if the command had come to its end, so that the same command is an error."""
     return command.once and status == 2 and "holds a result already (config.json" in LOG.read_text()
 
 

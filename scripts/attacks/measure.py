@@ -60,7 +60,7 @@ def sand_force_inside(data: mujoco.MjData) -> np.ndarray:
 
 
 def without_which(model: mujoco.MjModel, given: str, before: np.ndarray) -> str:
-    """Return whether the work is gone with a new Sand, or with a solver that converges."""
+    """Return True if the work is gone with a new Sand, or with a solver that converges."""
     if model.opt.integrator not in (0, 2, 3):
         return ""
     model = copy.copy(model)
@@ -103,12 +103,12 @@ def sensitivity(
 
 
 def interfaces_may_differ(model: mujoco.MjModel) -> bool:
-    """Return whether the interfaces are known to differ here (docs/plugin.md)."""
+    """Return True if the interfaces are known to differ here (docs/plugin.md)."""
     opt = model.opt
     return opt.disableflags & _NO_PASSIVE == _NO_PASSIVE or bool(opt.enableflags & _SLEEP)
 
 
 def all_finite(data: mujoco.MjData) -> bool:
-    """Return whether positions, velocities and accelerations are finite."""
+    """Return True if positions, velocities and accelerations are finite."""
     fields = (data.qpos, data.qvel, data.qacc, data.qacc_warmstart)
     return all(np.isfinite(each).all() for each in fields)

@@ -208,7 +208,7 @@ def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iter
     flat, grid = isinstance(plane, Plane), "memory" in given
     yield Question("order of geoms", reorder)
     yield Question("two bodies welded", weld)
-    shift = 0.4 * rng.integers(-3, 4, 3)  # a whole number of cells
+    shift = 0.4 * rng.integers(-3, 4, 3)  # an integer of cells
     there = {}
     if flat:
         along = math.cos(plane.uphill) * shift[0] + math.sin(plane.uphill) * shift[1]
