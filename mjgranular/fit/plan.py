@@ -1,4 +1,4 @@
-"""Runs that were not made, as a law would have them come out."""
+"""Simulated runs for planning, as a law predicts them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _ROWS = 60  # of a record
 def planned_drop(
     body: Body, speed: float, angle: float, duration: float, material: Material
 ) -> DropTrial:
-    """Return a drop, followed for so long [s] or until it rests.
+    """Return a drop, followed for a time [s] or until it rests.
 
     Raises:
-        GranularError: the law has no such body, or it does not get into the sand.
+        GranularError: the law does not support the body, or it does not reach the sand.
     """
     time = np.linspace(0.0, duration, 4)
     free = speed * time + 0.1 * 9.81 * time**2

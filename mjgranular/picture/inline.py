@@ -1,4 +1,4 @@
-"""Films that notebooks show."""
+"""Films in notebooks."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         return list(drawn[1])
     try:
         pictures = [np.asarray(picture) for picture in film]
-    except (TypeError, ValueError, UnknownNameError):  # nothing of which there are several
+    except (TypeError, ValueError, UnknownNameError):  # not a sequence, nor a known result
         pictures = []
     if not pictures or any(p.ndim != 3 or p.shape != pictures[0].shape for p in pictures):
         raise InputError(

@@ -337,8 +337,7 @@ def _element_table(
 
 
 def _turns(table: ElementTable, wet: np.ndarray) -> bool:
-    """Return True if a body turns in the sand, from the spread of its elements' velocities
-    there."""
+    """Return True if a body turns in the sand, from the spread of its elements' velocities."""
     point, velocity = table.point[wet], table.velocity[wet]
     speed, across = _rms(velocity), _rms(point - point.mean(axis=0))
     if speed < _SLOW or across == 0.0:

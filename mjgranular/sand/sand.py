@@ -230,8 +230,8 @@ class Sand:
     def release(self, data: mujoco.MjData) -> None:
         """Release a simulation, so that another `Sand` may act on the same bodies of it.
 
-        What `apply` has left in `data.xfrc_applied` is taken back. A later `step` or `apply` begins
-        anew; without an earlier one there is nothing to let go.
+        The wrenches that `apply` has left in `data.xfrc_applied` are removed. A later `step` or
+        `apply` starts over; without an earlier one this does nothing.
 
         Raises:
             InputError: `data` is not an `MjData`.
