@@ -19,7 +19,7 @@ from mjgranular.models import Worm
 
 @dataclass(frozen=True, kw_only=True)
 class _Chain(Task):
-    """The worms' common part: servos at the joints, paid for the way ahead in body lengths."""
+    """Base of the worms: servos at the joints, reward for forward motion in body lengths."""
 
     reads: ClassVar[tuple[str, ...]] = ("subtree_com",)
 
@@ -57,16 +57,16 @@ class _Chain(Task):
         return {"x_velocity": (state.subtree_com[:, 1, 0] - before[:, 0]) / self.dt}
 
     def _seen(self, state: State, first: int) -> np.ndarray:
-        """Positions from the one of that number on, then velocities; joints from head to tail."""
+        """Return positions from index `first` on, then velocities; joints from head to tail."""
         order = [0, 1, 2, *self.worm.order]
-        # `take` lays rows one after another in memory; an index would not.
+        # `take` makes rows contiguous in memory; an index would not.
         return np.concatenate(
             [np.take(state.qpos, order[first:], axis=1), np.take(state.qvel, order, axis=1)],
             axis=1,
         )
 
     def _bent(self, random: np.random.Generator) -> Start:
-        """Return the straight worm, its angles off by the noise, its joints turning as much."""
+        """Return the straight worm, with noise in its angles and joint velocities."""
         noise = self.reset_noise_scale
         qpos = self.worm.straight()
         qpos[2:] += random.uniform(-noise, noise, self.links)
@@ -94,15 +94,15 @@ class ChainSwim(_Chain):
 
     ## Observation Space
     `Box(-inf, inf, (2 links + 2,), float64)`: the middle link's heading against the x axis and the
-    joints' angles [rad], from the head to the tail; velocities of the middle link's center along x
+    joints' angles [rad], from the head to the tail; velocities of the middle link's centre along x
     and y [m/s], of its heading and of the joints [rad/s].
 
     ## Rewards
-    - `reward_forward`: way of the mass center along x, in body lengths per second, times
+    - `reward_forward`: way of the mass centre along x, in body lengths per second, times
       `forward_reward_weight`.
     - `reward_ctrl`: minus `ctrl_cost_weight` times the sum of squared actions.
 
-    As in Gymnasium, mass centers are those of the last substep's start.
+    As in Gymnasium, mass centres are those of the last substep's start.
 
     ## Starting State
     Straight, heading to +x; the heading and each angle are off by up to `reset_noise_scale` rad,
@@ -156,8 +156,8 @@ class ChainCrawl(_Chain):
 
     ## Description
     A smooth worm of `links` links, 0.6 m long and 40 mm wide, of 0.83 kg, lies on loose poppy seed
-    and bends in the vertical plane, as an inchworm does. It sinks in by some millimeters, and by
-    centimeters where it stands on a few links. It can roll up, rear and fall on its back.
+    and bends in the vertical plane, as an inchworm does. It sinks in by some millimetres, and by
+    centimetres where it stands on a few links. It can roll up, rear and fall on its back.
 
     ## Action Space
     `Box(-1, 1, (links - 1,), float32)`: angles that servos at the joints go to, in units of 1 rad,
@@ -166,12 +166,12 @@ class ChainCrawl(_Chain):
     servos of 80 g do, one of which fits into each link.
 
     ## Observation Space
-    `Box(-inf, inf, (2 links + 3,), float64)`: height of the middle link's center [m]; its angle
+    `Box(-inf, inf, (2 links + 3,), float64)`: height of the middle link's centre [m]; its angle
     from level, positive with the head up, and the joints' angles [rad], from the head to the tail;
     its velocities along x and z [m/s]; their angular velocities [rad/s].
 
     ## Rewards
-    - `reward_forward`: way of the mass center along x, in body lengths per second, times
+    - `reward_forward`: way of the mass centre along x, in body lengths per second, times
       `forward_reward_weight`.
     - `reward_ctrl`: minus `ctrl_cost_weight` times the sum of squared actions.
     - `reward_rate`: minus `rate_cost_weight` times the sum of squared changes of the actions since

@@ -22,7 +22,7 @@ ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
 
 def place_in_plane(state: State) -> dict[str, np.ndarray]:
-    """Positions of robots over a plane, as Gymnasium gives them [m], each of shape (n,)."""
+    """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
     x, y = state.qpos[:, 0], state.qpos[:, 1]
     return {
         "x_position": x.copy(),
@@ -33,16 +33,16 @@ def place_in_plane(state: State) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True, kw_only=True)
 class Robot(Task):
-    """A robot of Gymnasium's: its model, its observation, its reward, its options.
+    """A Gymnasium robot: model, observation, reward and options.
 
-    A test holds each to `on_sand` of the same, to the last bit.
+    A test checks that each is bit-identical to `on_sand` of the same robot.
     """
 
     xml: ClassVar[str]
     hidden: ClassVar[int] = 1
-    """Positions that are left out of the observation."""
+    """Number of positions that are omitted from the observation."""
     gaussian: ClassVar[bool] = False
-    """Tells whether velocities start with normal noise."""
+    """Whether velocities start with normal noise."""
 
     forward_reward_weight: float = 1.0
     reset_noise_scale: float = 5e-3
@@ -68,7 +68,7 @@ class Robot(Task):
         return Start(qpos, qvel)
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
-        """Lift a start onto dunes; nothing on the plane."""
+        """Raise a start onto dunes; do nothing on the plane."""
         reach = (-0.5, 0.0, 0.5)  # [m]; chosen: the robots are about a meter long
         qpos[1] += max(height(float(qpos[0]) + x, 0.0) for x in reach)
 
@@ -80,7 +80,7 @@ class Robot(Task):
         return state.qpos[:, :2].copy()
 
     def speed(self, before: np.ndarray, state: State) -> np.ndarray:
-        """Along x [m/s]."""
+        """Return the speed along x [m/s]."""
         return (state.qpos[:, 0] - before[:, 0]) / self.dt
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
@@ -117,7 +117,7 @@ class _Legged(Robot):
         }
 
     def stands(self, state: State) -> np.ndarray:
-        """`healthy`, worked out once."""
+        """Return `healthy`, computed once."""
         return self.once(state, "healthy", self.healthy)
 
     def terminated(self, state: State) -> np.ndarray:
@@ -150,10 +150,10 @@ class Hopper(_Legged):
     `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Hopper-v5`.
 
     ## Starting State
-    As in `Hopper-v5`, its foot a centimeter over the sand.
+    As in `Hopper-v5`, its foot a centimetre over the sand.
 
     ## Episode End
-    Terminated when unhealthy, as in `Hopper-v5`: the foot sinks in by a few centimeters, while the
+    Terminated when unhealthy, as in `Hopper-v5`: the foot sinks in by a few centimetres, while the
     healthy range ends 0.5 m below the start. Truncated after 1000 steps.
 
     ## Arguments
@@ -195,7 +195,7 @@ class Walker2d(_Legged):
     `reward_forward` + `reward_survive` + `reward_ctrl`, as in `Walker2d-v5`.
 
     ## Starting State
-    As in `Walker2d-v5`, its feet a centimeter over the sand.
+    As in `Walker2d-v5`, its feet a centimetre over the sand.
 
     ## Episode End
     Terminated when unhealthy, as in `Walker2d-v5`. Truncated after 1000 steps.

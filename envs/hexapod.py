@@ -23,7 +23,7 @@ class Hexapod(Task):
     ## Description
     A robot of 2.4 kg, 0.36 m long, with two servos in each leg, stands on loosely packed poppy seed
     (`mjgranular.models.Hexapod`). Its feet are balls of 50 mm that sink in by
-    some centimeters; a leg that pushes hard digs itself in.
+    some centimetres; a leg that pushes hard digs itself in.
 
     ## Action Space
     `Box(-1, 1, (12,), float32)`: angles that the servos go to, in units of 0.6 rad; for each leg
@@ -81,7 +81,7 @@ class Hexapod(Task):
 
     @cached_property
     def _reach(self) -> np.ndarray:
-        """Angles that actions of one stand for [rad]."""
+        """Angles for actions of 1 [rad]."""
         return np.array([self.body.swing, self.body.lift] * 6)
 
     def robot(self) -> mujoco.MjSpec:

@@ -2,7 +2,7 @@
 
     python scripts/ship_policies.py runs/ChainSwim-v0-ppo-0 runs/ChainSwim-v0-ppo-1
 
-Of `policy.zip` it leaves out what only a training needs, the optimizer's moments, two thirds of the
+Of `policy.zip` it leaves out what only a training needs, the optimiser's moments, two thirds of the
 file, and what machine it was. A copy acts as the original does, to the last bit, or is not kept.
 """
 
