@@ -1,4 +1,4 @@
-"""Drops the paper's link into play sand, step by step, and prints when and where T stops.
+"""Drop the paper's link into play sand, step by step, and print when and where T stops.
 
 python scripts/impact.py
 """
