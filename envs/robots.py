@@ -50,11 +50,11 @@ def on_sand(
 
     Observation, reward, start and end are those of the environment. The differences:
 
-    - the floor makes no contact; the sand acts at every substep, as an engine plugin; - a model
-    with RK4 is integrated with `implicitfast`, so that sand can hold a body at rest; - `cfrc_ext`,
-    which some environments observe or penalize, includes the sand's forces in addition to those of
-    contacts; - `info` has the sand's metrics, `sand/force`, `sand/depth`, `sand/power`,
-    `sand/froude`,
+    - the floor makes no contact; the sand acts at every substep, as an engine plugin;
+    - a model with RK4 is integrated with `implicitfast`, so that sand can hold a body at rest;
+    - `cfrc_ext`, which some environments observe or penalize, includes the sand's forces in
+      addition to those of contacts;
+    - `info` has the sand's metrics, `sand/force`, `sand/depth`, `sand/power`, `sand/froude`,
       `sand/valid` and `sand/error` (`mjgranular.envs.figures`).
 
     Healthy ranges are unchanged: robots sink in by millimeters to centimeters.

@@ -7,9 +7,10 @@ Models are those of `scripts/attack.py`, with the integrator `discrete`. Each is
 worlds with different initial velocities. After each step the work of the sand is computed in double
 precision with the velocity at the end of the step, by MuJoCo's kinematics:
 
-- of the forces that `WarpSand` reports; - of the forces that act on the bodies, by MuJoCo's inverse
-dynamics, if no constraint and no actuator is active. The relative precision of a velocity is 6e-8,
-so that the kinetic energy changes by such a part in any step, even without sand.
+- of the forces that `WarpSand` reports;
+- of the forces that act on the bodies, by MuJoCo's inverse dynamics, if no constraint and no
+  actuator is active. The relative precision of a velocity is 6e-8, so that the kinetic energy
+  changes by such a part in any step, even without sand.
 
 MuJoCo Warp recompiles for each number of degrees of freedom: only models with a few different
 numbers are drawn.

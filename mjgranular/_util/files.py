@@ -2,11 +2,12 @@
 
 The package writes all files with this module. It guarantees four things:
 
-- `whole`: a file has its complete new content, or is unchanged. - `published`: several files that
-belong together appear at once. They wait in a hidden folder, and one rename makes them the result;
-the next process finishes what a killed one began, and `current` reads waiting files as if they were
-in their places. - `write_folder`: the same for a folder, with checksums that reveal damage. -
-`locked`: one process at a time. The system releases the lock when its holder ends.
+- `whole`: a file has its complete new content, or is unchanged.
+- `published`: several files that belong together appear at once. They wait in a hidden folder, and
+  one rename makes them the result; the next process finishes what a killed one began, and `current`
+  reads waiting files as if they were in their places.
+- `write_folder`: the same for a folder, with checksums that reveal damage.
+- `locked`: one process at a time. The system releases the lock when its holder ends.
 """
 
 from __future__ import annotations

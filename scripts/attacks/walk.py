@@ -4,12 +4,14 @@
 difference between the interfaces is due to one step. Checks:
 
 - values that are not finite are reported, by an error or a MuJoCo warning, at most one step later;
-- both interfaces end a step with the same velocities, to 1e-8; - sand with the implicit scheme adds
-no energy: its momentum times the velocity at the end of the step is at most 1e-10 of the kinetic
-energy and 1e-12 J, unless a counter or a warning explains it; - the work of the sand, summed from
-the start, is never positive by more than rounding; - bodies at rest stay at rest when options
-change; - equivalent descriptions of a model give the same motion (`attacks.twins`); - only errors
-that the package raises on purpose occur.
+- both interfaces end a step with the same velocities, to 1e-8;
+- sand with the implicit scheme adds no energy: its momentum times the velocity at the end of the
+  step is at most 1e-10 of the kinetic energy and 1e-12 J, unless a counter or a warning explains
+  it;
+- the work of the sand, summed from the start, is never positive by more than rounding;
+- bodies at rest stay at rest when options change;
+- equivalent descriptions of a model give the same motion (`attacks.twins`);
+- only errors that the package raises on purpose occur.
 """
 
 from __future__ import annotations

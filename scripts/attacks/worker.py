@@ -4,8 +4,9 @@ An attack is a module with
 
     cases(options, numbers)    list the cases with these numbers: dictionaries for JSON
     attempt(case, note)        return a `Result`; `note` records its progress in words
-    describe(case)             optional: return a case in words prepare(), finish()        optional:
-    called once in each worker PATIENCE                   optional: seconds that a case may take
+    describe(case)             optional: return a case in words
+    prepare(), finish()        optional: called once in each worker
+    PATIENCE                   optional: seconds that a case may take
 """
 
 from __future__ import annotations
