@@ -97,7 +97,7 @@ def on_sand(
     ours = EnvSpec(
         id=spec.id.replace("-v", "OnSand-v") if spec.version is not None else f"{spec.id}OnSand",
         entry_point="mjgranular.envs.robots:make_robot",
-        reward_threshold=None,  # that of rigid ground does not apply
+        reward_threshold=None,  # the threshold for rigid ground does not apply
         max_episode_steps=spec.max_episode_steps,
         kwargs={**spec.kwargs, "environment": spec.entry_point, "sand": described},
     )

@@ -119,7 +119,7 @@ class Task(SandSpec, ABC):
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
 
-    # What a task defines.
+    # Defined by a task.
 
     @abstractmethod
     def robot(self) -> mujoco.MjSpec:
@@ -177,10 +177,10 @@ class Task(SandSpec, ABC):
 
     @cached_property
     def action_space(self) -> Box:
-        """Of one simulation."""
+        """Space of one simulation."""
         return Box(-ACTION_LIMIT, ACTION_LIMIT, (self.model.nu,), np.float32)
 
-    # What is built from it, once.
+    # Built from it, once.
 
     @cached_property
     def _sands(self) -> tuple[list[SandSpec], list[Choice]]:
@@ -238,7 +238,7 @@ class Task(SandSpec, ABC):
 
     @cached_property
     def observation_space(self) -> Box:
-        """Of one simulation."""
+        """Space of one simulation."""
         data = mujoco.MjData(self.model)
         size = self.observation(self.state_of(data)).shape[1]
         return Box(-np.inf, np.inf, (size,), np.float64)
@@ -258,7 +258,7 @@ class Task(SandSpec, ABC):
             state.found[name] = find(state)
         return state.found[name]
 
-    # What an environment calls.
+    # Called by an environment.
 
     @property
     def bound(self) -> tuple[str, ...]:

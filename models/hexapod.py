@@ -14,7 +14,7 @@ from mjgranular.models.link import robot_scene
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
 """Names of the legs, in the order of their joints and servos."""
 
-_FOOT_MASS = 0.01  # of a hollow ball [kg]; chosen
+_FOOT_MASS = 0.01  # mass of a hollow ball [kg]; chosen
 
 
 @dataclass(frozen=True)

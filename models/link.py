@@ -167,7 +167,7 @@ def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:
 
     Args:
         name: name of the model.
-        timestep: with the implicit-fast integrator [s].
+        timestep: time step, with the implicit-fast integrator [s].
     """
     spec = mujoco.MjSpec.from_file(str(model_path("link")))
     spec.modelname = name

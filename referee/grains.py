@@ -276,7 +276,7 @@ def read_bed(folder: Path, grains: Grains, stiffness: float) -> Bed:
     """Read a bed from `make_bed`.
 
     Raises:
-        SystemExit: there is no such bed.
+        SystemExit: the bed does not exist.
     """
     file = bed_file(folder, stiffness)
     if not file.exists():

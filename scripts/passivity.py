@@ -47,7 +47,7 @@ PROGRAMS = tuple(
 )
 SIZES = (9, 12, 18)
 WORLDS, STEPS = 4, 30
-BAR = 1e-6  # of the kinetic energy
+BAR = 1e-6  # in parts of the kinetic energy
 JOULES = 1e-9  # least kinetic energy of a step that counts
 
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from mjgranular.errors import InputError
 
-GRAVITY = 9.81  # of the bodies that are dropped (models/link.xml) [m/s^2]
+GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
 
 _BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
 _NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
-_USUAL = 0.6  # this ratio for a body with constant deceleration
+_USUAL = 0.6  # ratio of `_PLAUSIBLE` for a body with constant deceleration
 _END = 0.1  # part of the rows over which the final depth is averaged; chosen
-_PLAUSIBLE = (0.02, 1.5)  # mean speed of the way down over that of a free fall; chosen, wide
+_PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
 _TIMES = 200  # number of stopping times tried
 
 

@@ -11,7 +11,7 @@ from mjgranular.fit.drop import DropTrial
 from mjgranular.fit.push import DragTrial, PushTrial
 from mjgranular.fit.run import Run
 
-_ROWS = 60  # of a record
+_ROWS = 60  # rows of a record
 
 
 def planned_drop(

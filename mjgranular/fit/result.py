@@ -98,7 +98,7 @@ class FitResult:
         start: law and medium before the fit.
         material: law and medium with the fitted constants.
         free: names of the free constants.
-        values: of the free constants.
+        values: fitted values of the free constants.
         intervals: 95 % intervals; None where the data do not constrain the constant, or the law has
             no bound.
         correlations: correlations of the estimates, by names.

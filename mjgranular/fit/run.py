@@ -25,7 +25,7 @@ COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 """Columns of each kind of run: required ones, and optional ones."""
 
-_PUSH_SPEED = 0.01  # of a push whose speed is not given [m/s]: slow
+_PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class Gaits:
     """Acts as a function of time only.
 
     Attributes:
-        scripts: from times to actions: one for all simulations, or one for each.
+        scripts: functions from times to actions: one for all simulations, or one for each.
         dt: duration of a step [s].
     """
 
@@ -97,7 +97,7 @@ def make_baseline(
         gait: parameters of the gait that differ from its defaults.
 
     Raises:
-        InputError: there is no scripted gait for this environment.
+        InputError: the environment has no scripted gait.
     """
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "zero":

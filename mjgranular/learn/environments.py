@@ -22,8 +22,7 @@ def find_spec(env_id: str) -> Any:
     """Return Gymnasium's specification of an environment.
 
     Raises:
-        UnknownNameError: there is no environment of that id, or no module of the name before its
-            colon.
+        UnknownNameError: no environment has that id, or no module has the name before its colon.
         InputError: that module cannot be imported.
         MissingExtraError: Gymnasium is not installed.
     """

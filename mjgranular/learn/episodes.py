@@ -25,7 +25,7 @@ class Episodes:
     Attributes:
         seeds: shape (n,).
         returns: sums of rewards, shape (n,).
-        lengths: in steps, shape (n,).
+        lengths: numbers of steps, shape (n,).
         figures: means over each episode of the numbers in `info`, by name, shape (n,).
     """
 

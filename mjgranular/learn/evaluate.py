@@ -26,7 +26,7 @@ class Mean:
     """A mean with its confidence interval, from Student's t distribution.
 
     Attributes:
-        mean: of the values.
+        mean: mean of the values.
         low: lower end of the 95 % interval.
         high: upper end.
         values: one for each seed.

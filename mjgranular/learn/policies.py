@@ -86,7 +86,7 @@ def load_policy(where: Path | str) -> Policy:
             its `policy.zip`; or the name of a policy that comes with the package.
 
     Raises:
-        OutputError: there is no policy, or the installed packages cannot read it.
+        OutputError: it has no policy, or the installed packages cannot read it.
         UnknownNameError: neither a folder nor a name; lists the names.
     """
     folder = _folder(where)

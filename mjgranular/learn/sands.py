@@ -52,8 +52,8 @@ def sands_of(env: Any) -> Sands | None:
         env: a `gymnasium.Env`.
 
     Returns:
-        Plain values, empty where there is no sand; None if unknown, where the environment has no
-        MuJoCo model as attribute `model`.
+        Plain values, empty without sand; None if unknown, where the environment has no MuJoCo model
+        as attribute `model`.
     """
     inner = env.unwrapped
     model = getattr(inner, "model", None)

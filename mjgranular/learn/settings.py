@@ -34,7 +34,7 @@ _GIVEN_BY_US = (
     "_init_setup_model",
 )
 _TABLES = ("arguments", "policy", "environment")
-_MOST = 10**12  # of steps and environments; chosen: weeks of the fastest simulation
+_MOST = 10**12  # limit of steps and environments; chosen: weeks of the fastest simulation
 _LINEAR = "linear_"
 _MOST_ENVS = 2**16  # more than anyone steps together; chosen
 _FAR = 100_000  # divisors of the steps are searched this far from the batch size
@@ -152,7 +152,7 @@ def find_settings(
 
     Raises:
         InputError: the file cannot be read, or has a wrong key or value in it; says which.
-        UnknownNameError: there is no such algorithm, or the file has no table for it.
+        UnknownNameError: no such algorithm, or the file has no table for it.
     """
     return read_settings(file or settings_file(env_id), algorithm=algorithm)
 
@@ -170,7 +170,7 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
 
     Raises:
         InputError: the file cannot be read, or has a wrong key or value in it; says which.
-        UnknownNameError: there is no such algorithm, or the file has no table for it.
+        UnknownNameError: no such algorithm, or the file has no table for it.
     """
     content = _read_toml(file)
     where = place(file)
@@ -221,7 +221,7 @@ def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
     """Return settings with some values changed.
 
     Args:
-        settings: to start from.
+        settings: the initial settings.
         changes: one or several `name=value`, where name is a field of the settings (`num_envs=8`),
             an argument of the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values
             as in TOML, where strings need no quotes.
@@ -259,7 +259,7 @@ def algorithm_class(name: str) -> Any:
     """Return the class of an algorithm in Stable-Baselines3.
 
     Raises:
-        MissingExtraError: that is not installed.
+        MissingExtraError: Stable-Baselines3 is not installed.
     """
     module = need("stable_baselines3", extra="train", purpose="Training a policy")
     return getattr(module, name.upper())

@@ -44,8 +44,8 @@ class Weights:
     """Content of a file of Stable-Baselines3.
 
     Attributes:
-        observation_space: of Gymnasium.
-        action_space: of Gymnasium.
+        observation_space: Gymnasium space of the observations.
+        action_space: Gymnasium space of the actions.
         parameters: state dictionaries: "policy", "policy.optimizer", ...
         variables: further tensors, by name.
         counters: integers of the algorithm, by name.
@@ -298,7 +298,7 @@ def read_statistics(file: Path, *, normalized: bool, shape: tuple[int, ...]) -> 
     """Read and check what `statistics_of` returned.
 
     Args:
-        file: to read.
+        file: the file.
         normalized: whether the policy was trained on normalized observations.
         shape: shape of one observation.
 

@@ -36,7 +36,7 @@ _STYLE = {
     "legend.frameon": False,
 }
 _MOST_NAMED = 10  # entries of a legend
-_LEAST_SIDE = 0.25  # of a figure's box, as a share of its longest side
+_LEAST_SIDE = 0.25  # least side of a figure's box, relative to its longest side
 _LIGHT = np.array([0.35, -0.60, 0.72])  # toward the light of a figure
 
 

@@ -32,7 +32,7 @@ class Shown:
     Attributes:
         kind: their kind.
         elements: the law's structured array.
-        origin: of each element's body [m], shape (n, 3).
+        origin: origin of each element's body [m], shape (n, 3).
         turn: rotation matrix of each element's body, axes in columns, shape (n, 3, 3).
         report: the sand's action on them.
         colors: red, green and blue, 0 to 1, shape (n, 3).

@@ -32,7 +32,7 @@ _LONGEST = 3600.0  # film [s]
 # Chosen by appearance and speed: the time of software rendering is proportional to the samples.
 _SAMPLES = 2  # per pixel
 _STILL = 5e-4  # in parts of the view: a motion too small to see
-_INSTANTS = 16  # at which the extent of the model is sampled
+_INSTANTS = 16  # number of instants at which the extent of the model is sampled
 _MARGIN = 1.1  # around the view
 _ARROWS = 0.5  # length of the longest arrow, in parts of the view
 

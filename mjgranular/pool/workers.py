@@ -57,7 +57,7 @@ class Answer(NamedTuple):
     Attributes:
         number: number of the task.
         result: return value of the function; None if it raised.
-        error: why there is no result; None if there is one.
+        error: reason for a missing result; None with a result.
     """
 
     number: int

@@ -56,7 +56,7 @@ MARKS: dict[Mark, str] = {
 }
 """Meaning of each label."""
 
-_LARGEST = 5_000_000  # of one file [bytes]; chosen
+_LARGEST = 5_000_000  # limit of one file [bytes]; chosen
 _COLUMNS = {
     "time": "time [s]",
     "depth": "depth [m]",
@@ -93,7 +93,7 @@ class MeasuredRun:
     """A measured run, SI units and degrees.
 
     Attributes:
-        name: of the run.
+        name: name of the run.
         kind: "drop": released at the surface; "intrude": pushed straight down at constant speed;
             "drag": dragged along the surface at constant depth, one speed per row; "turn": a leg
             that turns about its hip, one angle per row; "roll": a wheel with given sinkage, speed

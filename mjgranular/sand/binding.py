@@ -27,13 +27,13 @@ class Binding:
     """
 
     table: np.ndarray
-    address: int  # of the table: the argument of the compiled calls
+    address: int  # address of the table, the argument of the compiled calls
     bodies: np.ndarray
     contacts: np.ndarray
     snapshot: Snapshot
     workspace: Workspace
     scene: np.ndarray
-    state: np.ndarray  # of the surface (`relief.grid`); empty without memory
+    state: np.ndarray  # state of the surface (`relief.grid`); empty without memory
 
 
 def bind(
@@ -69,7 +69,7 @@ def bind(
     bodies["written"] = np.nan  # NaN equals nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     snapshot = Snapshot.of(model, data)
-    # As passive forces: the integrator calls its stages in any order.
+    # As passive forces, they are computed at any stage of the integrator.
     anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
     scene = sand.scene

@@ -94,11 +94,11 @@ def warn_of_missed_steps(
     """Warn if the time has advanced without the sand.
 
     Args:
-        time: of the simulation [s].
+        time: time of the simulation [s].
         last: when the sand last acted [s]; None for never.
-        timestep: of that step [s].
-        began: time at the start of a simulation in which the sand was to act from its first step
-            on [s]; None where a state may come from elsewhere.
+        timestep: duration of that step [s].
+        began: initial time of a simulation in which the sand should act from the first step on [s];
+            None if the state may come from elsewhere.
     """
     if last is None:
         if began is not None and time > began + 0.5 * timestep:

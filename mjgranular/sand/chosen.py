@@ -32,7 +32,7 @@ class ChosenSand:
         law: the law, with its constants.
         surface: the surface, without memory.
         geoms: ids of the geoms that meet the sand.
-        elements: of the law: a structured array, body by body.
+        elements: elements of the law: a structured array, sorted by body.
         replaced: ids of the geoms that the sand replaces.
     """
 

@@ -26,8 +26,8 @@ class Cost:
     """What the sand adds to a step [s], within a factor of two on today's machines.
 
     Attributes:
-        above: with all elements above the sand.
-        within: with all of them in it.
+        above: cost with all elements above the sand.
+        within: cost with all of them in it.
     """
 
     above: float
@@ -48,7 +48,7 @@ def warn_of_cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -
     """Warn if the number of elements makes steps slow, and say what would help.
 
     Args:
-        elements: of the law.
+        elements: elements of the law.
         resolution: the requested one.
         scheme: the scheme.
     """
@@ -63,7 +63,7 @@ def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
     """Return advice on how to get fewer elements.
 
     Args:
-        elements: of the law.
+        elements: elements of the law.
         resolution: the requested one.
         most: the largest number of elements wanted.
     """

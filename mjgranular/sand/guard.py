@@ -29,7 +29,7 @@ def guarded_step(program, address, lead):
 
     Args:
         program: address of the program.
-        address: of the simulation's table.
+        address: address of the simulation's table.
         lead: as for the program [s].
 
     Returns:
@@ -50,13 +50,13 @@ def guarded_step(program, address, lead):
 
 @compiled
 def finish_step(address):
-    """Take the wrenches back when `mj_step2` is through; `FINE`, or `BAD_STATE` if it was not."""
+    """Remove the wrenches after `mj_step2`; return `FINE`, or `BAD_STATE` if the state is bad."""
     take_back_wrenches(address)
     return BAD_STATE if is_bad(table_at(address)) else FINE
 
 
 @compiled
 def withdraw(address):
-    """Take back what is left of the wrenches that a Sand wrote: `FINE`."""
+    """Remove what is left of the wrenches that a Sand wrote; return `FINE`."""
     withdraw_wrenches(table_at(address))
     return FINE

@@ -21,7 +21,7 @@ LAW_TEXT = "mjgranular.law"
 """Name of the custom text in which a model names the law that it is made for."""
 
 _FIRST_MEDIA = ("play_sand", DEFAULT_MEDIUM)
-"""Where a law alone is given, these media are searched first for its constants."""
+"""Media that are searched first for a law's constants if only a law is given."""
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
@@ -101,10 +101,10 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
 
 
 def medium_for(law: str | Law | type[Law]) -> Medium:
-    """Return the medium that is taken where a law alone is given.
+    """Return the default medium of a law.
 
     Raises:
-        UnknownNameError: no such law; lists those there are.
+        UnknownNameError: no such law; lists the laws.
     """
     if isinstance(law, str):
         law, _ = law_in(law)

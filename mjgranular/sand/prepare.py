@@ -36,10 +36,10 @@ class PreparedSand:
         surface: the surface.
         geoms: ids of the geoms that meet the sand.
         scheme: the one that acts, also where "auto" was given.
-        elements: of the law: a structured array, body by body.
+        elements: elements of the law: a structured array, sorted by body.
         packed: the elements as the program reads them.
         scene: parameters of law and surface, shape (1,).
-        kernel: of the law under this surface.
+        kernel: kernel of the law under this surface.
         program: address of the scheme's compiled program (`Scheme.program`).
         footprint: the skin by which bodies press sand down; None without memory.
         update: address of the program that updates the memory; 0 without memory.
@@ -149,14 +149,13 @@ def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -
         if fine:
             scheme = Explicit()
     if isinstance(scheme, Explicit):
-        # Between mj_step1 and mj_step2 RK4 would be Euler and is an error; within mj_step it is
-        # RK4.
+        # Between mj_step1 and mj_step2 RK4 would act as Euler: an error. Within mj_step it is RK4.
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     return scheme
 
 
 def _without_end_of_step(law: Law) -> str:
-    """Say what to use with the explicit scheme in place of a law that it cannot do."""
+    """Say what to use with the explicit scheme in place of an unsupported law."""
     if not law.adds_mass:
         return ""
     slow = law.name.removesuffix(DYNAMIC)

@@ -62,9 +62,9 @@ def warn_of_ranges(
     Args:
         model: the model.
         geoms: ids of the geoms that meet the sand.
-        law: with its constants.
+        law: the law with its constants.
         surface: where the sand is; a start is checked under a plane only.
-        memory: of the sand, if any.
+        memory: memory of the sand, if any.
     """
     density = getattr(law, "density", None)
     low, high = _DENSITIES

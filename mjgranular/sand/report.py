@@ -34,7 +34,7 @@ class ElementReport:
         immersed_length: length of a rod in the sand [m]; 0 for other elements.
         point: E, where the force acts [m], shape (3,); the element's middle above the sand.
         velocity: velocity of that point [m/s], shape (3,); zero above the sand.
-        force: of the sand on the element [N], shape (3,).
+        force: force of the sand on the element [N], shape (3,).
         power: power of that force on the body [W]; never positive for a dissipative law.
         froude: Froude number |v_E| / sqrt(g w) with the geom's width w, a rod's diameter; 0
             without gravity.
@@ -59,7 +59,7 @@ class BodyReport:
 
     Attributes:
         body: name of the body, or its number.
-        force: of the sand on the body [N], shape (3,).
+        force: force of the sand on the body [N], shape (3,).
         moment: about the body's center of mass [N m], shape (3,).
         point: E, where the force of the body's deepest element acts [m], shape (3,).
         depth: largest depth of its elements [m], negative above the sand.
@@ -128,7 +128,7 @@ class Solver:
     """Counters of the implicit scheme since the sand met this `MjData`.
 
     Attributes:
-        steps: in which an element was in the sand.
+        steps: number of steps in which an element was in the sand.
         evaluations: evaluations of all forces, summed over these steps.
         most: the largest number of evaluations in one step.
         unfinished: steps in which the law's forces leave more than a millionth of the momentum
@@ -155,7 +155,7 @@ class Report:
     """The sand on a model at one instant.
 
     Attributes:
-        time: of the simulation [s].
+        time: time of the simulation [s].
         bodies: one report per body, in the order of the model.
         table: all elements, as arrays.
         names: names of geoms and bodies, by their ids.
@@ -267,9 +267,9 @@ def describe(
         sand: the sand.
         members: for each body in the sand, the rows of its elements.
         names: names of geoms and bodies.
-        binding: with wrenches and contacts.
+        binding: the binding with wrenches and contacts.
         gravity: its magnitude [m/s^2].
-        slope: of the surface [rad].
+        slope: slope of the surface [rad].
         solver: counters of the scheme.
     """
     table = _element_table(data, sand.elements, binding.contacts, gravity)
@@ -358,7 +358,7 @@ def _measures(
     slope: float,
     grain: float | None,
 ) -> dict[Measure, float | None]:
-    """Return the measures of validity of one body: the greatest over its elements in the sand."""
+    """Return the measures of validity of one body: the largest over its elements in the sand."""
     measures: dict[Measure, float | None] = {
         "slope": slope,
         "froude": 0.0,

@@ -26,8 +26,8 @@ class SandSpec:
 
     Attributes:
         medium: a medium, its name, or a YAML file (`medium.file`); None for one that has constants
-            for the law or, where there is no law either, `quikrete_medium` with `rft3d_dynamic`,
-            unless the model names a law itself (`sand.material`).
+            for the law or, without a law, `quikrete_medium` with `rft3d_dynamic`, unless the model
+            names a law itself (`sand.material`).
         law: how it resists: a law, its name, followed by parameters that differ from the medium's
             ("rft3d scale=1.3"), or None for the medium's default.
         surface: where it is, also as a string ("plane height=0.1"); None for the plane z = 0.

@@ -32,7 +32,7 @@ def add_work(address, velocity, work, h):
     alone does not give that.
 
     Args:
-        address: of the simulation's table (`kernel.memory`).
+        address: address of the simulation's table (`kernel.memory`).
         velocity: address of `qvel` at the end of the step; all else is from its start.
         work: address of a number for each body [J].
         h: time step [s].

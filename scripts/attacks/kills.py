@@ -223,7 +223,7 @@ def undisturbed(name: str, index: int) -> Command:
 
 # Children
 
-LOG = Path("child-log")  # what the child printed
+LOG = Path("child-log")  # output of the child
 
 
 def _child(arguments: list[str], *, crash_at: int = 0, tally: Path | None = None) -> int:

@@ -65,7 +65,7 @@ def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     data.qvel[:] = rng.normal(size=model.nv) + ask.nudge * rng.normal(size=model.nv)
-    image = ask.turn if mirrored < 0 else np.eye(3)  # of a body's own frame
+    image = ask.turn if mirrored < 0 else np.eye(3)  # of the body frame
     for kind, at in zip(model.jnt_type, model.jnt_dofadr, strict=True):
         if kind == _FREE:
             data.qvel[at : at + 3] = speed * (ask.turn @ data.qvel[at : at + 3])
