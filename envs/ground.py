@@ -41,8 +41,8 @@ def put_on_sand(
 
     Args:
         spec: the model to be; it is changed.
-        sands: one or several, with the instances `sand`,
-            `sand_2`, ...; without a surface a sand is the level plane where the floor was.
+        sands: one or several, with the instances `sand`, `sand_2`, ...; without a surface a sand is
+            the level plane where the floor was.
         sensors: whether to add sensors of the sand to the model (`envs.figures`).
         tunable: whether instances can be tuned at run time.
         cut: depth at which a plane of sand without memory is rendered, to show what is buried [m].
