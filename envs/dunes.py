@@ -34,7 +34,7 @@ class Dunes:
 
     @property
     def _amplitude(self) -> float:
-        """Return the amplitude of a wave of share 1 [m]; slopes add up to `steepest` at most."""
+        """The amplitude of a wave of share 1 [m]; slopes add up to `steepest` at most."""
         k = 2 * math.pi / self.wavelength
         slopes = sum(share * k * math.hypot(1.0, across) for share, across, _ in _WAVES)
         return math.tan(self.steepest) / slopes

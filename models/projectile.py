@@ -55,7 +55,7 @@ class Projectile(Link):
 
     @property
     def halves(self) -> tuple[float, float, float]:
-        """Return half extents along x, y, z of the body [m]."""
+        """Half extents along x, y, z of the body [m]."""
         radius, half = self.diameter / 2, self.length / 2
         if self.shape == "sphere":
             return radius, radius, radius

@@ -88,7 +88,7 @@ class Bench:
 
     @property
     def elements(self) -> np.ndarray:
-        """Return the elements of the law."""
+        """The elements of the law."""
         assert self._prepared is not None
         return self._prepared.elements
 

@@ -54,12 +54,12 @@ class Body:
 
     @property
     def is_heavy(self) -> bool:
-        """Return True if its weight is known."""
+        """Whether its weight is known."""
         return self.mass is not None or self.density is not None
 
     @property
     def projectile(self) -> Projectile:
-        """Return the body as a projectile."""
+        """The body as a projectile."""
         length = self.diameter if self.length is None else self.length
         plain = Projectile(length, self.diameter, 1.0, self.shape)
         density = self.density or _STEEL

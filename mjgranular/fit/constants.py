@@ -67,7 +67,7 @@ class Material:
 
     @cached_property
     def _stronger(self) -> tuple[str, ...]:
-        """Return the fields that a factor on static resistance scales; may be empty."""
+        """The fields that a factor on static resistance scales; may be empty."""
         keys = type(self.law).strength_keys
         numbers = [name for name in self._numbers if getattr(self.law, name) != 0]
         choices = [tuple(key for key in keys if key in numbers), ("scale",)]

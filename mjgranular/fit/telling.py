@@ -72,7 +72,7 @@ class Information:
 
     @property
     def inverse(self) -> np.ndarray:
-        """Return the covariance of the constants up to a factor."""
+        """The covariance of the constants up to a factor."""
         values, vectors = np.linalg.eigh(self.matrix)
         least = max(values.max(), 1e-300) * SMALLEST**2
         return (vectors / np.maximum(values, least)) @ vectors.T

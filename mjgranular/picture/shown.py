@@ -74,13 +74,13 @@ class Shown:
 
     @property
     def middles(self) -> np.ndarray:
-        """Return the world positions of the elements' centers [m], shape (n, 3)."""
+        """The world positions of the elements' centers [m], shape (n, 3)."""
         name = "point" if self.kind == "facets" else "center"
         return self.place(self.elements[name][:, None])[:, 0]
 
     @property
     def sizes(self) -> np.ndarray:
-        """Return the size of each element [m], shape (n,)."""
+        """The size of each element [m], shape (n,)."""
         e = self.elements
         if self.kind == "facets":
             return np.sqrt(e["area"])
@@ -90,7 +90,7 @@ class Shown:
 
     @property
     def reach(self) -> float:
-        """Return the size of all of them together [m]."""
+        """The size of all of them together [m]."""
         middles, half = self.middles, self.sizes[:, None] / 2
         return float(((middles + half).max(axis=0) - (middles - half).min(axis=0)).max())
 

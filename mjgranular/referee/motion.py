@@ -50,7 +50,7 @@ class Motion:
 
     @property
     def stop(self) -> float | None:
-        """Return the time from the touch to the stop of the center of mass [s].
+        """The time from the touch to the stop of the center of mass [s].
 
         It has stopped when its downward speed is first below 1 % of the largest. Without a column
         of speeds, that of the lowest point is used, from differences. A record `to_the_stop` of the
@@ -72,7 +72,7 @@ class Motion:
 
     @property
     def peak_force(self) -> float | None:
-        """Return the largest mean force over a millisecond [N]; None without forces.
+        """The largest mean force over a millisecond [N]; None without forces.
 
         Rows further apart are averaged over a longer time.
         """
