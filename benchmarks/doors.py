@@ -1,4 +1,4 @@
-"""One link: both doors, both schemes, beside what MuJoCo has of its own, and beside NumPy."""
+"""One link: both interfaces, both schemes, compared with MuJoCo's own forces and with NumPy."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mjgranular import LinkLaw, Sand
 from mjgranular.medium import get_medium
 from mjgranular.models import Link
 
-_IMPACT = 1e-6  # time step of the explicit cases [s]: the link is in the sand, moving, all the time
+_IMPACT = 1e-6  # time step of the explicit cases [s]: the link always moves in the sand
 _STEPS = 5000
-_LARGE = 1e-3  # time step of those at rest [s]
+_LARGE = 1e-3  # time step of the cases at rest [s]
 _SETTLED = 2000  # steps before them
 
 
 def _model(timestep: float, *, fluid: bool = False, **sand: Any) -> mujoco.MjModel:
-    """The paper's link; with MuJoCo's ellipsoid fluid, or with sand in the model."""
+    """Return the paper's link; with MuJoCo's ellipsoid fluid, or with sand in the model."""
     spec = Link().spec()
     spec.option.timestep = timestep
     if fluid:
@@ -33,19 +33,19 @@ def _model(timestep: float, *, fluid: bool = False, **sand: Any) -> mujoco.MjMod
 
 
 def _start(model: mujoco.MjModel, data: mujoco.MjData) -> Callable[[], None]:
-    """At 10 m/s and 45 degrees, its tip on the surface."""
+    """Return a reset to 10 m/s and 45 degrees, with the tip on the surface."""
     key = model.key("impact").id
     return lambda: mujoco.mj_resetDataKeyframe(model, data, key)
 
 
 def _inside(name: str, model: mujoco.MjModel, steps: int = _STEPS) -> Case:
-    """All steps in one call of `mj_step`."""
+    """Return a case with all steps in one call of `mj_step`."""
     data = mujoco.MjData(model)
     return Case(name, _start(model, data), lambda: mujoco.mj_step(model, data, steps), steps)
 
 
 def _looped(name: str, model: mujoco.MjModel, step: Callable[[mujoco.MjData], None]) -> Case:
-    """A call from Python each step."""
+    """Return a case with a call from Python for each step."""
     data = mujoco.MjData(model)
 
     def run() -> None:
@@ -56,7 +56,7 @@ def _looped(name: str, model: mujoco.MjModel, step: Callable[[mujoco.MjData], No
 
 
 def _rested(name: str, model: mujoco.MjModel) -> Case:
-    """As `_inside`, from where it has come to rest."""
+    """Return a case like `_inside`, from rest."""
     data, rest = mujoco.MjData(model), mujoco.MjData(model)
     _start(model, rest)()
     mujoco.mj_step(model, rest, _SETTLED)

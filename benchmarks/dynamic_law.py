@@ -2,8 +2,8 @@
 
     python benchmarks/dynamic_law.py
 
-A ball that falls and lies, Gymnasium's Ant and the package's hexapod whose motors are driven at
-random, 1,500 steps each with `Sand.step`; medians of turns in which the laws alternate.
+A ball that falls and comes to rest, Gymnasium's Ant and the package's hexapod with random controls,
+1,500 steps each with `Sand.step`; medians of turns in which the laws alternate.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mjgranular import Sand
 from mjgranular.models import Hexapod
 
 LAWS = ("rft3d", "rft3d inertia=1.1 added=2.5", "rft3d_dynamic")
-STEPS, HELD = 1500, 10  # and steps for which controls are held
+STEPS, HELD = 1500, 10  # and number of steps that controls are held
 
 BALL = """
 <mujoco>
@@ -35,7 +35,7 @@ BALL = """
 
 
 def robots() -> dict[str, tuple[mujoco.MjModel, dict[str, Any]]]:
-    """Models and the sand under them."""
+    """Return models and the sand under them."""
     file = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets" / "ant.xml"
     ant = mujoco.MjModel.from_xml_path(str(file))
     ant.opt.integrator, ant.opt.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 0.005
@@ -49,7 +49,7 @@ def robots() -> dict[str, tuple[mujoco.MjModel, dict[str, Any]]]:
 
 
 def seconds_a_step(model: mujoco.MjModel, sand: Sand) -> float:
-    """Mean over a run from the start [s]."""
+    """Return the mean time per step over a run from the start [s]."""
     data, random = mujoco.MjData(model), np.random.default_rng(0)
     controls = random.uniform(-1, 1, (STEPS // HELD, model.nu))
     begin = time.perf_counter()
@@ -61,7 +61,7 @@ def seconds_a_step(model: mujoco.MjModel, sand: Sand) -> float:
 
 
 def main() -> None:
-    """Prints microseconds a step, and how many times those of the quasi-static law they are."""
+    """Print microseconds per step, and the ratio to those of the quasi-static law."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--turns", type=int, default=7)
     turns = parser.parse_args().turns

@@ -1,4 +1,4 @@
-"""A ball cut into ever more elements: what an element costs, wet and dry."""
+"""A ball cut into more and more elements: cost of an element, in the sand and above."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _BALL = """
 </mujoco>
 """
 _RESOLUTIONS = (2, 4, 8, 16, 32, 64, 105)  # 8 to 14 000 elements
-_WORK = 2e5  # elements times steps in a run
+_WORK = 2e5  # elements times steps per run
 _MEDIUM = "quikrete_medium"
 
 
 def _ball(scheme: str, resolution: int | None, height: float) -> Case:
-    """A ball at 1 m/s, the surface that far above its middle; one element without a resolution."""
+    """Return a ball at 1 m/s, `height` below the surface; one element without a resolution."""
     spec = mujoco.MjSpec.from_string(_BALL)
     bare = spec.compile()
     law = mjgranular.DepthVelocityLaw(stiffness=100.0, quadratic=1.0)

@@ -1,10 +1,10 @@
-"""Environments: steps a second on sand, on Gymnasium's rigid floor, in batches, one by one.
+"""Environments: steps per second on sand, on Gymnasium's rigid floor, in batches, one by one.
 
     python benchmarks/environments.py                        # all, some minutes
     python benchmarks/environments.py --names Hopper Ant --repeats 7 --save figures.json
 
 Random actions; cases take turns, so that a busy machine slows all of them; medians. A ratio above 1
-means that sand, or the batch, is the quicker.
+means that sand, or the batch, is faster.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Options:
 
 
 def single(env: gym.Env) -> Callable[[int], None]:
-    """A turn of an environment of one simulation."""
+    """Return a turn of an environment with one simulation."""
     env.reset(seed=0)
     env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(512)]
@@ -63,7 +63,7 @@ def single(env: gym.Env) -> Callable[[int], None]:
 
 
 def many(vec: Any, count: int) -> Callable[[int], None]:
-    """A turn of a vector environment of Stable-Baselines3's, of that many steps together."""
+    """Return a turn of a Stable-Baselines3 vector environment, of `count` steps together."""
     vec.reset()
     vec.action_space.seed(0)
     actions = [np.array([vec.action_space.sample() for _ in range(count)]) for _ in range(32)]
@@ -76,10 +76,10 @@ def many(vec: Any, count: int) -> Callable[[int], None]:
 
 
 def measure(cases: dict[str, Callable[[int], None]], options: Options) -> dict[str, float]:
-    """Steps a second of each case, the median of its turns."""
+    """Return steps per second of each case, the median of its turns."""
     rates: dict[str, list[float]] = {name: [] for name in cases}
     steps = {}
-    for name, turn in cases.items():  # warm-up, and how many steps a turn is to have
+    for name, turn in cases.items():  # warm-up, and number of steps of a turn
         turn(options.num_envs)
         began = time.perf_counter()
         turn(2 * options.num_envs)
@@ -95,7 +95,7 @@ def measure(cases: dict[str, Callable[[int], None]], options: Options) -> dict[s
 
 
 def main() -> None:
-    """Prints a table."""
+    """Print a table."""
     options = tyro.cli(Options)
     figures = {}
     names = options.names or tuple(mjgranular.envs.tasks)

@@ -1,7 +1,7 @@
 """Measurement of a cost: cases of a group take turns, and each turn gives a ratio.
 
-A machine whose speed drifts, and every shared machine does, slows all cases of a turn alike: so the
-ratio of each turn counts, and its median is quoted with its quartiles.
+The speed of a shared machine drifts, which slows all cases of a turn equally: so the ratio of each
+turn counts, and its median is reported with its quartiles.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Case:
-    """Something whose cost is measured.
+    """A case whose cost is measured.
 
     Attributes:
-        name: in tables.
-        begin: puts it where it starts; not timed.
+        name: name in tables.
+        begin: resets it to its start; not timed.
         run: does its work; timed.
-        count: of steps, or whatever costs are quoted for, in one run.
-        facts: to be told beside the cost (number of elements, ...).
+        count: number of steps, or of other units of cost, in one run.
+        facts: reported with the cost (number of elements, ...).
     """
 
     name: str
@@ -36,13 +36,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Group:
-    """Cases that are measured in turns, the first of them the one that all are compared with.
+    """Cases that are measured in turns; the first is the reference.
 
     Attributes:
-        title: in tables.
-        note: what it shows, in a sentence or two.
-        unit: of the costs, one of `UNITS`.
-        prepare: makes the cases; called only when they are to be measured.
+        title: title in tables.
+        note: what it shows, in one or two sentences.
+        unit: unit of the costs, one of `UNITS`.
+        prepare: makes the cases; called only when they are measured.
     """
 
     title: str
@@ -52,7 +52,7 @@ class Group:
 
 
 UNITS = {"us/step": 1e6, "ms": 1e3}
-"""Costs in a second."""
+"""Units of cost in one second."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class Effort:
     """Length of a measurement.
 
     Attributes:
-        turns: that count, after one that does not.
-        seconds: that each case runs for in a turn, at least.
+        turns: number of turns, after one that is not counted.
+        seconds: least time of each case in a turn [s].
     """
 
     turns: int
@@ -77,13 +77,13 @@ class Figure:
     """The cost of a case: medians over the turns, with quartiles.
 
     Attributes:
-        cost: in the unit of its group.
+        cost: cost in the unit of its group.
         cost_low: lower quartile.
         cost_high: upper quartile.
-        ratio: to the first case of the group, turn by turn.
+        ratio: ratio to the first case of the group, turn by turn.
         ratio_low: lower quartile.
         ratio_high: upper quartile.
-        facts: of the case.
+        facts: facts of the case.
     """
 
     cost: float
@@ -95,22 +95,22 @@ class Figure:
     facts: dict[str, Any]
 
     def plain(self) -> dict[str, Any]:
-        """In plain values."""
+        """Return plain values."""
         return asdict(self)
 
 
 def measure(
     group: Group, effort: Effort, *, progress: Callable[[], object] = lambda: None
 ) -> dict[str, Figure]:
-    """Measures a group.
+    """Measure a group.
 
     Args:
-        group: what.
-        effort: how long.
+        group: the group.
+        effort: length of the measurement.
         progress: called after each turn.
 
     Returns:
-        The figures by the names of the cases, in their order.
+        Figures by the names of the cases, in their order.
     """
     cases = group.prepare()
     repeats = {case.name: _repeats(case, effort.seconds) for case in cases}
@@ -139,26 +139,26 @@ def _once(case: Case) -> float:
 
 
 def _repeats(case: Case, seconds: float) -> int:
-    """Warms a case up, and says how often it has to run to take that long."""
+    """Warm a case up, and return the number of runs that take `seconds`."""
     _once(case)
     return max(1, round(seconds / _once(case) + 0.5))
 
 
 def _rotated(cases: Sequence[Case], turn: int) -> Iterator[Case]:
-    """No case always comes after the same."""
+    """Yield the cases, rotated by the turn: no case always follows the same one."""
     start = turn % len(cases)
     yield from cases[start:]
     yield from cases[:start]
 
 
 def _spread(values: Sequence[float]) -> tuple[float, float, float]:
-    """Median and quartiles."""
+    """Return median and quartiles."""
     low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
     return middle, low, high
 
 
 def machine() -> str:
-    """The processor, in words."""
+    """Return the name of the processor."""
     info = Path("/proc/cpuinfo")
     if info.exists():
         for line in info.read_text().splitlines():

@@ -1,11 +1,11 @@
-"""Cost of memory: steps of environments' models on sand with and without, in turns.
+"""Cost of memory: steps of environments' models on sand with and without it, in turns.
 
     python benchmarks/memory.py
     python benchmarks/memory.py --names Hexapod --cells 0.01 0.005 --turns 20
 
-A gait where the environment has one (a tripod for the hexapod), random actions elsewhere. Each turn
-runs a piece of an episode in each of the cases; figures are the least of a piece's turns, added up
-over all pieces, so that a busy machine does not count.
+A gait if the environment has one (a tripod for the hexapod), else random actions. Each turn runs a
+piece of an episode in each of the cases; figures are the minimum over a piece's turns, summed over
+all pieces, so that other load on the machine does not count.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Case:
             self.actions = np.array([gait.action(k * self.task.dt, size) for k in range(count)])
 
     def turn(self, piece: int = 25) -> np.ndarray:
-        """Runs the actions; times of pieces of so many [s per step of the model]."""
+        """Run the actions; return times of pieces of `piece` actions [s per step of the model]."""
         times, random = [], np.random.default_rng(1)
         model, data, task = self.model, self.data, self.task
         self._begin(random)
@@ -79,7 +79,7 @@ class Case:
 
 
 def main() -> None:
-    """Prints a table."""
+    """Print a table."""
     options = tyro.cli(Options)
     table = Table("environment", "cells [mm]", "without [µs]", "with [µs]", "ratio")
     for name in options.names:

@@ -28,12 +28,12 @@ from mjgranular.errors import GranularWarning
 from mjgranular.law import Rft3dLaw
 from mjgranular.shape import facets_from_model
 
-_MOMENTS = {"start": 50, "fall": 350, "rest": 2000}  # steps before each
+_MOMENTS = {"start": 50, "fall": 350, "rest": 2000}  # steps before each moment
 _STEPS, _TURNS = 40, 25
 
 
 class OnTriangles(Rft3dLaw):
-    """The law on a mesh's own triangles."""
+    """The law on the triangles of a mesh."""
 
     def elements(
         self, model: mujoco.MjModel, geoms: Sequence[int], resolution: int | None = None
@@ -58,7 +58,7 @@ class Options:
 
 
 def _cost(step: Callable[[], object]) -> float:
-    """Of one step [us]."""
+    """Return the time of one step [us]."""
     begin = time.thread_time()
     for _ in range(_STEPS):
         step()
@@ -66,7 +66,7 @@ def _cost(step: Callable[[], object]) -> float:
 
 
 def ratios(options: Options, **sand_options: Any) -> dict[str, tuple[float, float]]:
-    """Cost of a step on sand [us], and the ratio to one on the floor, at each moment."""
+    """Return the cost of a step on sand [us], and the ratio to one on the floor, at each moment."""
     model = mujoco.MjModel.from_xml_path(str(options.model))
     floor = mujoco.MjModel.from_xml_path(str(options.model))
     sand = Sand(model, instead_of=options.instead_of, **sand_options)
@@ -109,7 +109,7 @@ def _states(model: mujoco.MjModel, geoms: np.ndarray, count: int) -> list[tuple[
 
 
 def _loads(sand: Sand, states: Sequence[tuple[Any, Any]]) -> tuple[np.ndarray, ...]:
-    """Total force, moment about the robot's middle, sum of the bodies' moments; by states."""
+    """Return total force, moment about the robot's center, sum of body moments; by state."""
     model, data = sand.model, mujoco.MjData(sand.model)
     forces, moments, sizes = [], [], []
     for qpos, qvel in states:
@@ -128,7 +128,7 @@ def _loads(sand: Sand, states: Sequence[tuple[Any, Any]]) -> tuple[np.ndarray, .
 
 
 def main(options: Options) -> None:
-    """Prints a table."""
+    """Print a table."""
     warnings.simplefilter("ignore", GranularWarning)
     model = mujoco.MjModel.from_xml_path(str(options.model))
     exact = Sand(

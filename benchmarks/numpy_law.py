@@ -1,7 +1,7 @@
-"""The lumped link law written in NumPy: what sand costs without compiled kernels.
+"""The lumped link law in NumPy: cost of sand without compiled kernels.
 
 For the planar link of `mjgranular.models` on the plane z = 0; the same formulas as in
-`mjgranular.law.link_kernel`, as one would write them for a few dozen lines of one's own.
+`mjgranular.law.link_kernel`, in a few dozen lines of straightforward NumPy.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ class NumpySand:
     """Steps a model of one link as `Sand` does, with the explicit scheme at the current velocity.
 
     Args:
-        model: with one capsule or cylinder, its axis along z of the geom.
+        model: model with one capsule or cylinder, its axis along z of the geom.
         law: the coefficients.
-        density: of the medium [kg/m^3].
+        density: density of the medium [kg/m^3].
     """
 
     def __init__(self, model: mujoco.MjModel, law: LinkLaw, density: float) -> None:
@@ -32,7 +32,7 @@ class NumpySand:
         self._velocity = np.zeros(6)
 
     def wrench(self, data: mujoco.MjData) -> np.ndarray:
-        """Force [N] and moment about the centre of mass [N m], world axes, shape (6,)."""
+        """Return force [N] and moment about the center of mass [N m], world axes, shape (6,)."""
         law, d = self._law, self._diameter
         center = data.geom_xpos[self._geom]
         axis = data.geom_xmat[self._geom].reshape(3, 3)[:, 2]
@@ -64,7 +64,7 @@ class NumpySand:
         return np.concatenate([force, moment])
 
     def step(self, data: mujoco.MjData) -> None:
-        """One time step with the sand acting."""
+        """Advance the simulation by one time step with the sand."""
         mujoco.mj_step1(self._model, data)
         data.xfrc_applied[self._body] = self.wrench(data)
         mujoco.mj_step2(self._model, data)

@@ -1,4 +1,4 @@
-"""Figures as tables: on the screen, as JSON, in a page of the documentation."""
+"""Figures as tables: in the terminal, as JSON, in a page of the documentation."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rich.console import Console
 from rich.table import Table
 
 BEGIN, END = "<!-- figures: written by benchmarks/run.py -->", "<!-- end of figures -->"
-"""Frame of a page around the part that is written anew."""
+"""Parts of a page around the generated part."""
 
 _NAMES = {"us/step": "µs a step", "ms": "ms"}
 assert _NAMES.keys() == UNITS.keys()
 
 
 def show(console: Console, group: Group, figures: dict[str, Figure], before: Any) -> None:
-    """Prints the figures of a group, beside earlier ones where there are some."""
+    """Print the figures of a group, next to earlier ones if there are any."""
     table = Table(title=group.title, title_justify="left")
     table.add_column("case")
     for heading in (_NAMES[group.unit], "quartiles", "ratio", "quartiles"):
@@ -44,19 +44,19 @@ def _words(figure: Figure) -> list[str]:
 
 
 def _number(value: float) -> str:
-    """With three digits that count, thousands apart."""
+    """Format a number with three significant digits and a thousands separator."""
     return f"{value:.3g}" if value < 99.95 else f"{value:,.0f}".replace(",", "\u202f")
 
 
 def _beside(figure: Figure, before: dict[str, Any] | None) -> list[str]:
-    """Ratios are compared, not times: the machine may be another, or busier."""
+    """Compare ratios, not times: the machine may be another, or busier."""
     if before is None:
         return ["", ""]
     return [_number(before["ratio"]), f"{figure.ratio / before['ratio'] - 1:+.0%}"]
 
 
 def save(path: Path, machine: dict[str, Any], found: dict[str, dict[str, Figure]]) -> None:
-    """Writes the figures to a JSON file."""
+    """Write the figures to a JSON file."""
     plain = {
         title: {name: figure.plain() for name, figure in figures.items()}
         for title, figures in found.items()
@@ -66,12 +66,12 @@ def save(path: Path, machine: dict[str, Any], found: dict[str, dict[str, Figure]
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The figures that `save` wrote, in plain values."""
+    """Return the figures of a file from `save`, in plain values."""
     return json.loads(path.read_text(encoding="utf-8"))["figures"]
 
 
 def markdown(machine: dict[str, Any], found: list[tuple[Group, dict[str, Figure]]]) -> str:
-    """The figures as a part of a page."""
+    """Return the figures as part of a page."""
     lines = [
         f"{machine['processor']}, {machine['cores']} cores, {machine['platform']}. Python "
         f"{machine['python']}, MuJoCo {machine['mujoco']}, mjgranular {machine['mjgranular']}, "
@@ -90,7 +90,7 @@ def markdown(machine: dict[str, Any], found: list[tuple[Group, dict[str, Figure]
 
 
 def write_page(path: Path, text: str) -> None:
-    """Puts figures into a page, between `BEGIN` and `END`; the rest of it stays.
+    """Put figures into a page, between `BEGIN` and `END`; the rest is unchanged.
 
     Raises:
         ValueError: the page has no such place.

@@ -1,4 +1,4 @@
-"""Gymnasium's robots on sand, beside the same on their rigid floor."""
+"""Gymnasium's robots on sand, compared with the same on their rigid floor."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _ROBOTS = {
     "Ant": ("ant.xml", 5),
     "Humanoid": ("humanoid.xml", 5),
 }
-"""File, and steps that an action lasts."""
+"""File, and number of steps per action."""
 
 _ACTIONS = 100
-_SETTLED = 2000  # steps without controls before it counts as settled
+_SETTLED = 2000  # steps without controls before a robot counts as settled
 _SANDS: dict[str, dict[str, Any]] = {
     "sand, default resolution": {"law": "rft3d"},
     "sand, resolution 4": {"law": "rft3d", "resolution": 4},
@@ -44,7 +44,7 @@ def _spec(file: str) -> mujoco.MjSpec:
     assert folder is not None
     spec = mujoco.MjSpec.from_file(str(folder / file))
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-        # The implicit scheme does not go with it; the floor is given the same.
+        # The implicit scheme does not support it; the model on the floor gets the same integrator.
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     return spec
 
@@ -56,7 +56,7 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def _sandy(file: str, **options: Any) -> tuple[mujoco.MjModel, int]:
-    """The robot with sand in place of its floor, and the number of elements."""
+    """Return the robot with sand in place of its floor, and the number of elements."""
     spec = _spec(file)
     spec.geom("floor").contype = spec.geom("floor").conaffinity = 0
     arguments = {"medium": "quikrete_medium", "scheme": "implicit", **options}
@@ -66,7 +66,7 @@ def _sandy(file: str, **options: Any) -> tuple[mujoco.MjModel, int]:
 
 
 def _acting(name: str, model: mujoco.MjModel, skip: int, facts: dict[str, Any]) -> Case:
-    """Random controls from the start."""
+    """Return a case with random controls from the start."""
     data = mujoco.MjData(model)
     low, high = model.actuator_ctrlrange.T
     actions = np.random.default_rng(0).uniform(low, high, (_ACTIONS, model.nu))
@@ -80,7 +80,7 @@ def _acting(name: str, model: mujoco.MjModel, skip: int, facts: dict[str, Any]) 
 
 
 def _settled(name: str, model: mujoco.MjModel, skip: int, facts: dict[str, Any]) -> Case:
-    """Without controls, from where it lies."""
+    """Return a case without controls, from rest."""
     data, rest = mujoco.MjData(model), mujoco.MjData(model)
     mujoco.mj_step(model, rest, _SETTLED)
     return Case(

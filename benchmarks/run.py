@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-# The families lie beside this file, also for an interpreter that does not look there by itself.
+# The families are next to this file; add its folder for interpreters that do not search it.
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import batches
@@ -64,7 +64,7 @@ class Options:
 
 
 def facts(effort: measure.Effort) -> dict[str, Any]:
-    """Machine and versions of a measurement."""
+    """Return machine and versions of a measurement."""
     return {
         "processor": measure.machine(),
         "cores": os.cpu_count(),
@@ -75,7 +75,7 @@ def facts(effort: measure.Effort) -> dict[str, Any]:
 
 
 def main(options: Options) -> None:
-    """Measures, prints, saves, compares, reports."""
+    """Measure, print, save, compare and report."""
     console = Console()
     effort = measure.QUICK if options.quick else measure.FULL
     machine = facts(effort)

@@ -1,4 +1,4 @@
-"""Cost of `import mjgranular` and of a process's first step, kernels compiled before."""
+"""Cost of `import mjgranular` and of a process's first step, with cached kernels."""
 
 from __future__ import annotations
 

@@ -33,11 +33,11 @@ class Options:
 
 
 def way(seconds: float, *, turn: float, cell: float | None) -> float:
-    """Length of the way that it walks [m].
+    """Return the distance that it walks [m].
 
     Args:
-        seconds: of the walk.
-        turn: of the robot against the grid [rad].
+        seconds: duration of the walk [s].
+        turn: heading of the robot relative to the grid [rad].
         cell: side of a cell [m]; None for sand without memory.
     """
     robot = Hexapod()
@@ -57,7 +57,7 @@ def way(seconds: float, *, turn: float, cell: float | None) -> float:
 
 
 def main(options: Options) -> None:
-    """Prints the ways."""
+    """Print the distances."""
     for degrees in (0, 45):
         for cell in (None, *options.cells):
             length = way(options.seconds, turn=math.radians(degrees), cell=cell)

@@ -1,11 +1,11 @@
-"""Cost of sand in MuJoCo Warp: a robot in many worlds on its own floor, on sand, and in our batch.
+"""Cost of sand in MuJoCo Warp: a robot in many worlds on its floor, on sand, and in our batch.
 
     python benchmarks/worlds.py --device cuda:0 --worlds 4096
     python benchmarks/worlds.py --device cpu --worlds 64 --names Hopper
 
-Robots have fallen to the ground and move at random. With the integrator `discrete` everywhere;
-steps of the model, a world each. Cases take turns; quoted are the medians, and those of the ratios
-to the first case of a turn. On a GPU steps are one graph.
+Robots have fallen to the ground and move at random. The integrator is `discrete` everywhere; costs
+are per step of one world. Cases take turns; reported are the medians, and those of the ratios to
+the first case of a turn. On a GPU the steps are one graph.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mjgranular.envs import tasks
 from mjgranular.envs.ground import place, quiet
 from mjgranular.warp import WarpSand, coupled
 
-SETTLED = 0.5  # time to fall before anything is measured [s]
+SETTLED = 0.5  # time to fall before the measurement [s]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Options:
 
 
 def on_floor(name: str) -> mujoco.MjSpec:
-    """An environment's robot on a rigid floor."""
+    """Return an environment's robot on a rigid floor."""
     spec = tasks[name]().scene()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON  # MuJoCo Warp has no PGS
@@ -64,7 +64,7 @@ def on_floor(name: str) -> mujoco.MjSpec:
 
 
 class InWarp:
-    """A model in worlds of MuJoCo Warp, which move at random."""
+    """A model in many worlds of MuJoCo Warp that move at random."""
 
     def __init__(self, spec: mujoco.MjSpec, options: Options, sand: Any = None) -> None:
         model = coupled(spec).compile()
@@ -92,18 +92,18 @@ class InWarp:
             self.graph = capture.graph
 
     def begin(self) -> None:
-        """Puts all worlds where they were when they had fallen."""
+        """Reset all worlds to their state after the fall."""
         for name, value in zip(("qpos", "qvel"), self.start, strict=True):
             getattr(self.d, name).assign(value)
         wp.synchronize_device(self.device)
 
     def steps(self) -> None:
-        """Steps all worlds."""
+        """Step all worlds."""
         for _ in range(self.count):
             mjw.step(self.m, self.d)
 
     def run(self) -> None:
-        """Steps all worlds, to the end of it."""
+        """Step all worlds, and wait for the end."""
         if self.graph is None:
             self.steps()
         else:
@@ -112,7 +112,7 @@ class InWarp:
 
 
 class OnProcessor:
-    """The same environment's simulations in a batch of MuJoCo's, with sand inside `mj_step`."""
+    """The same environment's simulations in a MuJoCo batch, with sand inside `mj_step`."""
 
     def __init__(self, name: str, options: Options) -> None:
         model = tasks[name]().model
@@ -124,17 +124,17 @@ class OnProcessor:
         self.start = [values.copy() for values in self.state]
 
     def begin(self) -> None:
-        """Puts all of them where they were when they had fallen."""
+        """Reset all simulations to their state after the fall."""
         for values, start in zip(self.state, self.start, strict=True):
             values[:] = start
 
     def run(self) -> None:
-        """Steps them, on all cores."""
+        """Step all simulations, on all cores."""
         self.batch.step(nstep=self.count)
 
 
 def group(name: str, options: Options, told: Callable[[str], object]) -> Group:
-    """The cases of an environment."""
+    """Return the group of cases of an environment."""
 
     def prepare() -> list[Case]:
         count = options.worlds * options.steps
@@ -158,7 +158,7 @@ def group(name: str, options: Options, told: Callable[[str], object]) -> Group:
 
 
 def main() -> None:
-    """Prints a table."""
+    """Print a table."""
     options, console = tyro.cli(Options), Console()
     wp.config.log_level = wp.LOG_ERROR
     device = wp.get_device(options.device)

@@ -1,15 +1,15 @@
-"""Gymnasium environments on sand: Gymnasium's own robots, and ours.
+"""Gymnasium environments on sand: Gymnasium's robots, and ours.
 
 Importing this registers the ids; `gymnasium.make("mjgranular.envs:mjgranular/ChainSwim-v0")` does
 both at once.
 
-`ground` puts sand under a model; `robots` does so to Gymnasium's environments. A `Task` says what
-an environment is, for any number of simulations at once; `SandEnv` runs one of them and
-`SandVectorEnv` many in threads, `WarpVectorEnv` in MuJoCo Warp. `ranges` are of sand that is drawn
-at each reset.
+`ground` puts sand under a model; `robots` does so for Gymnasium's environments. A `Task` defines an
+environment, for any number of simulations at once; `SandEnv` runs one of them, `SandVectorEnv` many
+in threads, and `WarpVectorEnv` many in MuJoCo Warp. `ranges` define sand that is sampled at each
+reset.
 """
 
-# First of all: the install line, where Gymnasium is missing.
+# First: the error with the install line if Gymnasium is missing.
 from mjgranular.envs import _gymnasium as _gymnasium
 
 # isort: split

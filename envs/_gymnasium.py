@@ -1,4 +1,4 @@
-"""Says on import what to install where Gymnasium, or what its robots need, is missing."""
+"""Error on import, with the install line, if Gymnasium or its MuJoCo dependency is missing."""
 
 from mjgranular._util.extras import need
 

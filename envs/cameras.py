@@ -1,4 +1,4 @@
-"""Pictures of a simulation, and a window."""
+"""Rendering of a simulation, to images or a window."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ RENDER_MODES = ["human", "rgb_array"]
 
 
 class Cameras:
-    """A camera that follows the robot, or one of the model's.
+    """A camera that follows the robot, or one of the model's cameras.
 
-    Nothing is taken from the machine before the first look.
+    No resources are allocated before the first frame.
 
     Args:
-        task: what is looked at.
+        task: the task to render.
         mode: None, "human" or "rgb_array".
-        width: of pictures [px].
-        height: of pictures [px].
-        camera_name: a camera of the model; None for the task's own.
+        width: width of images [px].
+        height: height of images [px].
+        camera_name: a camera of the model; None for the task's default.
 
     Raises:
-        InputError: another mode, or a picture without size.
+        InputError: another mode, or an image size that is not positive.
         UnknownNameError: the model has no such camera; lists those it has.
     """
 
@@ -52,15 +52,15 @@ class Cameras:
         self._surfaces = [choice.surface for choice in task.choices]
 
     def look(self, model: mujoco.MjModel, data: mujoco.MjData, sand: int) -> np.ndarray | None:
-        """A picture, shape (height, width, 3), or a look in the window.
+        """Render an image, shape (height, width, 3), or to the window.
 
         Args:
             model: the model, of the task or a copy.
             data: a simulation of it.
-            sand: number of the sand that is switched on.
+            sand: index of the active sand.
 
         Raises:
-            RenderError: nothing can be drawn on this machine; says what to install.
+            RenderError: rendering fails on this machine; says what to install.
         """
         if self.mode is None:
             return None
@@ -79,14 +79,14 @@ class Cameras:
         return self._renderer.render()
 
     def close(self) -> None:
-        """Gives back what was taken from the machine."""
+        """Release all resources."""
         for thing in (self._renderer, self._viewer):
             if thing is not None:
                 thing.close()
         self._renderer = self._viewer = None
 
     def _show_ground(self, model: mujoco.MjModel, sand: int) -> None:
-        """Shows the ground that is there and hides the other."""
+        """Show the active ground and hide the other."""
         if len(set(self._surfaces)) < 2:
             return
         dunes = self._surfaces[sand] == "dunes"
@@ -127,7 +127,7 @@ class Cameras:
 
 
 def _set(camera: mujoco.MjvCamera, settings: dict[str, Any]) -> None:
-    """Sets a camera as Gymnasium does: `lookat` and numbers by their names."""
+    """Set a camera as Gymnasium does: `lookat`, and numbers by name."""
     body = settings.get("trackbodyid")
     if body is not None:
         camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, body
@@ -149,7 +149,7 @@ def _has_screen() -> bool:
 def _make(draw: Any) -> Any:
     try:
         return draw()
-    except Exception as error:  # every platform's GL fails in a way of its own
+    except Exception as error:  # each platform's GL fails differently
         raise RenderError(
             f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
             "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "

@@ -19,7 +19,7 @@ from mjgranular.models import Worm
 
 @dataclass(frozen=True, kw_only=True)
 class _Chain(Task):
-    """The worms' common part: servos at the joints, paid for the way ahead in body lengths."""
+    """Base of the worms: servos at the joints, reward for forward motion in body lengths."""
 
     reads: ClassVar[tuple[str, ...]] = ("subtree_com",)
 
@@ -57,16 +57,16 @@ class _Chain(Task):
         return {"x_velocity": (state.subtree_com[:, 1, 0] - before[:, 0]) / self.dt}
 
     def _seen(self, state: State, first: int) -> np.ndarray:
-        """Positions from the one of that number on, then velocities; joints from head to tail."""
+        """Return positions from index `first` on, then velocities; joints from head to tail."""
         order = [0, 1, 2, *self.worm.order]
-        # `take` lays rows one after another in memory; an index would not.
+        # `take` makes rows contiguous in memory; an index would not.
         return np.concatenate(
             [np.take(state.qpos, order[first:], axis=1), np.take(state.qvel, order, axis=1)],
             axis=1,
         )
 
     def _bent(self, random: np.random.Generator) -> Start:
-        """The straight worm, its angles off by the noise, its joints turning as much."""
+        """Return the straight worm, with noise in its angles and joint velocities."""
         noise = self.reset_noise_scale
         qpos = self.worm.straight()
         qpos[2:] += random.uniform(-noise, noise, self.links)

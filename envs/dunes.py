@@ -1,4 +1,4 @@
-"""Dunes: a height field of waves across the robot's way."""
+"""Dunes: a height field of waves across the robot's path."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ DUNES = "dunes"
 """Name of the geom and of its height field."""
 
 _WAVES = ((1.0, 0.0, 0.0), (0.45, 0.8, 1.1), (0.3, -1.3, 2.3))
-"""Share of the height, waves across for each wave ahead, phase; chosen: ridges that wander."""
+"""Share of the height, waves along y per wave along x, phase; chosen: ridges that meander."""
 
 
 @dataclass(frozen=True)
 class Dunes:
     """Three sine waves, the longest of them across the x axis; always the same.
 
-    They are as high as their steepest slope allows; at ten degrees the laws end (`docs/laws`).
+    They are as high as their steepest slope allows; the laws are valid to ten degrees
+    (`docs/laws`).
 
     Attributes:
-        wavelength: of the longest [m].
-        extent: the dunes reach from minus to plus that along x and y [m].
-        steepest: slope [rad]; chosen.
+        wavelength: wavelength of the longest [m].
+        extent: half size of the dunes along x and y [m].
+        steepest: steepest slope [rad]; chosen.
     """
 
     wavelength: float = 4.0
@@ -33,26 +34,26 @@ class Dunes:
 
     @property
     def _amplitude(self) -> float:
-        """Of a wave whose share is 1 [m]; the waves' slopes add up to the steepest at most."""
+        """The amplitude of a wave of share 1 [m]; slopes add up to `steepest` at most."""
         k = 2 * math.pi / self.wavelength
         slopes = sum(share * k * math.hypot(1.0, across) for share, across, _ in _WAVES)
         return math.tan(self.steepest) / slopes
 
     def height(self, x: float, y: float) -> float:
-        """Over the level ground at a place [m]."""
+        """Return the height over the level ground at a point [m]."""
         k = 2 * math.pi / self.wavelength
         waves = (share * math.sin(k * (x + across * y) + phase) for share, across, phase in _WAVES)
         return self._amplitude * sum(waves)
 
     def heights(self) -> np.ndarray:
-        """On the grid of the height field [m], shape (rows over y, columns over x)."""
+        """Return heights on the height field's grid [m], shape (rows over y, columns over x)."""
         count = 2 * round(10 * self.extent / self.wavelength) + 1
         line = np.linspace(-self.extent, self.extent, count)
         return np.array([[self.height(x, y) for x in line] for y in line])
 
 
 def add_dunes(spec: mujoco.MjSpec, dunes: Dunes) -> None:
-    """Adds dunes about the height of the model's floor."""
+    """Add dunes around the height of the model's floor."""
     heights = dunes.heights()
     low, high = float(heights.min()), float(heights.max())
     field = spec.add_hfield(name=DUNES)

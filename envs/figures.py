@@ -1,4 +1,4 @@
-"""The sand's figures, read from sensors: the same for one simulation and for many."""
+"""Metrics of the sand, read from sensors: the same for one simulation and for many."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Figures:
 
     Args:
         model: the model.
-        sands: in it, in the order in which they were added.
-        readings: what is read where the model has no such sensors.
+        sands: sands in it, in the order in which they were added.
+        readings: a substitute for models without these sensors.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Figures:
         readings: SandReadings | None = None,
     ) -> None:
         self.sands = names = sands_in(model)
-        # The sensors of a sand stand side by side: force, depth, power, speed.
+        # The sensors of a sand are contiguous: force, depth, power, speed.
         self._blocks = readings.together if readings else _blocks_of_sensors(model, names)
         gravity = float(np.linalg.norm(model.opt.gravity))
         limits = [_Limits(model, sand) for sand in sands]
@@ -48,27 +48,27 @@ class Figures:
     def read(
         self, readings: np.ndarray, active: np.ndarray | int = 0, slope: np.ndarray | float = 0.0
     ) -> dict[str, np.ndarray]:
-        """The sand's figures of n simulations.
+        """Return the sand's metrics of n simulations.
 
-        They are those of the last substep. The Froude number is |v| / sqrt(g w) with the greatest
-        speed in the sand and the smallest width of a geom that meets it: never too small. Whether
-        the law holds is judged by that, by depth over that width and by the slope; the grains'
-        inertia is not looked at.
+        They are those of the last substep. The Froude number is |v| / sqrt(g w) with the largest
+        speed in the sand and the smallest width of a geom that meets it: an upper bound. The law is
+        valid depending on it, on depth over that width and on the slope; the grains' inertia is not
+        checked.
 
         Args:
             readings: `sensordata`, shape (n, nsensordata).
-            active: number of the sand that is switched on, shape (n,); others read nothing.
-            slope: of the ground beside that of its surface [rad], shape (n,).
+            active: index of the active sand, shape (n,); sensors of others read zero.
+            slope: slope of the ground in addition to that of its surface [rad], shape (n,).
 
         Returns:
-            `sand/force`: of the sand on the robot [N], world axes, shape (n, 3); `sand/depth`: of
-            its deepest point [m], negative above the sand; `sand/power`: of the sand on it [W];
-            `sand/froude`; `sand/valid`: whether the law holds; `sand/error`: found where the law
-            was held against measured motion as fast as this, in parts and at most 1; 1 where
-            nothing as fast was compared, 0 above the sand.
+            `sand/force`: force of the sand on the robot [N], world axes, shape (n, 3);
+            `sand/depth`: depth of its deepest point [m], negative above the sand; `sand/power`:
+            power of the sand on it [W]; `sand/froude`; `sand/valid`: whether the law is valid;
+            `sand/error`: relative error of the law in comparisons with measured motion as fast as
+            this, at most 1; 1 where nothing as fast was compared, 0 above the sand.
         """
         first, *others = self._blocks
-        block = readings[:, first : first + 6].copy()  # nobody is to hold the simulation's memory
+        block = readings[:, first : first + 6].copy()  # not a view of MuJoCo's array
         for other in others:
             block += readings[:, other : other + 6]
         sand = active if others else 0
@@ -89,7 +89,7 @@ class Figures:
         }
 
     def _errors(self, active: np.ndarray | int, froude: np.ndarray) -> np.ndarray:
-        """Errors found at Froude numbers, for the sand that is switched on; shape (n,)."""
+        """Return the measured errors at Froude numbers, for the active sand; shape (n,)."""
         error = np.ones(froude.shape)
         for sand, (bounds, errors) in enumerate(self._found):
             mine = np.broadcast_to(np.asarray(active) == sand, froude.shape)
@@ -98,7 +98,7 @@ class Figures:
 
 
 class _Limits:
-    """Up to where the law of a sand holds in a model."""
+    """Validity limits of a sand's law in a model."""
 
     def __init__(self, model: mujoco.MjModel, sand: SandSpec) -> None:
         geoms = geoms_in_sand(model, sand)
@@ -112,7 +112,7 @@ class _Limits:
         self.tilt = surface_of(sand.surface).tilt(model)
 
     def found(self) -> tuple[np.ndarray, np.ndarray]:
-        """Froude numbers up to which errors were found, and these; one more error, 1, beyond."""
+        """Return upper Froude numbers of errors, and the errors, with one more, 1, beyond."""
         bounds = sorted({finding.froude for finding in self._findings})
         found = [found_at(self._findings, bound, self._grains) for bound in bounds]
         errors = [1.0 if one is None else min(one.error, 1.0) for one in found]
@@ -123,7 +123,7 @@ class _Limits:
 
 
 def _blocks_of_sensors(model: mujoco.MjModel, names: Sequence[str]) -> list[int]:
-    """First readings of each sand in `sensordata`."""
+    """Return the index of each sand's first reading in `sensordata`."""
     blocks = [_address(model, f"{FORCE}/{name}") for name in names]
     for name, begin in zip(names, blocks, strict=True):
         for offset, measure in ((3, DEPTH), (4, POWER), (5, SPEED)):

@@ -1,4 +1,4 @@
-"""Scripted gaits: actions by time, with named parameters, as baselines and for searches."""
+"""Scripted gaits: actions as functions of time, with parameters; for baselines and searches."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from mjgranular.errors import InputError, UnknownNameError
 
 @dataclass(frozen=True)
 class Gait(ABC):
-    """Actions by time; a final gait is a frozen dataclass of its parameters.
+    """Actions as a function of time; a final gait is a frozen dataclass of its parameters.
 
     Attributes:
-        bounds: of each parameter, (low, high), for searches.
+        bounds: range of each parameter, (low, high), for searches.
     """
 
     bounds: ClassVar[dict[str, tuple[float, float]]]
@@ -31,7 +31,7 @@ class Gait(ABC):
 
     @abstractmethod
     def action(self, time: float, size: int) -> np.ndarray:
-        """The action at a time [s], shape (size,), within one either way."""
+        """Return the action at a time [s], shape (size,), within [-1, 1]."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class TravellingWave(Gait):
     """A sine wave of joint angles, from head to tail.
 
     Attributes:
-        amplitude: of the actions.
-        frequency: [Hz].
-        waves: along the body; negative ones run from the tail to the head.
-        offset: added to all actions: a lasting bend.
+        amplitude: amplitude of the actions.
+        frequency: frequency [Hz].
+        waves: number of waves along the body; negative ones run from the tail to the head.
+        offset: added to all actions: a constant bend.
     """
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
@@ -64,7 +64,7 @@ class TravellingWave(Gait):
 
 @dataclass(frozen=True)
 class CrawlingWave(TravellingWave):
-    """A sine wave in the vertical plane; most of a wave from head to tail is what gets ahead."""
+    """A sine wave in the vertical plane; nearly one wave from head to tail moves it forward."""
 
     bounds: ClassVar[dict[str, tuple[float, float]]] = {
         "amplitude": (0.2, 1.0),
@@ -81,13 +81,13 @@ class CrawlingWave(TravellingWave):
 
 @dataclass(frozen=True)
 class Tripod(Gait):
-    """Three legs step while the other three stand: front and rear of a side with the middle one.
+    """Tripod gait: front and rear leg of a side step with the middle leg of the other side.
 
     Attributes:
         stride: amplitude of the hips' actions.
         lift: height of the knees' actions while a leg steps.
-        press: of the knees' actions while a leg stands, downwards.
-        frequency: of the steps of a leg [Hz].
+        press: downward amplitude of the knees' actions while a leg stands.
+        frequency: step frequency of a leg [Hz].
         duty: share of the cycle for which a leg stands.
     """
 
@@ -146,35 +146,35 @@ gaits: dict[str, type[Gait]] = {
     "Hexapod": Tripod,
     "LinkDrop": Release,
 }
-"""The gait of each task that has one, by the task's name."""
+"""Gaits by the names of their tasks."""
 
 
 class Script:
-    """A gait for a task: gives actions by time.
+    """A gait for a task, as a function from time to actions.
 
     Args:
         gait: the gait.
-        size: of an action.
+        size: size of an action.
     """
 
     def __init__(self, gait: Gait, size: int) -> None:
         self.gait, self._size = gait, size
 
     def __call__(self, time: float) -> np.ndarray:
-        """The action at a time [s]."""
+        """Return the action at a time [s]."""
         return self.gait.action(time, self._size).astype(np.float32)
 
 
 def gait(task: Task, **parameters: Any) -> Script:
-    """The scripted gait of a task.
+    """Return the scripted gait of a task.
 
     Args:
         task: the task, as `env.unwrapped.task`.
-        **parameters: of its gait, where they differ from the defaults.
+        **parameters: parameters of its gait that differ from the defaults.
 
     Raises:
-        UnknownNameError: the task has no gait; lists those that have.
-        InputError: no such parameter; lists those there are.
+        UnknownNameError: the task has no gait; lists the tasks with one.
+        InputError: no such parameter; lists the valid ones.
     """
     if not isinstance(task, Task):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Sand in the place of a model's floor, with the sensors that environments read."""
+"""Sand in place of a model's floor, with sensors for environments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mjgranular.shape.select import names_in
 from mjgranular.surface.choice import surface_of
 
 FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
-"""Sensors of all bodies together; behind a "/" the name of an instance of sand."""
+"""Sensors of all bodies together; the name of a sand instance follows after "/"."""
 
 
 def put_on_sand(
@@ -32,28 +32,27 @@ def put_on_sand(
     cut: float = 0.0,
     tile: float = TILE,
 ) -> mujoco.MjModel:
-    """Takes the floor's contacts away and adds sand, and sensors of it.
+    """Disable the floor's contacts, and add sand with sensors.
 
-    What changes beside: RK4 becomes the implicit-fast integrator, because sand that holds at rest
-    does not act within a step of RK4; a fluid that fills the world goes; the floor is drawn as
-    sand, or not at all where the sand is no plane. Where no geom of the robot makes contacts, as in
-    a swimmer, all of them meet the sand.
+    Other changes: RK4 becomes the implicit-fast integrator, because sand that holds bodies at rest
+    does not act within a step of RK4; a fluid that fills the world is removed; the floor is
+    rendered as sand, or hidden if the sand is not a plane. If no geom of the robot makes contacts,
+    as in a swimmer, all of them meet the sand.
 
     Args:
         spec: the model to be; it is changed.
-        sands: one or several, of which each has an instance `sand`, `sand_2`, ...; without a
-            surface it is the level plane where the floor was.
-        sensors: whether the sand is to be measured by sensors of the model (`envs.figures`).
-        tunable: whether instances are to be tuned while they run.
-        cut: depth at which a plane of sand without memory is drawn, so that what is buried can be
-            seen [m].
-        tile: edge of the picture of sand on the ground [m].
+        sands: one or several, with the instances `sand`, `sand_2`, ...; without a surface a sand is
+            the level plane where the floor was.
+        sensors: whether to add sensors of the sand to the model (`envs.figures`).
+        tunable: whether instances can be tuned at run time.
+        cut: depth at which a plane of sand without memory is rendered, to show what is buried [m].
+        tile: edge length of the ground's texture [m].
 
     Returns:
         The model.
 
     Raises:
-        InputError: the model has no floor and a sand no surface.
+        InputError: the model has no floor and a sand has no surface.
     """
     placed = place(spec, sands, cut=cut, tile=tile)
     names, bare = [], spec.copy()
@@ -61,7 +60,7 @@ def put_on_sand(
         if as_memory(sand.memory) is not None:
             with quiet():
                 sand = fitted(bare.compile(), sand)
-        # What prints are pressed into is drawn by the sand itself, at its true place.
+        # Sand with memory renders itself, at its true height.
         draw = () if as_memory(sand.memory) is None else ("surface",)
         names.append(add_sand(spec, sand, tunable=tunable, draw=draw).name)
     if sensors:
@@ -73,19 +72,19 @@ def put_on_sand(
 def place(
     spec: mujoco.MjSpec, sands: Sequence[SandSpec], *, cut: float = 0.0, tile: float = TILE
 ) -> list[SandSpec]:
-    """Makes a model ready for sand in the place of its floor; what changes, `put_on_sand` says.
+    """Prepare a model for sand in place of its floor; see `put_on_sand` for the changes.
 
     Args:
         spec: the model to be; it is changed.
         sands: one or several.
         cut: as for `put_on_sand` [m].
-        tile: likewise [m].
+        tile: as for `put_on_sand` [m].
 
     Returns:
         The sands with their surfaces, and with the floors that they replace.
 
     Raises:
-        InputError: the model has no floor and a sand no surface.
+        InputError: the model has no floor and a sand has no surface.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
     _keep_extent(spec)
@@ -109,10 +108,10 @@ def place(
 
 @contextmanager
 def told_by_mujoco() -> Iterator[None]:
-    """What the sand has told MuJoCo, or MuJoCo the user, as an error of ours.
+    """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular.
 
     Raises:
-        InputError: with MuJoCo's words.
+        InputError: MuJoCo raised an error; has its message.
     """
     try:
         yield
@@ -124,7 +123,7 @@ def told_by_mujoco() -> Iterator[None]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Ignore a deprecated attribute of Gymnasium's half cheetah, and robots that a reset raises."""
+    """Ignore warnings of a deprecated attribute, and of robots buried until a reset."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
         warnings.filterwarnings("ignore", message="robot .* is buried")
@@ -132,7 +131,7 @@ def quiet() -> Iterator[None]:
 
 
 def _keep_extent(spec: mujoco.MjSpec) -> None:
-    """Has views begin and end where they do without dunes."""
+    """Keep the near and far clipping planes of a model without dunes."""
     bare = spec.copy()
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
@@ -143,7 +142,7 @@ def _keep_extent(spec: mujoco.MjSpec) -> None:
 
 
 def _let_meet(spec: mujoco.MjSpec) -> None:
-    """Has geoms collide with what collides, but not with each other, if none of them does so."""
+    """Enable contacts of geoms with others, but not with each other, if none is enabled."""
     geoms = [geom for body in spec.bodies[1:] for geom in body.geoms]
     if not any(geom.contype or geom.conaffinity for geom in geoms):
         for geom in geoms:
@@ -155,7 +154,7 @@ def _is_floor(geom: mujoco.MjsGeom) -> bool:
 
 
 def _surface_of(floors: Sequence[mujoco.MjsGeom]) -> Plane:
-    """The level plane at the height of the floor."""
+    """Return the level plane at the height of the floor."""
     if not floors:
         raise InputError("the model has no floor (a plane geom of the world): give a surface=...")
     for floor in floors:
@@ -171,7 +170,7 @@ def _paint(
     cut: float,
     tile: float,
 ) -> None:
-    """Lets floors look like sand and lie where it is."""
+    """Make floors look like sand, and move them to its height."""
     material = add_material(spec, tile=tile)
     for surface in surfaces:
         if isinstance(surface, HeightField):

@@ -22,7 +22,7 @@ ASSETS = Path(gymnasium.envs.mujoco.__file__).parent / "assets"
 
 
 def place_in_plane(state: State) -> dict[str, np.ndarray]:
-    """Positions of robots over a plane, as Gymnasium gives them [m], each of shape (n,)."""
+    """Return positions of robots over a plane, as in Gymnasium [m], each of shape (n,)."""
     x, y = state.qpos[:, 0], state.qpos[:, 1]
     return {
         "x_position": x.copy(),
@@ -33,16 +33,16 @@ def place_in_plane(state: State) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True, kw_only=True)
 class Robot(Task):
-    """A robot of Gymnasium's: its model, its observation, its reward, its options.
+    """A Gymnasium robot: model, observation, reward and options.
 
-    A test holds each to `on_sand` of the same, to the last bit.
+    A test checks that each is bit-identical to `on_sand` of the same robot.
     """
 
     xml: ClassVar[str]
     hidden: ClassVar[int] = 1
-    """Positions that are left out of the observation."""
+    """Number of positions that are omitted from the observation."""
     gaussian: ClassVar[bool] = False
-    """Tells whether velocities start with normal noise."""
+    """Whether velocities start with normal noise."""
 
     forward_reward_weight: float = 1.0
     reset_noise_scale: float = 5e-3
@@ -68,19 +68,19 @@ class Robot(Task):
         return Start(qpos, qvel)
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
-        """Lifts a start onto dunes; nothing on the plane."""
-        reach = (-0.5, 0.0, 0.5)  # [m]; chosen: the robots are about a metre long
+        """Raise a start onto dunes; do nothing on the plane."""
+        reach = (-0.5, 0.0, 0.5)  # [m]; chosen: the robots are about a meter long
         qpos[1] += max(height(float(qpos[0]) + x, 0.0) for x in reach)
 
     def seen(self, qpos: np.ndarray) -> np.ndarray:
-        """The positions that are observed."""
+        """Return the positions that are observed."""
         return qpos[:, self.hidden if self.exclude_current_positions_from_observation else 0 :]
 
     def mark(self, state: State) -> np.ndarray:
         return state.qpos[:, :2].copy()
 
     def speed(self, before: np.ndarray, state: State) -> np.ndarray:
-        """Along x [m/s]."""
+        """Return the speed along x [m/s]."""
         return (state.qpos[:, 0] - before[:, 0]) / self.dt
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
@@ -103,7 +103,7 @@ class _Legged(Robot):
         return np.concatenate((self.seen(state.qpos), velocity), axis=1)
 
     def healthy(self, state: State) -> np.ndarray:
-        """Tells whether the robot stands, shape (n,)."""
+        """Return True if the robot stands, shape (n,)."""
         z, angle = state.qpos[:, 1], state.qpos[:, 2]
         low, high = self.healthy_z_range
         left, right = self.healthy_angle_range
@@ -117,7 +117,7 @@ class _Legged(Robot):
         }
 
     def stands(self, state: State) -> np.ndarray:
-        """`healthy`, worked out once."""
+        """Return `healthy`, computed once."""
         return self.once(state, "healthy", self.healthy)
 
     def terminated(self, state: State) -> np.ndarray:

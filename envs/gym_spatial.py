@@ -17,7 +17,7 @@ from mjgranular.envs.task import State
 
 @dataclass(frozen=True, kw_only=True)
 class _Spatial(Robot):
-    """Ant and Humanoid: free in space, paid and charged alike."""
+    """Base of Ant and Humanoid: free in space, with the same terms of reward and cost."""
 
     hidden: ClassVar[int] = 2
 
@@ -30,7 +30,7 @@ class _Spatial(Robot):
 
     def robot(self) -> mujoco.MjSpec:
         spec = super().robot()
-        # `cfrc_ext` is worked out only where a sensor needs it.
+        # MuJoCo computes `cfrc_ext` only if a sensor needs it.
         site = spec.body("torso").add_site(name="needs cfrc_ext")
         spec.add_sensor(
             name=site.name,
@@ -41,11 +41,11 @@ class _Spatial(Robot):
         return spec
 
     def raise_by(self, qpos: np.ndarray, height: Callable[[float, float], float]) -> None:
-        reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a metre across
+        reach = (-0.6, 0.0, 0.6)  # [m]; chosen: the robots are about a meter across
         qpos[2] += max(height(float(qpos[0]) + x, float(qpos[1]) + y) for x in reach for y in reach)
 
     def healthy(self, state: State) -> np.ndarray:
-        """Tells whether the robot is at its height, shape (n,)."""
+        """Return True if the robot is at its height, shape (n,)."""
         raise NotImplementedError
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
@@ -53,7 +53,7 @@ class _Spatial(Robot):
         return terms["reward_forward"] + terms["reward_survive"] + costs
 
     def stands(self, state: State) -> np.ndarray:
-        """`healthy`, worked out once."""
+        """Return `healthy`, computed once."""
         return self.once(state, "healthy", self.healthy)
 
     def terminated(self, state: State) -> np.ndarray:
@@ -62,11 +62,11 @@ class _Spatial(Robot):
         return ~self.stands(state)
 
     def where(self, state: State) -> np.ndarray:
-        """The place whose speed is paid for, shape (n, 2)."""
+        """Return the position whose speed is rewarded, shape (n, 2)."""
         raise NotImplementedError
 
     def here(self, state: State) -> np.ndarray:
-        """`where`, worked out once."""
+        """Return `where`, computed once."""
         return self.once(state, "where", self.where)
 
     def mark(self, state: State) -> np.ndarray:
@@ -134,7 +134,7 @@ class Ant(_Spatial):
         return state.xpos[:, 1, :2]
 
     def felt(self, state: State) -> np.ndarray:
-        """Clipped forces on the bodies, shape (n, 6 nbody)."""
+        """Return clipped forces on the bodies, shape (n, 6 nbody)."""
         return self.once(state, "felt", self._felt)
 
     def _felt(self, state: State) -> np.ndarray:
@@ -218,7 +218,7 @@ class Humanoid(_Spatial):
 
     def where(self, state: State) -> np.ndarray:
         masses, whole = self._mass
-        # One by one: a product of all at once is not rounded as Gymnasium's is.
+        # One by one: a product of all at once is rounded differently from Gymnasium's.
         centres = [np.einsum("b,bj->j", masses, places) / whole for places in state.xipos]
         return np.stack(centres)[:, :2]
 

@@ -81,7 +81,7 @@ class Hexapod(Task):
 
     @cached_property
     def _reach(self) -> np.ndarray:
-        """Angles that actions of one stand for [rad]."""
+        """Angles for actions of 1 [rad]."""
         return np.array([self.body.swing, self.body.lift] * 6)
 
     def robot(self) -> mujoco.MjSpec:

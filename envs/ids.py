@@ -1,4 +1,4 @@
-"""The ids that `gymnasium.make` knows."""
+"""Ids for `gymnasium.make`."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ _OURS: tuple[type[Task], ...] = (
 
 
 def id_of(name: str) -> str:
-    """The id of the task of that name."""
+    """Return the id of a task from its name."""
     return f"{NAMESPACE}/{name}-v{VERSION}"
 
 
 def name_of(identity: str) -> str:
-    """The task's name in an id; a name is taken as it is."""
+    """Return the task's name from an id; a name is returned unchanged."""
     return identity.removeprefix(f"{NAMESPACE}/").removesuffix(f"-v{VERSION}")
 
 
 def register_task(task: type[Task]) -> str:
-    """Makes a task known by the name of its class: to `gymnasium.make` and to the command line.
+    """Register a task by the name of its class, for `gymnasium.make` and the command line.
 
-    A class that is defined again, as in a cell of a notebook, takes the place of what it was.
+    A class that is defined again, as in a cell of a notebook, replaces the old one.
 
     Args:
         task: a final task.
@@ -53,7 +53,7 @@ def register_task(task: type[Task]) -> str:
         Its id.
 
     Raises:
-        InputError: it is no final task, or another has that name.
+        InputError: it is not a final task, or another task has that name.
     """
     if not (isinstance(task, type) and issubclass(task, Task)):
         raise InputError(
@@ -82,6 +82,6 @@ def register_task(task: type[Task]) -> str:
 
 
 def register() -> None:
-    """Makes the package's tasks known; more than once does no harm."""
+    """Register the package's tasks; can be called repeatedly."""
     for task in _OURS:
         register_task(task)

@@ -1,4 +1,4 @@
-"""Environments that Gymnasium knows by an id, a user's own included."""
+"""Environments by Gymnasium id, including custom ones."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from mjgranular.errors import InputError, UnknownNameError
 
 
 def find_spec(env_id: Any) -> EnvSpec:
-    """Facts that Gymnasium knows of an environment.
+    """Return Gymnasium's specification of an environment.
 
     Args:
-        env_id: its id; `my_module:My-v0` has the module imported that registers it, also from the
+        env_id: its id; `my_module:My-v0` imports the module that registers it, also from the
             current folder (`mjgranular._util.user_modules`).
 
     Raises:
-        UnknownNameError: there is none of that id, or no such module; lists ids of mjgranular's and
+        UnknownNameError: no environment of that id, or no such module; lists ids of mjgranular and
             similar ones.
-        InputError: it is no text, or the module cannot be imported.
+        InputError: it is not a string, or the module cannot be imported.
     """
     if not isinstance(env_id, str):
         raise InputError(f"an environment is named by a text such as 'Ant-v5', not {env_id!r}")
@@ -51,11 +51,11 @@ def find_spec(env_id: Any) -> EnvSpec:
         raise UnknownNameError("environment", env_id, [*near, *ours], hint) from None
 
 
-_of_modules: dict[str, set[str]] = {}  # ids that came when a module was imported here
+_of_modules: dict[str, set[str]] = {}  # ids that an import of a module registered
 
 
 def _registered_by(module: str) -> list[str]:
-    """Ids that a module has registered, as far as can be told."""
+    """Return the ids that a module has registered, as far as known."""
     made = {
         name
         for name, spec in gym.registry.items()
@@ -66,7 +66,7 @@ def _registered_by(module: str) -> list[str]:
 
 
 def _how(name: str) -> str:
-    """How an environment of a user's own would be named."""
+    """Return how to name a custom environment."""
     stem = Path(name).stem if name.endswith(".py") else name
     if not stem.isidentifier() or not Path(f"{stem}.py").is_file():
         return "one of your own is named with its module, my_module:My-v0"

@@ -1,4 +1,4 @@
-"""The paper's impact as a problem of one step."""
+"""The paper's impact as a one-step problem."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from mjgranular.envs.dunes import Dunes
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import Link
 
-STEEPEST = math.radians(75)  # angle of the link from the vertical that an action of one stands for
-FASTEST = 40.0  # spin that an action of one stands for [rad/s]
+STEEPEST = math.radians(75)  # angle of the link from the vertical for an action of 1
+FASTEST = 40.0  # spin for an action of 1 [rad/s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,12 +110,12 @@ class LinkDrop(Task):
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
         half, release = self.link.length / 2, np.clip(action, -1.0, 1.0)
-        for row in range(len(action)):  # one by one: NumPy's own sine may differ in long arrays
+        for row in range(len(action)):  # one by one: NumPy's sine may differ in long arrays
             angle = STEEPEST * (float(release[row, 0]) + 1) / 2
             place, height, _ = state.qpos[row]  # upright, its lower end on the ground
             centre = place - half * math.sin(angle), height - half + half * math.cos(angle)
             state.qpos[row] = *centre, angle
-            # The lower end comes down at the speed that is given, whatever the spin.
+            # The lower end moves down at the given speed for any spin.
             spin, speed = FASTEST * float(release[row, 1]), state.userdata[row, 1]
             state.qvel[row] = 0.0, -speed - half * math.sin(angle) * spin, spin
         return np.zeros((len(action), 0))

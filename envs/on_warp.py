@@ -1,4 +1,4 @@
-"""A task in all worlds of MuJoCo Warp, as a Gymnasium vector environment."""
+"""A task in many worlds of MuJoCo Warp, as a Gymnasium vector environment."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from mjgranular.envs.vector import SandVectorEnv
 class WarpVectorEnv(SandVectorEnv):
     """A task with many simulations, stepped by MuJoCo Warp on a GPU or on the processor.
 
-    Observations, rewards, ends, `info` and seeds are as with `SandVectorEnv`, in single precision
-    and by the integrator `discrete` (docs/warp.md). A world that becomes no numbers ends its
-    episode; `info["sand/lost"]` says so, and the others go on.
+    Observations, rewards, ends, `info` and seeds are as for `SandVectorEnv`, in single precision
+    and with the integrator `discrete` (docs/warp.md). A world whose state becomes NaN ends its
+    episode, with `info["sand/lost"]`; the others continue.
 
     Args:
         task: a task or its name.
         num_envs: number of simulations.
-        device: of Warp's: "cuda:0", "cpu"; None for a GPU where there is one.
+        device: Warp device: "cuda:0", "cpu"; None for a GPU if there is one.
         **kwargs: as for `SandVectorEnv`, options of the task among them.
 
     Raises:
-        UnknownNameError: as with `SandVectorEnv`.
-        InputError: sand that MuJoCo Warp has no place for, such as a medium for each world.
+        UnknownNameError: as for `SandVectorEnv`.
+        InputError: sand that is not supported in MuJoCo Warp, such as a medium per world.
         MissingExtraError: MuJoCo Warp is not installed.
     """
 
@@ -39,13 +39,13 @@ class WarpVectorEnv(SandVectorEnv):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advances every simulation by `frame_skip` substeps, or begins its next episode."""
+        """Advance every simulation by `frame_skip` substeps, or begin its next episode."""
         observation, reward, terminated, truncated, info = super().step(actions)
         info["sand/lost"] = self.batch.lost.copy()
         return observation, reward, terminated, truncated, info
 
     def _make_batch(self, threads: int) -> Any:
-        from mjgranular.envs.worlds import Worlds  # MuJoCo Warp is imported where it is wanted
+        from mjgranular.envs.worlds import Worlds  # imports MuJoCo Warp only when needed
 
         return Worlds(self.task, self.num_envs, self._device)
 

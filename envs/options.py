@@ -1,4 +1,4 @@
-"""Options of tasks and gaits: each is of the kind that its default is of."""
+"""Options of tasks and gaits: each has the type of its default."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from mjgranular.errors import InputError, shown
 
 
 def check_number(name: str, value: Any) -> None:
-    """Refuses what is no finite number.
+    """Check that a value is a finite number.
 
     Raises:
-        InputError: says so.
+        InputError: it is not.
     """
     if not isinstance(value, Real) or isinstance(value, bool) or not math.isfinite(value):
         raise InputError(f"{name} must be a finite number, not {shown(value)}")
 
 
 def check_option(name: str, value: Any, default: Any) -> None:
-    """Refuses a value of another kind than the default: a switch, a number, a range.
+    """Check that a value has the type of the default: a boolean, a number, a range.
 
     Raises:
-        InputError: says what would be right.
+        InputError: it does not; says what would be right.
     """
     if isinstance(default, bool):
         check_switch(name, value)
@@ -40,7 +40,7 @@ def check_option(name: str, value: Any, default: Any) -> None:
 
 
 def _is_range(value: Any) -> bool:
-    """Tells whether a value is two numbers, which may be infinite."""
+    """Return True if a value is two numbers, which may be infinite."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         return False
     return all(isinstance(one, Real) and not math.isnan(one) for one in value)

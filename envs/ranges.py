@@ -1,4 +1,4 @@
-"""Sand that is drawn anew at every reset."""
+"""Sand that is sampled at every reset."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from mjgranular.sand.material import medium_for
 from mjgranular.sand.spec import SandSpec, combined
 
 SURFACES = ("plane", "dunes")
-"""Surfaces that can be drawn: level but for the slope, or fixed dunes at a place drawn anew."""
+"""Surfaces that can be sampled: level apart from the slope, or fixed dunes at a random position."""
 
 STEEPEST = math.radians(34)
-"""Greatest slope: beyond its angle of repose sand slides by itself; 34 degrees is that of Quikrete
+"""Steepest slope: beyond its angle of repose sand slides by itself; 34 degrees is that of Quikrete
 medium sand (Agarwal, Goldman, Kamrin, PNAS 120 (2023), tangent of internal friction)."""
 
 _DRAWN = ("strength", "density", "slope")
@@ -31,19 +31,19 @@ _STRONGEST = 100.0  # factor; chosen: far beyond any sand
 
 @dataclass(frozen=True)
 class SandRanges:
-    """From where the sand of an episode is drawn: numbers evenly, names with equal chances.
+    """Ranges from which the sand of an episode is sampled, uniformly.
 
     Attributes:
         strength: factor on static resistance, (low, high).
-        density: factor on resistance by velocity, (low, high).
-        slope: of the ground, uphill towards +x [rad], (low, high). Gravity is tilted and not the
+        density: factor on rate-dependent resistance, (low, high).
+        slope: slope of the ground, uphill toward +x [rad], (low, high). Gravity is tilted, not the
             sand: heights and depths are along the surface's normal.
-        media: names of media; empty for the environment's own.
-        laws: names of laws; empty for the environment's own, or that of each medium.
-        surfaces: out of `SURFACES`; empty for the environment's own.
+        media: names of media; empty for the environment's default.
+        laws: names of laws; empty for the environment's default, or that of each medium.
+        surfaces: names from `SURFACES`; empty for the environment's default.
 
     Raises:
-        InputError: low above high, or what no sand can be; names the field.
+        InputError: low above high, or impossible values; names the field.
         UnknownNameError: a medium, law or surface that does not exist; lists those that do.
     """
 
@@ -96,13 +96,13 @@ class SandRanges:
             raise InputError(f"SandRanges: {name} has its low end above its high end: {given}")
 
     def check_within(self, other: SandRanges) -> None:
-        """Makes sure that a curriculum draws no sand that the model has not got.
+        """Check that a curriculum samples only sand that the model has.
 
         Args:
-            other: what the model was made for.
+            other: the ranges that the model was made for.
 
         Raises:
-            InputError: a name that is not among the other's; names the field.
+            InputError: a name is not in `other`; says in which field.
         """
         for field in fields(self):
             if field.name in ("media", "laws", "surfaces"):
@@ -116,10 +116,10 @@ class SandRanges:
 
 
 def check_drawing(ranges: Any, curriculum: Any) -> None:
-    """Makes sure of what an environment is given to draw its sand by.
+    """Check the ranges and the curriculum of an environment.
 
     Raises:
-        InputError: something else than ranges, or a curriculum without any.
+        InputError: `ranges` is not a `SandRanges`, or a curriculum has none.
     """
     if ranges is not None and not isinstance(ranges, SandRanges):
         raise InputError(
@@ -139,7 +139,7 @@ def check_drawing(ranges: Any, curriculum: Any) -> None:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of the sands in a model: names of medium, law and surface as they were asked for."""
+    """One of the sands in a model: requested names of medium, law and surface."""
 
     medium: str
     law: str
@@ -151,11 +151,11 @@ class Sample:
     """The sand of one episode.
 
     Attributes:
-        number: of the sand in the model that is switched on.
+        number: index of the active sand in the model.
         strength: factor on static resistance.
-        density: factor on resistance by velocity.
-        slope: of the ground [rad].
-        place: x at which the robot starts [m]; 0 where there are no dunes.
+        density: factor on rate-dependent resistance.
+        slope: slope of the ground [rad].
+        place: x at which the robot starts [m]; 0 without dunes.
     """
 
     number: int = 0
@@ -172,13 +172,13 @@ def draw(
     *,
     span: float = 0.0,
 ) -> Sample:
-    """Draws a sand.
+    """Sample a sand.
 
     Args:
-        ranges: from where.
+        ranges: the ranges.
         choices: the sands that the model has.
-        random: where numbers come from; the same number of them at each call.
-        span: robots start on dunes at x up to that, either way [m].
+        random: random generator; every call draws the same number of values.
+        span: robots start on dunes at x within plus or minus this [m].
     """
     fitting = [
         number
@@ -201,15 +201,15 @@ def lay(
     gravity: np.ndarray,
     strength: float,
 ) -> None:
-    """Gives a simulation the sand that was drawn.
+    """Apply the sampled sand to a simulation.
 
     Args:
-        sample: what was drawn.
+        sample: the sampled sand.
         model: the model.
         sands: names of the instances of sand in it.
-        plugin_state: of the simulation; written to.
-        gravity: of the simulation [m/s^2], shape (3,); written to.
-        strength: of gravity [m/s^2].
+        plugin_state: plugin state of the simulation; written to.
+        gravity: gravity of the simulation [m/s^2], shape (3,); written to.
+        strength: magnitude of gravity [m/s^2].
     """
     for number, name in enumerate(sands):
         tune(
@@ -226,10 +226,10 @@ def lay(
 def next_ranges(
     ranges: SandRanges, curriculum: Callable[[int], SandRanges] | None, episode: int
 ) -> SandRanges:
-    """The ranges for an episode: the curriculum's, or the same as ever.
+    """Return the ranges for an episode: from the curriculum, or unchanged.
 
     Raises:
-        InputError: a curriculum that gives something else, or ranges beyond these.
+        InputError: the curriculum returns something else, or ranges beyond these.
     """
     if curriculum is None:
         return ranges
@@ -247,7 +247,7 @@ def told(
     density: np.ndarray,
     slope: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """Entries of `info` on the sand that was drawn, of n simulations."""
+    """Return the entries of `info` on the sampled sand of n simulations."""
     info = {
         "sand/strength": strength.copy(),
         "sand/density": density.copy(),
@@ -262,12 +262,12 @@ def told(
 def sands_of(
     ranges: SandRanges | None, base: SandSpec, dunes: Any
 ) -> tuple[list[SandSpec], list[Choice]]:
-    """The sands that a model needs for these ranges, and what each of them is.
+    """Return the sands that a model needs for these ranges, and the choice that each of them is.
 
     Args:
-        ranges: from where sand is drawn; None for the one sand.
-        base: what is not drawn.
-        dunes: the surface that "dunes" stands for.
+        ranges: ranges of the sand; None for a fixed sand.
+        base: all that is not sampled.
+        dunes: the surface for "dunes".
     """
     sands, choices = [], []
     for medium in (ranges and ranges.media) or (base.medium,):
@@ -285,7 +285,7 @@ def sands_of(
 
 
 def _name(thing: Any) -> str:
-    """Name of a medium or a law in `info`; None is the default."""
+    """Return the name of a medium or a law in `info`; None is the default."""
     if thing is None:
         return "default"
     return thing if isinstance(thing, str) else str(getattr(thing, "name", thing))

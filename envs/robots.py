@@ -1,4 +1,4 @@
-"""Gymnasium's own robots on sand."""
+"""Gymnasium's robots on sand."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
 from mjgranular.sand.spec import SAND_FIELDS, SandSpec, combined
 
 ROBOT_SAND = SandSpec(medium="quikrete_medium", resolution=4)
-"""The sand unless one is given. Its resolution is chosen: docs/environments.md has cost and
-accuracy."""
+"""The default sand. Its resolution is chosen: docs/environments.md has cost and accuracy."""
 
 
 def on_sand(
@@ -47,41 +46,40 @@ def on_sand(
     curriculum: Callable[[int], SandRanges] | None = None,
     **options: Any,
 ) -> gym.Env:
-    """Makes a MuJoCo environment of Gymnasium's with sand in the place of its floor.
+    """Make a Gymnasium MuJoCo environment with sand in place of its floor.
 
-    Observation, reward, start and end are the environment's own. What is different:
+    Observation, reward, start and end are those of the environment. The differences:
 
     - the floor makes no contact; the sand acts at every substep, as an engine plugin;
-    - a model that asks for RK4 is integrated implicitly (`implicitfast`), for which sand can hold
-      a body at rest;
-    - `cfrc_ext`, which some environments observe or charge for, has the sand's forces in it beside
-      those of contacts;
-    - `info` has the sand's figures, `sand/force`, `sand/depth`, `sand/power`, `sand/froude`,
+    - a model with RK4 is integrated with `implicitfast`, so that sand can hold a body at rest;
+    - `cfrc_ext`, which some environments observe or penalize, includes the sand's forces in
+      addition to those of contacts;
+    - `info` has the sand's metrics, `sand/force`, `sand/depth`, `sand/power`, `sand/froude`,
       `sand/valid` and `sand/error` (`mjgranular.envs.figures`).
 
-    Healthy ranges are as they were: robots sink in by millimetres to centimetres.
+    Healthy ranges are unchanged: robots sink in by millimeters to centimeters.
 
     Args:
         environment: a class that derives from `MujocoEnv`, or the id of an environment of such a
-            class, of Gymnasium's or of your own (`my_module:My-v0` imports the module).
-        sand: the sand; without a surface it is the level plane where the floor was. It replaces
-            the floor without a word, and `instead_of` names other geoms. The default is medium sand
-            of Quikrete's, its resolution coarse and quick; with a law's name alone, the medium
-            follows from that.
-        randomise: from where the sand of each episode is drawn; None for always the same. Dunes are
-            for our own environments: Gymnasium's robots start at their own height.
-        curriculum: gives the ranges for the next episode, called with the number of episodes begun.
-        **options: fields of `mjgranular.SandSpec`, which replace those of `sand`; others are of the
-            environment or of `gymnasium.make`.
+            class, from Gymnasium or custom (`my_module:My-v0` imports the module).
+        sand: the sand; without a surface it is the level plane where the floor was. It always
+            replaces the floor; `instead_of` names other geoms. The default is Quikrete medium sand,
+            with a coarse, fast resolution; with a law's name alone, the medium follows from the
+            law.
+        randomise: ranges of the sand of each episode; None for a fixed sand. Dunes are only for
+            mjgranular's environments: Gymnasium's robots start at a fixed height.
+        curriculum: returns the ranges for the next episode, given the number of episodes begun.
+        **options: fields of `mjgranular.SandSpec`, which replace those of `sand`; others are
+            options of the environment or of `gymnasium.make`.
 
     Returns:
-        The environment with the wrappers that `gymnasium.make` gives it.
+        The environment with the wrappers of `gymnasium.make`.
 
     Raises:
         UnknownNameError: no such environment; lists Gymnasium's MuJoCo robots.
         UnknownArgumentError: an option of neither the sand, nor the environment.
-        InputError: an environment that is not a `MujocoEnv`, or one without a floor where no
-            surface is given; what `add_sand` refuses.
+        InputError: an environment that is not a `MujocoEnv`, or has no floor if no surface is
+            given; or an error from `add_sand`.
     """
     spec = _find(environment)
     _check_options(spec, options)
@@ -99,7 +97,7 @@ def on_sand(
     ours = EnvSpec(
         id=spec.id.replace("-v", "OnSand-v") if spec.version is not None else f"{spec.id}OnSand",
         entry_point="mjgranular.envs.robots:make_robot",
-        reward_threshold=None,  # that of rigid ground says nothing
+        reward_threshold=None,  # the threshold for rigid ground does not apply
         max_episode_steps=spec.max_episode_steps,
         kwargs={**spec.kwargs, "environment": spec.entry_point, "sand": described},
     )
@@ -107,37 +105,37 @@ def on_sand(
 
 
 def make_robot(environment: str | type, sand: dict[str, Any], **options: Any) -> gym.Env:
-    """Makes the environment itself, without wrappers; what `on_sand` says."""
+    """Make the environment without wrappers; see `on_sand`."""
     return sandy(environment)(sand, **options)
 
 
 def sandy(environment: str | type) -> type[OnSand]:
-    """The class of an environment with sand in the place of its floor.
+    """Return the class of an environment with sand in place of its floor.
 
     Args:
-        environment: its class, or `module:Class`, which worker processes find as well.
+        environment: its class, or `module:Class`, which worker processes can import.
     """
     base: Any = load_env_creator(environment) if isinstance(environment, str) else environment
     return _sandy(base, environment)
 
 
-@cache  # by the class, which may be another one by the same name when a module is imported again
+@cache  # by class: a module that is imported again has another class of the same name
 def _sandy(base: Any, environment: str | type) -> type[OnSand]:
     return type(f"{base.__name__}OnSand", (OnSand, base), {"environment": environment})
 
 
-_OF_MUJOCO = tuple(inspect.signature(MujocoEnv).parameters)  # what a class hands on to it
+_OF_MUJOCO = tuple(inspect.signature(MujocoEnv).parameters)  # what a class passes on to it
 
 
 class OnSand(MujocoEnv):
-    """Additions to an environment of Gymnasium's.
+    """Sand for a Gymnasium environment.
 
     Args:
-        sand: the arguments of `on_sand` that say what the sand is.
-        **options: of the environment.
+        sand: the arguments of `on_sand` for the sand.
+        **options: options of the environment.
 
     Attributes:
-        sands: in the model, by the order of their instances.
+        sands: sands in the model, in the order of their instances.
     """
 
     environment: str | type
@@ -181,7 +179,7 @@ class OnSand(MujocoEnv):
 
     def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:
         super()._step_mujoco_simulation(ctrl, n_frames)
-        # There Gymnasium calls MuJoCo's own function, which leaves the sand out.
+        # There Gymnasium calls MuJoCo's own function, which omits the sand.
         rne_post_constraint(self.model, self.data)
 
     def reset_model(self) -> Any:
@@ -207,7 +205,7 @@ class OnSand(MujocoEnv):
         return super()._get_reset_info() | self.sand_figures()
 
     def sand_figures(self) -> dict[str, Any]:
-        """The sand's figures now; see `Figures.read`."""
+        """Return the current metrics of the sand; see `Figures.read`."""
         drawn = self._drawn
         active, slope = np.array([drawn.number]), np.array([drawn.slope])
         read = self._figures.read(self._readings.read(self.data), active, slope)
@@ -222,7 +220,7 @@ def _again(environment: str | type, sand: dict[str, Any], options: dict[str, Any
 
 
 def _find(environment: Any) -> EnvSpec:
-    """The facts of an environment whose class takes sand.
+    """Return the specification of an environment whose class supports sand.
 
     Raises:
         UnknownNameError: no such environment, or no such module.
@@ -239,7 +237,7 @@ def _find(environment: Any) -> EnvSpec:
         try:
             spec = find_spec(environment)
         except UnknownNameError as error:
-            if error.kind != "environment":  # but a module
+            if error.kind != "environment":  # but for a module
                 raise
             raise UnknownNameError("environment", environment, _robots(), error.hint) from None
     base = _creator(spec)
@@ -253,7 +251,7 @@ def _find(environment: Any) -> EnvSpec:
 
 
 def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
-    """Refuses options that nobody takes.
+    """Check that all options are known.
 
     Raises:
         UnknownArgumentError: an option of neither the sand, nor the environment, nor
@@ -268,13 +266,13 @@ def _check_options(spec: EnvSpec, options: dict[str, Any]) -> None:
 
 
 def _creator(spec: EnvSpec) -> Any:
-    """The class of an environment, or the function that makes it."""
+    """Return the class of an environment, or the function that makes it."""
     made: Any = spec.entry_point
     return load_env_creator(made) if isinstance(made, str) else made
 
 
 def _robots() -> list[str]:
-    """Ids of Gymnasium's MuJoCo environments, of the latest version."""
+    """Return the ids of Gymnasium's MuJoCo environments, latest versions only."""
     begin = "gymnasium.envs.mujoco."
     return [
         name

@@ -14,23 +14,23 @@ from mjgranular.errors import InputError
 
 need("rsl_rl", extra="warp", purpose="mjgranular.envs.rsl")
 
-import torch  # noqa: E402 - behind the install line
+import torch  # noqa: E402 - after the check with the install line
 from rsl_rl.env import VecEnv  # noqa: E402
 from tensordict import TensorDict  # noqa: E402
 
 
 class RslVecEnv(VecEnv):
-    """A `WarpVectorEnv`, or a `SandVectorEnv`, as RSL-RL's runners want it.
+    """A `WarpVectorEnv` or `SandVectorEnv` for the runners of RSL-RL.
 
-    Observations are a `TensorDict` with one group, `"policy"`, of single precision. Episodes that
-    are over begin at once; those that only their length has ended are in `extras["time_outs"]`.
+    Observations are a `TensorDict` with one group, `"policy"`, in single precision. Finished
+    episodes restart at once; those that were truncated are in `extras["time_outs"]`.
 
     Args:
-        env: made with `autoreset_mode="SameStep"` and `max_episode_steps`.
-        device: of PyTorch's, where tensors are to be; None for the processor.
+        env: environment made with `autoreset_mode="SameStep"` and `max_episode_steps`.
+        device: PyTorch device of the tensors; None for the CPU.
 
     Raises:
-        InputError: an environment that begins episodes at another time, or has no longest episode.
+        InputError: the environment has another autoreset mode, or no limit of episode length.
     """
 
     def __init__(self, env: SandVectorEnv, device: str | torch.device | None = None) -> None:
@@ -51,18 +51,18 @@ class RslVecEnv(VecEnv):
         self._observations = self._seen(env.reset()[0])
 
     def seed(self, seed: int) -> None:
-        """Begins all episodes anew, from a seed."""
+        """Restart all episodes, from a seed."""
         self._observations = self._seen(self.env.reset(seed=seed)[0])
         self.episode_length_buf.zero_()
 
     def get_observations(self) -> TensorDict:
-        """Those of now, shape (num_envs, k)."""
+        """Return the current observations, shape (num_envs, k)."""
         return self._observations
 
     def step(
         self, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
-        """Advances all environments; actions beyond the task's are cut off."""
+        """Advance all environments; actions are clipped to the task's range."""
         space = self.env.single_action_space
         wanted = actions.detach().cpu().numpy().reshape(self.num_envs, *(space.shape or ()))
         wanted = np.clip(wanted, space.low, space.high)  # pyright: ignore[reportAttributeAccessIssue]

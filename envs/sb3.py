@@ -18,22 +18,22 @@ from mjgranular.errors import InputError
 
 need("stable_baselines3", extra="train", purpose="mjgranular.envs.sb3")
 
-from stable_baselines3.common.vec_env import VecEnv  # noqa: E402 - behind its install line
+from stable_baselines3.common.vec_env import VecEnv  # noqa: E402 - after the check with its install line
 
 
 class SandVecEnv(VecEnv):
-    """A `SandVectorEnv` as Stable-Baselines3 wants it: an episode that is over begins at once.
+    """A `SandVectorEnv` for Stable-Baselines3: finished episodes restart at once.
 
-    The observation it ended with is in `info["terminal_observation"]`, and
-    `info["TimeLimit.truncated"]` says that it was its length alone that ended it.
+    The last observation is in `info["terminal_observation"]`, and `info["TimeLimit.truncated"]` is
+    True if the episode was only truncated.
 
     Args:
-        batch: made with `autoreset_mode="SameStep"`.
-        full_info: give every simulation all of its `info` at each step; otherwise, which is
-            quicker, only those whose episodes are over.
+        batch: batch made with `autoreset_mode="SameStep"`.
+        full_info: return the complete `info` of every simulation at each step; otherwise, which is
+            faster, only of those whose episodes are over.
 
     Raises:
-        InputError: a batch that begins episodes at another time.
+        InputError: the batch has another autoreset mode.
     """
 
     def __init__(self, batch: SandVectorEnv, *, full_info: bool = False) -> None:
@@ -48,25 +48,25 @@ class SandVecEnv(VecEnv):
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Begins all episodes, with the seeds of the last `seed`."""
+        """Begin all episodes, with the seeds of the last `seed`."""
         seeds, self._next_seeds = self._next_seeds, [None] * self.num_envs
         observations, info = self.batch.reset(seed=list(seeds))
         self.reset_infos = _split(info, np.ones(self.num_envs, bool))
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Sets the seeds of the next reset: this and those that follow."""
+        """Set the seeds of the next reset: consecutive ones from this."""
         if seed is None:
             seed = int(np.random.SeedSequence().generate_state(1)[0])
         self._next_seeds = [seed + number for number in range(self.num_envs)]
         return self._next_seeds
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Notes the actions."""
+        """Store the actions."""
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Advances by a step."""
+        """Advance all simulations by one step."""
         if self._actions is None:
             raise InputError("step_async comes before step_wait")
         observations, rewards, terminated, truncated, info = self.batch.step(self._actions)
@@ -91,31 +91,31 @@ class SandVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
-        """Gives back what was taken for rendering."""
+        """Release rendering resources."""
         self.batch.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
-        """A picture of each simulation."""
+        """Render an image of each simulation."""
         frames = self.batch.render()
         return [None] * self.num_envs if frames is None else list(frames)
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the batch, for each of the simulations asked for."""
+        """Return an attribute of the batch, once for each requested simulation."""
         return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of the batch, which is that of all simulations."""
+        """Set an attribute of the batch, for all simulations."""
         setattr(self.batch, attr_name, value)
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Calls a method of the batch, once, for all of the simulations asked for."""
+        """Call a method of the batch, once for all requested simulations."""
         result = getattr(self.batch, method_name)(*args, **kwargs)
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Batches are not wrapped."""
+        """Return False for each simulation: batches are not wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
@@ -128,20 +128,20 @@ def make_vec_env(
     warp: str | None = None,
     **options: Any,
 ) -> SandVecEnv:
-    """A batch for Stable-Baselines3.
+    """Return a batch for Stable-Baselines3.
 
     Args:
-        environment: id, such as `mjgranular/ChainSwim-v0`.
+        environment: Gymnasium id, such as `mjgranular/ChainSwim-v0`.
         num_envs: number of simulations.
-        seed: of the first reset; None for a random one.
+        seed: seed of the first reset; None for a random one.
         full_info: as for `SandVecEnv`.
         warp: device of MuJoCo Warp that steps them (`WarpVectorEnv`): "cuda:0", "cpu", or "auto"
-            for a GPU where there is one; None for MuJoCo on all cores.
-        **options: of the environment.
+            for a GPU if there is one; None for MuJoCo on all cores.
+        **options: options of the environment.
 
     Raises:
         UnknownNameError: no such environment.
-        InputError: an id that has no batch of ours.
+        InputError: an environment without a batch in mjgranular.
     """
     check_count("num_envs", num_envs)
     check_switch("full_info", full_info)
@@ -173,7 +173,7 @@ def make_vec_env(
 
 
 def _split(info: dict[str, Any], mask: np.ndarray) -> list[dict[str, Any]]:
-    """The `info` of each simulation of the mask, empty ones of the others."""
+    """Return the `info` of each simulation of the mask, empty ones of the others."""
     infos: list[dict[str, Any]] = [{} for _ in mask]
     entries: Iterable[tuple[str, Any]] = [
         (name, value) for name, value in info.items() if f"_{name}" in info

@@ -19,13 +19,13 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     Args:
         task: a task or its name.
         render_mode: None, "human" or "rgb_array".
-        width: of pictures [px].
-        height: of pictures [px].
+        width: width of images [px].
+        height: height of images [px].
         camera_name: a camera of the model; None for one that follows the robot.
-        **options: of the task, where it is given by name.
+        **options: options of the task, if it is given by name.
 
     Raises:
-        UnknownNameError: no task, medium, law or camera of that name; lists those there are.
+        UnknownNameError: no such task, medium, law or camera; lists the valid names.
         InputError: an option that the task does not have, or a value outside its range.
     """
 
@@ -42,7 +42,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         **options: Any,
     ) -> None:
         self.task = get_task(task, options)
-        # A model of its own: gravity is a simulation's where the sand is drawn.
+        # A separate model: with sampled sand, gravity differs between simulations.
         self.model = self.task.model
         self.data = mujoco.MjData(self.model)
         self.metadata = {**self.metadata, "render_fps": round(1 / self.task.dt)}
@@ -69,7 +69,7 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begins an episode; `options` are not used."""
+        """Begin an episode; `options` are not used."""
         super().reset(seed=seed)
         task, model, data = self.task, self.model, self.data
         random = self.np_random
@@ -89,10 +89,10 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
         return task.observation(self._state)[0], first_of(task.reset_info(self._state))
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Advances by `frame_skip` substeps.
+        """Advance by `frame_skip` substeps.
 
         Raises:
-            InputError: an action of another shape, or one that is not finite.
+            InputError: the action has another shape, or is not finite.
         """
         task, state = self.task, self._state
         action = check_actions(action, self.action_space.shape)[None]
@@ -108,21 +108,21 @@ class SandEnv(gym.Env[np.ndarray, np.ndarray]):
             task.observation(state)[0],
             float(task.total(terms)[0]),
             bool(task.terminated(state)[0]),
-            False,  # the time limit is a wrapper's
+            False,  # the time limit is in a wrapper
             first_of(info),
         )
 
     def render(self) -> np.ndarray | None:
-        """A picture, shape (height, width, 3), or a look in the window."""
+        """Render an image, shape (height, width, 3), or to the window."""
         return self.cameras.look(self.model, self.data, int(self._state.active[0]))
 
     def close(self) -> None:
-        """Gives back what was taken for rendering."""
+        """Release rendering resources."""
         self.cameras.close()
 
 
 def first_of(info: dict[str, np.ndarray]) -> dict[str, Any]:
-    """The entries of the only simulation: Python's numbers, arrays in memory of their own."""
+    """Return the entries of the single simulation: Python numbers, and copies of arrays."""
     return {
         name: value.item() if value.ndim == 1 else value[0].copy() for name, value in info.items()
     }

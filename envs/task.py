@@ -1,11 +1,11 @@
 """Tasks: environments over a leading axis of simulations.
 
-A task knows no Gymnasium environment and no batch: it reads arrays whose first axis counts
-simulations, and works on them element by element. `SandEnv` hands it one simulation and
-`SandVectorEnv` many; both so get the same numbers, to the last bit.
+A task is independent of Gymnasium environments and batches: it reads arrays whose first axis counts
+simulations, and works on them element by element. `SandEnv` passes it one simulation and
+`SandVectorEnv` many; both get bit-identical results.
 
-For that to hold a task adds up along the last axis only, of arrays that lie in memory row by row,
-and uses no function that NumPy computes in another way for short arrays than for long ones.
+To achieve this, a task sums only along the last axis, of row-major arrays, and uses no function
+that NumPy computes differently for short and long arrays.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from mjgranular.sand.spec import SAND_FIELDS
 from mjgranular.surface.choice import surface_of
 
 State = SimpleNamespace
-"""Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and of
-the sand of each `active`, `strength`, `density`, `slope`, shape (n,). `found` is for `once`."""
+"""Live arrays of n simulations: `qpos`, `qvel`, `sensordata`, ..., each of shape (n, ...); and
+`active`, `strength`, `density`, `slope` of the sand of each, shape (n,). `found` is for `once`."""
 
 ACTION_LIMIT = 1.0
-"""Actions are within one either way; what they stand for is the task's."""
+"""Actions are within [-1, 1]; the task defines their meaning."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Start:
     Attributes:
         qpos: positions, shape (nq,).
         qvel: velocities, shape (nv,).
-        userdata: what else belongs to the episode, shape (nuserdata,).
+        userdata: other data of the episode, shape (nuserdata,).
     """
 
     qpos: np.ndarray
@@ -68,20 +68,20 @@ class Start:
 
 @dataclass(frozen=True, kw_only=True)
 class Task(SandSpec, ABC):
-    """A robot, the sand it is on, and what it is to do there.
+    """A robot, its sand, and its goal.
 
     A final task is a frozen dataclass; its fields are the options of the environment. Its docstring
     is the environment's specification, in Gymnasium's sections.
 
-    The sand is described as in `mjgranular.SandSpec`; what is said here comes beside that. It
-    replaces the floor without a word, and `instead_of` names other geoms.
+    The sand has the fields of `mjgranular.SandSpec`; those below are additional. It always replaces
+    the floor; `instead_of` names other geoms.
 
     Attributes:
-        randomise: from where the sand of each episode is drawn; None for always the same.
-        curriculum: gives the ranges for the next episode, called with the number of episodes that
-            this simulation has begun; within what `randomise` names.
-        observe_sand: append what was drawn to the observation: strength, density, slope, and where
-            there are several sands a one for the one that is there.
+        randomise: ranges of the sand of each episode; None for a fixed sand.
+        curriculum: returns the ranges for the next episode, given the number of episodes that this
+            simulation has begun; must be within `randomise`.
+        observe_sand: append the sampled sand to the observation: strength, density, slope, and a
+            one-hot vector if there are several sands.
         frame_skip: substeps in a step.
 
     Raises:
@@ -89,19 +89,19 @@ class Task(SandSpec, ABC):
     """
 
     title: ClassVar[str]
-    """One line that says what it is."""
+    """One-line title."""
     episode: ClassVar[int] = 1000
-    """Steps after which `gymnasium.make` has an episode end."""
+    """Steps after which `gymnasium.make` truncates an episode."""
     reads: ClassVar[tuple[str, ...]] = ()
-    """Fields of `MjData` that are read beside qpos, qvel, userdata and sensordata."""
+    """Fields of `MjData` that are read in addition to qpos, qvel, userdata and sensordata."""
     dunes: ClassVar[Dunes] = Dunes()
-    """The dunes that are drawn."""
+    """The dunes, if sampled."""
     cut: ClassVar[float] = 0.0
-    """Depth at which the sand is drawn cut open [m]."""
+    """Depth of the cut at which the sand is rendered [m]."""
     tile: ClassVar[float] = 0.5
-    """Edge of the picture of sand on the ground [m]."""
+    """Edge length of the ground's texture [m]."""
     camera: ClassVar[dict[str, Any]] = {}
-    """Of the free camera: trackbodyid, distance, azimuth, elevation, lookat."""
+    """Settings of the free camera: trackbodyid, distance, azimuth, elevation, lookat."""
 
     medium: str | Path | Medium = "quikrete_medium"
     resolution: int | None = 4
@@ -119,68 +119,68 @@ class Task(SandSpec, ABC):
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
 
-    # What a task says.
+    # Defined by a task.
 
     @abstractmethod
     def robot(self) -> mujoco.MjSpec:
-        """The robot over a floor, a plane geom of the world."""
+        """Return the robot over a floor, a plane geom of the world."""
 
     @abstractmethod
     def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
-        """Beginning of an episode.
+        """Return the start of an episode.
 
         Args:
-            random: of that simulation.
-            height: of the sand at x, y over the floor [m].
+            random: random generator of the simulation.
+            height: height of the sand at x, y over the floor [m].
         """
 
     @abstractmethod
     def observe(self, state: State) -> np.ndarray:
-        """Observations, shape (n, k), in memory of their own."""
+        """Return observations, shape (n, k), in new arrays."""
 
     @abstractmethod
     def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
-        """Terms of the reward by their names in `info`, each of shape (n,).
+        """Return the terms of the reward by their names in `info`, each of shape (n,).
 
         Args:
-            before: what `mark` gave before the step.
-            action: as it was given, shape (n, nu).
-            state: after the step.
+            before: what `mark` returned before the step.
+            action: the given action, shape (n, nu).
+            state: state after the step.
         """
 
     def mark(self, state: State) -> Any:
-        """Copies what `rewards` needs from before a step."""
+        """Copy what `rewards` needs from the state before a step."""
         return None
 
     def total(self, terms: dict[str, np.ndarray]) -> np.ndarray:
-        """The reward, from its terms, shape (n,)."""
+        """Return the reward from its terms, shape (n,)."""
         return np.asarray(sum(terms.values()))
 
     def act(self, action: np.ndarray, state: State) -> np.ndarray:
-        """Controls for actions, shape (n, nu).
+        """Return controls for actions, shape (n, nu).
 
-        It may write to the state, which is that before the step.
+        It may write to the state, which is the one before the step.
         """
         return action
 
     def terminated(self, state: State) -> np.ndarray:
-        """Tells whether an episode is over, shape (n,)."""
+        """Return True if an episode is over, shape (n,)."""
         return np.zeros(len(state.qpos), bool)
 
     def place(self, state: State) -> dict[str, np.ndarray]:
-        """Entries of `info` after a reset and a step, by name, each of shape (n, ...)."""
+        """Return entries of `info` after resets and steps, by name, each of shape (n, ...)."""
         return {}
 
     def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
-        """Entries of `info` after a step alone, by name, each of shape (n, ...)."""
+        """Return entries of `info` only after steps, by name, each of shape (n, ...)."""
         return {}
 
     @cached_property
     def action_space(self) -> Box:
-        """Of one simulation."""
+        """Space of one simulation."""
         return Box(-ACTION_LIMIT, ACTION_LIMIT, (self.model.nu,), np.float32)
 
-    # What is made of it, once.
+    # Built from it, once.
 
     @cached_property
     def _sands(self) -> tuple[list[SandSpec], list[Choice]]:
@@ -188,17 +188,17 @@ class Task(SandSpec, ABC):
 
     @property
     def sands(self) -> Sequence[SandSpec]:
-        """The sands that the model has, as they are asked for."""
+        """The sands of the model, as specified."""
         return self._sands[0]
 
     @property
     def choices(self) -> Sequence[Choice]:
-        """The sands in the model."""
+        """The sands in the model, by names."""
         return self._sands[1]
 
     @cached_property
     def _built(self) -> tuple[mujoco.MjModel, Figures, np.ndarray]:
-        """The model and what is read from it before anybody tilts its gravity."""
+        """The model and data read from it before its gravity is tilted."""
         spec, sands = self.scene(), self.sands
         model = put_on_sand(
             spec,
@@ -210,7 +210,7 @@ class Task(SandSpec, ABC):
         return model, Figures(model, sands), np.array(model.opt.gravity)
 
     def scene(self) -> mujoco.MjSpec:
-        """The robot, and dunes where they are drawn, before sand is put in the floor's place."""
+        """Return the robot, with dunes if sampled, before sand replaces the floor."""
         spec = self.robot()
         if any(choice.surface == "dunes" for choice in self.choices):
             add_dunes(spec, self.dunes)
@@ -223,12 +223,12 @@ class Task(SandSpec, ABC):
 
     @property
     def figures(self) -> Figures:
-        """Reader of the sand's forces."""
+        """Reader of the sand's metrics."""
         return self._built[1]
 
     @property
     def gravity(self) -> np.ndarray:
-        """On level ground [m/s^2], shape (3,)."""
+        """Gravity on level ground [m/s^2], shape (3,)."""
         return self._built[2]
 
     @cached_property
@@ -238,36 +238,36 @@ class Task(SandSpec, ABC):
 
     @cached_property
     def observation_space(self) -> Box:
-        """Of one simulation."""
+        """Space of one simulation."""
         data = mujoco.MjData(self.model)
         size = self.observation(self.state_of(data)).shape[1]
         return Box(-np.inf, np.inf, (size,), np.float64)
 
     @staticmethod
     def once(state: State, name: str, find: Callable[[State], Any]) -> Any:
-        """Quantities that follow from a state, computed once.
+        """Return a quantity that follows from a state, computed once.
 
-        The environment forgets it as soon as a simulation moves.
+        The environment clears it as soon as a simulation moves.
 
         Args:
             state: the state.
-            name: of what is found.
-            find: works it out.
+            name: name of the quantity.
+            find: computes it.
         """
         if name not in state.found:
             state.found[name] = find(state)
         return state.found[name]
 
-    # What an environment does with it.
+    # Called by an environment.
 
     @property
     def bound(self) -> tuple[str, ...]:
-        """Names of the fields of `MjData` that are in a state."""
+        """Names of the `MjData` fields in a state."""
         always = ("qpos", "qvel", "sensordata")
         return (*always, *(("userdata",) if self.model.nuserdata else ()), *self.reads)
 
     def new_state(self, arrays: dict[str, np.ndarray]) -> State:
-        """A state of these arrays, on the sand that the model starts with."""
+        """Return a state of these arrays, on the initial sand of the model."""
         n = len(arrays["qpos"])
         return State(
             **arrays,
@@ -279,18 +279,18 @@ class Task(SandSpec, ABC):
         )
 
     def state_of(self, data: mujoco.MjData) -> State:
-        """The state of one simulation: views of its data with a leading axis of one."""
+        """Return the state of one simulation: views of its data with a leading axis of one."""
         return self.new_state({name: getattr(data, name)[None] for name in self.bound})
 
     def sample(self, random: np.random.Generator, episode: int) -> Sample | None:
-        """Draws the sand of an episode; None where it is always the same.
+        """Sample the sand of an episode; return None for a fixed sand.
 
         Args:
-            random: of that simulation.
-            episode: how many it has begun.
+            random: random generator of the simulation.
+            episode: number of episodes that it has begun.
 
         Raises:
-            InputError: a curriculum gives ranges beyond those that the model was made for.
+            InputError: the curriculum returns ranges beyond those that the model was made for.
         """
         if self.randomise is None:
             return None
@@ -300,14 +300,14 @@ class Task(SandSpec, ABC):
     def lay(
         self, sample: Sample, state: State, row: int, plugin_state: np.ndarray, gravity: np.ndarray
     ) -> None:
-        """Gives a simulation the sand that was drawn.
+        """Apply the sampled sand to a simulation.
 
         Args:
-            sample: what was drawn.
-            state: of all simulations.
-            row: number of the simulation.
-            plugin_state: of that simulation; written to.
-            gravity: of that simulation; written to.
+            sample: the sampled sand.
+            state: state of all simulations.
+            row: index of the simulation.
+            plugin_state: plugin state of that simulation; written to.
+            gravity: gravity of that simulation; written to.
         """
         strength = float(np.linalg.norm(self.gravity))
         lay(sample, self.model, self.figures.sands, plugin_state, gravity, strength)
@@ -317,20 +317,20 @@ class Task(SandSpec, ABC):
         state.slope[row] = sample.slope
 
     def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
-        """Beginning of an episode on the sand that was drawn.
+        """Return the start of an episode on the sampled sand.
 
         Args:
-            random: of that simulation.
-            sample: what was drawn; None for the sand that is always the same.
+            random: random generator of the simulation.
+            sample: the sampled sand; None for a fixed sand.
         """
         if sample is None or self.choices[sample.number].surface != "dunes":
             return self.start(random, _height_of(surface_of(self.surface)))
         start = self.start(random, lambda x, y: self.dunes.height(x + sample.place, y))
-        start.qpos[0] += sample.place  # x comes first in all of our models
+        start.qpos[0] += sample.place  # x comes first in all our models
         return start
 
     def observation(self, state: State) -> np.ndarray:
-        """Observations, shape (n, k), with what was drawn where that is wanted."""
+        """Return observations, shape (n, k), with the sampled sand if `observe_sand` is set."""
         seen = self.observe(state)
         if not self.observe_sand:
             return seen
@@ -340,7 +340,7 @@ class Task(SandSpec, ABC):
         return np.concatenate([seen, np.stack(drawn, axis=1)], axis=1)
 
     def reset_info(self, state: State) -> dict[str, np.ndarray]:
-        """`info` after a reset, by name, each of shape (n, ...)."""
+        """Return `info` after a reset, by name, each of shape (n, ...)."""
         info = self.place(state)
         if self.randomise is None:
             info.update(self.figures.read(state.sensordata))
@@ -350,12 +350,12 @@ class Task(SandSpec, ABC):
         return info
 
     def options(self) -> dict[str, Any]:
-        """The task's fields by name, of which another is made."""
+        """Return the task's fields by name, to make another one from."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
 def _height_of(surface: Surface) -> Callable[[float, float], float]:
-    """The height of a surface over the floor; of a model's own geom, nothing is known: zero."""
+    """Return the height of a surface over the floor; zero if unknown, for the model's own geom."""
     if not isinstance(surface, Plane):
         return lambda x, y: 0.0
     rise = math.tan(surface.slope)
@@ -364,15 +364,15 @@ def _height_of(surface: Surface) -> Callable[[float, float], float]:
 
 
 def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
-    """Actions as an array.
+    """Return actions as an array.
 
     Raises:
-        ValueError: of another shape, as Gymnasium has it, or not finite.
+        ValueError: they have another shape, as in Gymnasium, or are not finite.
     """
     array = np.asarray(actions)
     if array.shape != shape:
         raise InputError(f"Action dimension mismatch. Expected {shape}, found {array.shape}")
-    # The sum is quicker, and finite if all are, unless they are enormous.
+    # The sum is faster, and finite if all are, unless they are enormous.
     if not math.isfinite(array.sum()) and not np.isfinite(array).all():
         raise InputError(f"an action must be finite, not {array}")
     return array

@@ -1,4 +1,4 @@
-"""The tasks there are, by name."""
+"""Tasks by name."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ tasks: Registry[type[Task]] = Registry("environment")
 
 
 def get_task(task: str | Task, options: dict[str, Any]) -> Task:
-    """A task from its name and its options.
+    """Return a task from its name and its options.
 
     Raises:
-        UnknownNameError: no such task; lists those there are.
-        InputError: an option that it does not have; lists those it has.
+        UnknownNameError: no such task; lists the tasks.
+        InputError: the task has no such option; lists its options.
     """
     if isinstance(task, Task):
         if options:

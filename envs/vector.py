@@ -20,24 +20,24 @@ from mjgranular.errors import InputError, UnknownNameError
 class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A task with many simulations, stepped by `mujoco.batch.Batch` on all cores.
 
-    Observations, rewards, ends and `info` are those of as many `SandEnv` in Gymnasium's
-    `SyncVectorEnv`, to the last bit, whatever the number of threads. Each simulation has a random
-    generator of its own, seeded as there.
+    Observations, rewards, ends and `info` are bit-identical to those of `num_envs` `SandEnv` in
+    Gymnasium's `SyncVectorEnv`, for any number of threads. Each simulation has its own random
+    generator, seeded as there.
 
     Args:
         task: a task or its name.
         num_envs: number of simulations.
-        max_episode_steps: after which an episode is truncated; None for never.
-        autoreset_mode: when an episode that is over begins anew.
-        threads: number of threads; 0 for one a core.
+        max_episode_steps: steps after which an episode is truncated; None for never.
+        autoreset_mode: when a finished episode restarts.
+        threads: number of threads; 0 for one per core.
         render_mode: None or "rgb_array".
-        width: of pictures [px].
-        height: of pictures [px].
+        width: width of images [px].
+        height: height of images [px].
         camera_name: a camera of the model; None for one that follows the robot.
-        **options: of the task, where it is given by name.
+        **options: options of the task, if it is given by name.
 
     Raises:
-        UnknownNameError: no task, medium, law or camera of that name; lists those there are.
+        UnknownNameError: no such task, medium, law or camera; lists the valid names.
         InputError: an option that the task does not have, or a value outside its range.
     """
 
@@ -106,12 +106,12 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     @property
     def np_random(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """The generators of the simulations, as `SyncVectorEnv` has them."""
+        """Random generators of the simulations, as in `SyncVectorEnv`."""
         return tuple(self._random(number) for number in range(self.num_envs))
 
     @property
     def np_random_seed(self) -> Any:
-        """The seeds of the simulations, as `SyncVectorEnv` has them."""
+        """Seeds of the simulations, as in `SyncVectorEnv`."""
         _ = self.np_random
         return tuple(self._seeds)
 
@@ -121,11 +121,12 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         seed: int | list[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begins episodes.
+        """Begin episodes.
 
         Args:
-            seed: of the first simulation, the others have the following ones; or one each.
-            options: `reset_mask`, a bool for each simulation, resets some; nothing else is used.
+            seed: seed of the first simulation, followed by consecutive ones; or one for each.
+            options: `reset_mask`, a bool for each simulation, resets some; other options are
+                ignored.
         """
         if seed is None:
             seeds: list[int | None] = [None] * self.num_envs
@@ -155,10 +156,10 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def step(
         self, actions: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advances every simulation by `frame_skip` substeps, or begins its next episode.
+        """Advance every simulation by `frame_skip` substeps, or begin its next episode.
 
         Raises:
-            InputError: actions of another shape, or not finite.
+            InputError: the actions have another shape, or are not finite.
         """
         task, state = self.task, self._state
         actions = check_actions(actions, self.action_space.shape)
@@ -202,7 +203,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return task.observation(state), rewards, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture of each simulation, shape (height, width, 3)."""
+        """Render an image of each simulation, shape (height, width, 3)."""
         if self.render_mode is None:
             return None
         frames = []
@@ -213,16 +214,16 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return tuple(frames)
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Gives back what was taken for rendering."""
-        if "cameras" in vars(self):  # not where making it was refused
+        """Release rendering resources."""
+        if "cameras" in vars(self):  # missing if the constructor raised
             self.cameras.close()
 
     def _make_batch(self, threads: int) -> Any:
-        """Makes what steps the simulations, with the methods of `mujoco.batch.Batch`."""
+        """Make the stepper of the simulations, with the methods of `mujoco.batch.Batch`."""
         return _batch_class()(self.task.model, self.num_envs, threads)
 
     def _terminated(self) -> np.ndarray:
-        """Tells whose episodes are over, shape (n,)."""
+        """Return which episodes are over, shape (n,)."""
         return np.array(self.task.terminated(self._state))
 
     def _random(self, number: int) -> np.random.Generator:
@@ -233,7 +234,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return random
 
     def _begin(self, ids: np.ndarray) -> None:
-        """Begins episodes of some simulations."""
+        """Begin episodes of some simulations."""
         task, state = self.task, self._state
         samples, starts = [], []
         for number in ids:
@@ -255,7 +256,7 @@ class SandVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         state.found.clear()
 
     def _finish(self, info: dict[str, Any], over: np.ndarray, only_step: dict[str, Any]) -> None:
-        """Puts what episodes ended with into `info`, as Gymnasium does."""
+        """Put the last observation and `info` of finished episodes into `info`, as in Gymnasium."""
         last = self.task.observation(self._state)
         final = np.full(self.num_envs, None, object)
         for number in np.flatnonzero(over):
@@ -278,9 +279,10 @@ def _batch_class() -> Any:
 
 
 def _add(info: dict[str, Any], values: dict[str, np.ndarray], mask: np.ndarray) -> None:
-    """Adds entries of those simulations that the mask has, each with the mask, as Gymnasium does.
+    """Add entries of the simulations in the mask, each with the mask, as Gymnasium does.
 
-    Others have zeros, or None where entries are no numbers. What no simulation has is left out.
+    Others have zeros, or None for entries that are not numbers. Entries that no simulation has are
+    omitted.
     """
     if not mask.any():
         return

@@ -16,7 +16,7 @@ from mjgranular.errors import InputError
 
 need("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
 
-import mujoco_warp as mjw  # noqa: E402 - behind its install line
+import mujoco_warp as mjw  # noqa: E402 - after the check with its install line
 import warp as wp  # noqa: E402
 
 from mjgranular.warp import WarpSand, coupled  # noqa: E402
@@ -27,21 +27,21 @@ _INPUTS = ("qpos", "qvel", "ctrl")
 class Worlds:
     """Simulations of a task in MuJoCo Warp.
 
-    What is bound are arrays of this process, read from the device after each step; what is written
-    to them goes there before the next. The model has `WarpSand` in place of the task's plugin, and
-    the integrator `discrete`.
+    Bound arrays are in this process: they are read from the device after each step, and written to
+    it before the next. The model has `WarpSand` in place of the task's plugin, and the integrator
+    `discrete`.
 
     Args:
         task: the task.
-        count: of worlds.
-        device: of Warp's, such as "cuda:0" or "cpu"; None for its own choice.
+        count: number of worlds.
+        device: Warp device, such as "cuda:0" or "cpu"; None for Warp's default.
 
     Attributes:
-        lost: worlds that became no numbers in the last step, shape (n,); their states are those of
-            the model's beginning.
+        lost: worlds whose state became NaN in the last step, shape (n,); they are reset to the
+            model's initial state.
 
     Raises:
-        InputError: a task with sand that MuJoCo Warp has no place for.
+        InputError: the task has sand that is not supported in MuJoCo Warp.
     """
 
     def __init__(self, task: Task, count: int, device: str | None = None) -> None:
@@ -54,7 +54,7 @@ class Worlds:
         spec = task.scene()
         (sand,) = place(spec, task.sands)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
-        spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON  # it has no PGS
+        spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON  # MuJoCo Warp has no PGS
         with quiet():
             self._model = model = coupled(spec).compile()
         self._sand = WarpSand(model, sand)
@@ -80,20 +80,20 @@ class Worlds:
         for name in _INPUTS:
             self.bind(name)
         if task.randomise is None:
-            # What the task's own sand would remember there: nobody reads it.
+            # State of the memory of the task's own sand, which is not used.
             self._arrays["plugin_state"] = np.zeros((count, 0))
         self._drawn = self.bind("plugin_state")
         self._graphs: dict[int, Any] = {}
         self.lost = np.zeros(count, bool)
 
     def bind(self, name: str) -> np.ndarray:
-        """The array of a field of `mjData`, shape (n, ...).
+        """Return the array of a field of `mjData`, shape (n, ...).
 
         Args:
-            name: of the field.
+            name: name of the field.
 
         Raises:
-            InputError: a field that is not read from MuJoCo Warp.
+            InputError: the field is not read from MuJoCo Warp.
         """
         if name not in self._arrays:
             data = mujoco.MjData(self._full)
@@ -104,12 +104,12 @@ class Worlds:
         return self._arrays[name]
 
     def expand(self, name: str) -> np.ndarray:
-        """An option of the model for each world; there is `opt.gravity`."""
+        """Return an option of the model for each world; only `opt.gravity` is supported."""
         assert name == "opt.gravity"
         return self._gravity
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
-        """Steps all worlds; those that are not in `ids` are to be reset before they are read."""
+        """Step all worlds; reset those that are not in `ids` before reading them."""
         self._write(("ctrl",))
         device = self._d.qpos.device
         if device.is_cuda:
@@ -128,13 +128,13 @@ class Worlds:
             self.forward(np.flatnonzero(self.lost))
 
     def reset(self, ids: np.ndarray, stage: int = 0) -> None:
-        """Gives worlds the model's first state."""
+        """Reset worlds to the model's initial state."""
         data = mujoco.MjData(self._full)
         for name, value in self._arrays.items():
             value[ids] = getattr(data, name) if value.size else 0.0
 
     def forward(self, ids: np.ndarray) -> None:
-        """Writes the state of worlds, their sand and gravity, and finds what follows from them."""
+        """Write the state of worlds, their sand and gravity, and compute the derived quantities."""
         self._write(_INPUTS)
         for name in ("qacc_warmstart", "act", "time"):
             field = getattr(self._d, name)
@@ -152,16 +152,16 @@ class Worlds:
         self._read(ids)
 
     def volumes(self) -> dict[str, np.ndarray]:
-        """Sand that each world has moved; see `WarpSand.volumes`."""
+        """Return the volumes of sand that each world has moved; see `WarpSand.volumes`."""
         return self._sand.volumes()
 
     def get_model(self, number: int) -> mujoco.MjModel:
-        """The task's model, with the gravity of a world."""
+        """Return the task's model, with the gravity of a world."""
         self._full.opt.gravity[:] = self._gravity[number]
         return self._full
 
     def get_data(self, number: int) -> mujoco.MjData:
-        """The state of a world."""
+        """Return the state of a world."""
         data = mujoco.MjData(self._full)
         for name in _INPUTS:
             getattr(data, name)[:] = self._arrays[name][number]
@@ -178,7 +178,7 @@ class Worlds:
             getattr(self._d, name).assign(self._arrays[name].astype(np.float32))
 
     def _read(self, ids: np.ndarray | None) -> None:
-        """Reads what is bound; of all worlds, or of some."""
+        """Read the bound arrays, of all worlds or of some."""
         rows = slice(None) if ids is None else ids
         for name, value in self._arrays.items():
             if name in ("ctrl", "plugin_state", "userdata"):
@@ -191,7 +191,7 @@ class Worlds:
             value[rows] = found.reshape(value.shape)[rows]
 
     def _figures(self) -> np.ndarray:
-        """What the task's sensors of the sand read: force, depth, power and speed, shape (n, 6)."""
+        """Return readings of the sand's sensors: force, depth, power and speed, shape (n, 6)."""
         sand = self._sand
         return np.column_stack(
             [
@@ -203,7 +203,7 @@ class Worlds:
         )
 
     def _external(self) -> np.ndarray:
-        """The sand's part of `cfrc_ext`: moments about the centre of the tree, and forces."""
+        """Return the sand's part of `cfrc_ext`: moments about the tree's center, and forces."""
         forces, moments = self._sand.force.numpy(), self._sand.moment.numpy()
         centres, trees = self._d.xipos.numpy(), self._d.subtree_com.numpy()
         wrenches = np.zeros((self._count, self._model.nbody, 6))

@@ -1,6 +1,6 @@
-"""Errors: one root, and beneath it the built-in that a caller would expect.
+"""Errors: a common base class, combined with the built-in class that a caller would expect.
 
-Every message is one sentence that says what was wrong and what would have been right.
+Every message is one sentence that says what is wrong and what would be right.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ import sys
 import warnings
 from collections.abc import Iterable, Sequence
 
-# Texts of files, models and arguments stand in messages: what a message shows of them is bounded.
+# Messages contain strings from files, models and arguments: their length is limited.
 _LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
-_LONGEST_LIST = 1000  # of the names that there are
+_LONGEST_LIST = 1000  # characters of a list of names
 _LONGEST_MESSAGE = 2000
-_SHORT_LIST = 12  # names that are listed even if one of them is near
-_PART = 3  # characters of a name that are looked for in others
+_SHORT_LIST = 12  # names that are listed even if one of them is similar
+_PART = 3  # characters of a name that are searched in others
 
 
 def shown(value: object) -> str:
-    """A value as a message shows it: short, whatever it is."""
+    """Format any value for a message, in limited length."""
     if isinstance(value, str):
         return repr(_cut(value, _LONGEST_VALUE))
     if isinstance(value, int) and value.bit_length() > 64:
@@ -33,14 +33,14 @@ def shown(value: object) -> str:
 
 
 def one_line(text: str) -> str:
-    """A text without line breaks, and with characters that cannot be printed written as escapes."""
+    """Return a string without line breaks, with unprintable characters escaped."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names with commas between them: as many as a message bears, and how many more there are."""
+    """Join names with commas: as many as fit into a message, and the number of the others."""
     known = list(names)
     length, count = 0, 0
     for name in known:
@@ -53,7 +53,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> str:
-    """End of a sentence on an unknown name: those that may have been meant, and those there are."""
+    """Return the end of a message on an unknown name: similar names, and the valid ones."""
     near = _near(str(name)[:_LONGEST_VALUE].lower(), known) if guess else []
     if near and len(known) > _SHORT_LIST:
         return f"; did you mean {', '.join(near)}? There are {len(known)} in all"
@@ -61,11 +61,11 @@ def _known_ones(name: object, known: Sequence[str], *, guess: bool = True) -> st
 
 
 def _near(name: str, known: Sequence[str]) -> list[str]:
-    """Up to three names that resemble one, or have it in them; capitals do not count."""
-    # `Hexapod-v0` is meant by somebody who leaves the namespace away, as is a robot's `foot`.
+    """Return up to three names that resemble or contain a name, ignoring case."""
+    # `Hexapod-v0` may be given without its namespace, as may a robot's `foot`.
     lower = {one.rpartition("/")[2].lower(): one for one in known}
     lower |= {one.lower(): one for one in known}
-    close = difflib.get_close_matches(name, lower, n=6, cutoff=0.6)  # of one name there may be two
+    close = difflib.get_close_matches(name, lower, n=6, cutoff=0.6)  # one name may occur twice
     within = [one for one in lower if len(name) >= _PART and name in one]
     return list(dict.fromkeys(lower[one] for one in (close or within)))[:3]
 
@@ -75,13 +75,13 @@ def _cut(text: str, longest: int) -> str:
 
 
 class GranularError(Exception):
-    """Root of all errors that mjgranular raises on purpose.
+    """Base class of all errors that mjgranular raises on purpose.
 
-    Its message is one line of bounded length whatever names and values it tells of.
+    Its message is one line of bounded length for any names and values in it.
     """
 
     def __init__(self, *arguments: object) -> None:
-        # Cleaned before it is cut: an escape is longer than what it stands for.
+        # Escape before truncating: an escape is longer than the character.
         clean = (
             _cut(one_line(a), _LONGEST_MESSAGE) if isinstance(a, str) else a for a in arguments
         )
@@ -93,14 +93,14 @@ class InputError(GranularError, ValueError):
 
 
 class UnknownNameError(GranularError, KeyError):
-    """A name that does not exist, told together with those that do.
+    """A name that does not exist; the message lists those that do.
 
     Args:
-        kind: what the name was meant to name ("medium", "law", "camera", ...).
-        name: the name as given.
+        kind: kind of the named thing ("medium", "law", "camera", ...).
+        name: the given name.
         known: the valid names.
-        hint: what else would do, if anything.
-        guess: whether the name may be a misspelt one of those.
+        hint: an alternative, if any.
+        guess: whether to suggest similar names.
     """
 
     def __init__(
@@ -127,12 +127,12 @@ class UnknownNameError(GranularError, KeyError):
 
 
 class UnknownArgumentError(GranularError, TypeError):
-    """A keyword argument that a call does not take, told together with those that it does.
+    """An unknown keyword argument; the message lists the valid ones.
 
     Args:
-        call: name of what was called.
-        name: the argument as given.
-        known: the arguments that there are.
+        call: name of the called function.
+        name: the given argument.
+        known: the valid arguments.
     """
 
     def __init__(self, call: str, name: str, known: Iterable[str]) -> None:
@@ -145,15 +145,15 @@ class UnknownArgumentError(GranularError, TypeError):
 
 
 class UnstableError(GranularError, ArithmeticError):
-    """The simulation left reason: forces or speeds that no passive medium can cause."""
+    """The simulation diverged: forces or speeds that no passive medium can cause."""
 
 
 class OutputError(GranularError, OSError):
-    """A folder or file cannot be written, or holds something that must not be lost."""
+    """A folder or file cannot be written, or has content that must not be lost."""
 
 
 class RenderError(GranularError, RuntimeError):
-    """Nothing can be drawn on this machine as it is set up."""
+    """Rendering does not work on this machine."""
 
 
 class MissingExtraError(GranularError, ImportError):
@@ -161,8 +161,8 @@ class MissingExtraError(GranularError, ImportError):
 
     Args:
         package: the package that could not be imported.
-        extra: the extra of mjgranular that brings it.
-        purpose: what it was wanted for.
+        extra: the extra of mjgranular that installs it.
+        purpose: what it was needed for.
     """
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
@@ -178,39 +178,39 @@ class MissingExtraError(GranularError, ImportError):
 
 
 class GranularWarning(UserWarning):
-    """Something that may not be what the user wants, but can be computed."""
+    """Something that can be computed, but may not be intended."""
 
 
 class FloorWarning(GranularWarning):
-    """Ground of the model's own carries bodies at or above the sand's surface."""
+    """The model's own ground supports bodies at or above the sand's surface."""
 
 
 class PointsWarning(GranularWarning):
-    """Bodies meet the sand with geoms that are points beside what is drawn, and will sink."""
+    """Bodies meet the sand only with geoms tiny compared to what is drawn, and will sink."""
 
 
 class CostWarning(GranularWarning):
-    """So many elements that steps take long."""
+    """The number of elements makes steps slow."""
 
 
 class MissedStepWarning(GranularWarning):
-    """Time has gone on without the sand, which was to act in every step."""
+    """The time has advanced without the sand, which should act in every step."""
 
 
 class RangeWarning(GranularWarning):
-    """A value that no sand or simulation has: a slip of units, most likely."""
+    """A value that is implausible for sand: most likely a wrong unit."""
 
 
 class UnfeltWarning(GranularWarning):
-    """Something that moves without the sand's acting on it, or with motion that it is not told."""
+    """Something moves without force from the sand, or with motion that the sand ignores."""
 
 
 def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> None:
-    """Warns with a `GranularWarning` that points at the user's line, the last outside this package.
+    """Warn with a `GranularWarning` that points at the user's line, the last outside this package.
 
     Args:
-        message: one sentence, as an error's.
-        kind: of warning.
+        message: one sentence, as for an error.
+        kind: class of the warning.
     """
     package = __name__.partition(".")[0]
     frame, level = sys._getframe(1), 2

@@ -1,4 +1,4 @@
-"""Models that come with the package, and builders for other sizes of them."""
+"""Models of the package, and builders for other sizes of them."""
 
 from mjgranular.models.chain import Chain as Chain
 from mjgranular.models.hexapod import Hexapod as Hexapod

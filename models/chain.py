@@ -18,28 +18,28 @@ from mjgranular.sand.material import LAW_TEXT
 Base = Literal["free", "hinge", "slide", "level"]
 Actuators = Literal["none", "motor", "position"]
 
-_SCENERY_LENGTH = 0.2  # of the link that the scenery of link.xml is made for [m]
-_LEAN = math.pi / 4  # of the starting pose, as in link.xml [rad]
-_SPEED = 1.0  # of the starting pose of a free chain, down [m/s]
+_SCENERY_LENGTH = 0.2  # length of the link that the scenery of link.xml is made for [m]
+_LEAN = math.pi / 4  # angle of the initial pose, as in link.xml [rad]
+_SPEED = 1.0  # initial speed of a free chain, down [m/s]
 _ACROSS, _ALONG = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)  # axes of q (as in link.xml) and of p
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Equal slender links, each jointed to the end of the one before.
+    """Equal slender links, each with a joint at the end of the previous one.
 
-    Bodies `link0`, `link1`, ... have their frame at the mass centre C and their length along z;
-    in the vertical plane the chain goes on from the pole at -z. Site `T0`, `T1`, ... is that end of
-    each link. A link ends where the next begins: at the joint between them. Links do not touch one
-    another; they do touch geoms whose contype has bit 0.
+    Bodies `link0`, `link1`, ... have their frame at the center of mass C and their length along z;
+    in the vertical plane the chain continues at the pole at -z. Sites `T0`, `T1`, ... are these
+    ends. A link ends where the next begins: at the joint between them. Links do not collide with
+    one another; they collide with geoms whose contype has bit 0.
 
-    Joints between links are `q1`, `q2`, ... in the sense of the paper's angle: hinges about -y, so
-    that the lower end moves to +x as they grow; spatial chains have `p1`, `p2`, ... about the
-    link's x beside them. Such a pair is a universal joint: it bends both ways and does not twist.
-    It is preferred to a ball joint because its angles can be read, limited and driven one by one;
-    where p is 90 degrees, q turns the link about its own axis.
+    Joints between links are `q1`, `q2`, ... with the sign of the paper's angle: hinges about -y, so
+    that the lower end moves to +x for positive angles; spatial chains also have `p1`, `p2`, ...
+    about the link's x. Such a pair is a universal joint: it bends both ways and does not twist.
+    Unlike for a ball joint, its angles can be read, limited and driven separately; at p = 90
+    degrees, q turns the link about its own axis.
 
-    What holds the first link is the base:
+    The base holds the first link:
 
     - "free": slides `x`, `z`, which are the world coordinates of its C, and hinge `q0`; a spatial
       chain has a free joint `root`.
@@ -48,7 +48,7 @@ class Chain:
       mass.
     - "level": a swimmer, free in the level plane at `height`: slides `x`, `y` of the first link's
       C and `q0`, its angle from the x axis about z. The links lie along x with the first ahead, all
-      joints turn about z. Nothing moves it up or down.
+      joints turn about z. It cannot move up or down.
 
     Stiffness, damping and actuators are those of the joints between links; the base has none.
 
@@ -56,17 +56,17 @@ class Chain:
         count: number of links n.
         length: L of each link, pole to pole [m].
         diameter: d [m].
-        density: of the rods [kg/m^3]; each weighs as a cylinder, rho pi d^2/4 L.
+        density: density of the rods [kg/m^3]; each has the mass of a cylinder, rho pi d^2/4 L.
         base: what holds the first link.
-        height: of the hinge, or of the level plane, above the sand [m]; None for nine tenths of the
-            chain's length, or for three diameters below the sand. Other bases have none.
+        height: height of the hinge, or of the level plane, above the sand [m]; None for nine tenths
+            of the chain's length, or three diameters below the sand. Not used for other bases.
         spatial: whether joints bend both ways.
-        stiffness: of the joints, straight at rest [N m/rad].
-        damping: of the joints [N m s/rad].
+        stiffness: stiffness of the joints, straight at rest [N m/rad].
+        damping: damping of the joints [N m s/rad].
         actuators: "motor" takes a torque [N m] as control, "position" an angle [rad].
         kp: gain of a position actuator [N m/rad].
         kv: damping of a position actuator [N m s/rad].
-        torque: the most that an actuator gives either way [N m].
+        torque: torque limit of an actuator in both directions [N m].
 
     Raises:
         InputError: a value outside its range, or options that exclude one another.
@@ -140,10 +140,10 @@ class Chain:
         return {"hinge": 0.9 * self.reach, "level": -3 * self.diameter}.get(self.base, 0.0)
 
     def spec(self) -> mujoco.MjSpec:
-        """An editable model: `link.xml` with this chain in it, scenery scaled with its length.
+        """Return an editable model: `link.xml` with this chain, scenery scaled with its length.
 
-        Key frame `start`: the chain straight at 45 degrees, as `posed` puts it; free, with 1 m/s
-        down.
+        Key frame `start`: the straight chain at 45 degrees, as placed by `posed`; a free one moves
+        down at 1 m/s.
         """
         spec = mujoco.MjSpec.from_file(str(model_path("link")))
         spec.modelname = "chain"
@@ -160,7 +160,7 @@ class Chain:
         level = self.base == "level"
         angles = [0.0 if level else _LEAN] * self.count
         qpos = self.posed(angles)
-        # In velocities a free joint has one number less than in positions.
+        # A free joint has one velocity less than positions.
         qvel = np.zeros(len(qpos) - (self.spatial and self.base == "free"))
         if self.base == "free":
             qvel[2 if self.spatial else 1] = -_SPEED
@@ -168,20 +168,20 @@ class Chain:
         return spec
 
     def model(self, timestep: float) -> mujoco.MjModel:
-        """The compiled model with that time step [s]."""
+        """Return the compiled model with a given time step [s]."""
         spec = self.spec()
         spec.option.timestep = timestep
         return spec.compile()
 
     def posed(self, angles: Sequence[float] | np.ndarray) -> np.ndarray:
-        """`qpos` for given angles of the links, in the plane y = 0.
+        """Return `qpos` for given angles of the links, in the plane y = 0.
 
-        A free chain has the lowest end of its links at the origin, one on a slide has it on the
-        surface; where a hinge or the level plane holds the chain, that is where it is.
+        The lowest end of a free chain is at the origin, that of a chain on a slide is on the
+        surface; with a hinge or in the level plane the base fixes the position.
 
         Args:
-            angles: of each link from the vertical, positive with the lower end towards +x; with
-                base "level" from the x axis, anticlockwise [rad].
+            angles: angle of each link from the vertical, positive with the lower end toward +x;
+                with base "level" from the x axis, counterclockwise [rad].
 
         Raises:
             InputError: not one angle for each link.
@@ -194,7 +194,7 @@ class Chain:
         bends = np.diff(angle)
         if self.spatial:
             bends = np.stack([bends, np.zeros_like(bends)], axis=1).ravel()
-        # Ends of the links from the upper end of the first, x and z.
+        # Ends of the links relative to the upper end of the first, x and z.
         steps = self.length * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
         ends = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
         lowest = ends[np.argmin(ends[:, 1])]
@@ -225,7 +225,7 @@ class Chain:
             )
         link = self.link
         body.explicitinertial = True
-        body.ipos = [0, 0, 0]  # unset, it would be taken from the body's place
+        body.ipos = [0, 0, 0]  # unset, it would be taken from the body's position
         body.mass = link.mass
         body.inertia = [link.inertia, link.inertia, link.mass * self.diameter**2 / 8]
         body.add_geom(
@@ -233,7 +233,7 @@ class Chain:
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             size=[radius, half - radius, 0],
             material="steel",
-            contype=0,  # links do not touch each other, with conaffinity alone
+            contype=0,  # with conaffinity alone, links do not collide with each other
             conaffinity=1,
         )
         end = body.add_site(name=f"T{index}", pos=[0, 0, -half], group=4)
@@ -266,7 +266,7 @@ class Chain:
             pivot.size[0] = 0.7 * self.diameter
 
     def _add_hinges(self, body: mujoco.MjsBody, index: int, **options: list[float]) -> None:
-        """Hinges at the link's upper end."""
+        """Add hinges at the link's upper end."""
         across = (0.0, 1.0, 0.0) if self.base == "level" else _ACROSS
         for name, axis in (("q", across), ("p", _ALONG))[: 1 + self.spatial]:
             body.add_joint(
@@ -302,14 +302,14 @@ class Chain:
             geom = spec.geom(name)
             geom.pos = geom.pos * scale
             geom.size = geom.size * scale
-        # Cut open along the plane of motion, as in link.xml; a spatial chain has none.
+        # A cut along the plane of motion, as in link.xml; a spatial chain has none.
         bed, gap = spec.geom("bed"), 0.55 * self.diameter
         back = bed.pos[1] + bed.size[1]
         if self.spatial or self.base == "level":
             bed.pos[1], bed.size[1] = 0, back
         else:
             bed.pos[1], bed.size[1] = (back + gap) / 2, (back - gap) / 2
-        if self.base == "level":  # cut open there too: the chain lies on the cut
+        if self.base == "level":  # a cut there too: the chain lies on it
             spec.geom("table").pos[2] += self.base_height - gap
             bed.pos[2] += self.base_height - gap
         sand = spec.material("sand")

@@ -14,37 +14,37 @@ from mjgranular.models.link import robot_scene
 LEGS = ("front_left", "middle_left", "rear_left", "front_right", "middle_right", "rear_right")
 """Names of the legs, in the order of their joints and servos."""
 
-_FOOT_MASS = 0.01  # of a hollow ball [kg]; chosen
+_FOOT_MASS = 0.01  # mass of a hollow ball [kg]; chosen
 
 
 @dataclass(frozen=True)
 class Hexapod:
-    """A box on six legs, each with a hip that swings it to and fro and a knee that lifts it.
+    """A box on six legs, each with a hip that swings it back and forth and a knee that lifts it.
 
-    All sizes and masses are chosen, not measured: those of a desk-top robot with hobby servos.
-    Body `torso` has x ahead, y to the left, z up. Joints are `<leg>_swing`, positive with the foot
-    going ahead on either side, and `<leg>_lift`, positive with the foot going up. Parts of the
-    robot do not touch each other.
+    All sizes and masses are chosen, not measured: those of a desktop robot with hobby servos. Body
+    `torso` has x forward, y to the left, z up. Joints are `<leg>_swing`, positive as the foot moves
+    forward on either side, and `<leg>_lift`, positive as the foot moves up. Parts of the robot do
+    not collide with each other.
 
-    Torque is the servo's, up to its stall torque either way, less `torque / speed` times the
-    joint's speed: together the straight line from stall torque to no-load speed of a direct-current
+    The joint torque is the servo's, up to its stall torque in both directions, minus `torque /
+    speed` times the joint's speed: the straight line from stall torque to no-load speed of a DC
     motor.
 
     Attributes:
-        length: of the torso [m].
-        width: of the torso [m].
-        height: of the torso [m].
-        upper: length of the upper leg, from the torso outwards [m].
-        lower: length of the lower leg, downwards [m].
+        length: length of the torso [m].
+        width: width of the torso [m].
+        height: height of the torso [m].
+        upper: length of the upper leg, outward from the torso [m].
+        lower: length of the lower leg, downward [m].
         thickness: diameter of the legs [m].
         foot: radius of the ball at the end of a leg [m].
-        torso_mass: with battery and electronics [kg].
-        leg_mass: of a leg, most of it in the servo at the knee [kg].
-        swing: greatest angle that a hip is asked for, either way [rad].
-        lift: greatest angle that a knee is asked for, either way [rad].
+        torso_mass: mass of the torso, with battery and electronics [kg].
+        leg_mass: mass of a leg, most of it in the servo at the knee [kg].
+        swing: largest commanded hip angle in both directions [rad].
+        lift: largest commanded knee angle in both directions [rad].
         stiffness: gain of a servo [N m/rad].
         torque: stall torque of a servo [N m].
-        speed: of an unloaded servo [rad/s].
+        speed: no-load speed of a servo [rad/s].
         armature: inertia of a servo's rotor, at the joint [kg m^2].
 
     Raises:
@@ -74,19 +74,19 @@ class Hexapod:
 
     @property
     def mass(self) -> float:
-        """Of the robot [kg]."""
+        """Mass of the robot [kg]."""
         return self.torso_mass + 6 * (self.leg_mass + _FOOT_MASS)
 
     @property
     def standing(self) -> float:
-        """Height of the torso's centre when the feet are at z = 0, all angles zero [m]."""
+        """Height of the torso's center when the feet are at z = 0, all angles zero [m]."""
         return self.lower + self.foot
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
-        """An editable model, with a floor at z = 0, at a time step [s].
+        """Return an editable model, with a floor at z = 0, at a time step [s].
 
         Args:
-            timestep: with the implicit-fast integrator.
+            timestep: time step, with the implicit-fast integrator [s].
         """
         spec = robot_scene("hexapod", timestep)
         torso = spec.worldbody.add_body(name="torso", pos=[0, 0, self.standing])
@@ -105,7 +105,7 @@ class Hexapod:
         return spec
 
     def start(self) -> np.ndarray:
-        """`qpos` on the floor, all angles zero."""
+        """Return `qpos` on the floor, all angles zero."""
         qpos = np.zeros(19)
         qpos[2], qpos[3] = self.standing, 1.0
         return qpos

@@ -1,4 +1,4 @@
-"""The six-legged robot of which Li, Zhang and Goldman measured speeds on poppy seed."""
+"""The six-legged robot of Li, Zhang and Goldman, with measured speeds on poppy seed."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mjgranular.errors import InputError
 from mjgranular.models.link import robot_scene
 
 HIPS = (-0.05, 0.0, 0.05)
-"""Places of the hips along the body [m]; not printed, chosen as Li et al. draw them."""
+"""Positions of the hips along the body [m]; not published, chosen from the drawing of Li et al."""
 
 _PIECES = 16  # straight pieces of an arc; chosen
 _TALL = 0.01  # height of the body [m]; chosen, not measured
-_APART = 0.02  # of the middles of the legs from that of the body, along y [m]; chosen
-_LEG_MASS = 1e-5  # [kg]; the printed mass is taken for the body's
-# Of the motors, so that they keep their rate: inertia of a rotor [kg m^2], torque over the error of
-# the rate [N m s/rad]. Chosen.
+_APART = 0.02  # distance of the legs' centers from the body's, along y [m]; chosen
+_LEG_MASS = 1e-5  # [kg]; the published mass is assigned to the body
+# Motors, so that they keep their rate: inertia of a rotor [kg m^2], torque over the error of the
+# rate [N m s/rad]. Chosen.
 _ROTOR, _GAIN = 1e-2, 100.0
 
 
@@ -31,24 +31,25 @@ class LiRobot:
     Li, Zhang and Goldman (Science 339, 1408, 2013, supplement) measured the speeds of this robot on
     loosely packed poppy seed, with seven legs of different curvature.
 
-    Body `body` moves in the plane y = 0: its joints are the slides `x`, ahead, and `z`, up, and the
-    hinge `pitch` about y. Joints and motors `front_left` to `rear_right` turn the legs about y;
+    Body `body` moves in the plane y = 0: its joints are the slides `x`, forward, and `z`, up, and
+    the hinge `pitch` about y. Joints and motors `front_left` to `rear_right` turn the legs about y;
     the control of a motor is the leg's rate [rad/s]. A leg at angle 0 hangs down from its hip, and
-    is drawn back as it turns. Parts of the robot do not touch each other.
+    moves backward as it turns. Parts of the robot do not collide with each other.
 
-    Where the hips sit and how far the belly is from them is not printed. They are assumed at `HIPS`
-    along the body and at the height of the belly.
+    The positions of the hips and their distance from the belly are not published. They are assumed
+    at `HIPS` along the body and at the height of the belly.
 
     Attributes:
-        curvature: of the legs, half the chord over the radius of the arc: 1 is a semicircle that
-            bulges to where the leg goes in the sand, 0 is straight, -1 the reversed semicircle.
-        length: of the body [m].
-        width: of the belly [m].
-        mass: of the robot [kg].
-        inertia: about the pitch axis, through the center of mass [kg m^2].
-        chord: from hip to tip of a leg [m].
-        leg_width: of a leg, along y [m].
-        thickness: of a leg [m].
+        curvature: curvature of the legs, half the chord over the radius of the arc: 1 is a
+            semicircle that bulges in the direction of motion in the sand, 0 is straight, -1 the
+            reversed semicircle.
+        length: length of the body [m].
+        width: width of the belly [m].
+        mass: mass of the robot [kg].
+        inertia: moment of inertia about the pitch axis, through the center of mass [kg m^2].
+        chord: distance from hip to tip of a leg [m].
+        leg_width: width of a leg, along y [m].
+        thickness: thickness of a leg [m].
 
     Raises:
         InputError: a value outside its range.
@@ -74,7 +75,7 @@ class LiRobot:
         """Build an editable model, with a floor at z = 0.
 
         Args:
-            timestep: with the implicit-fast integrator [s].
+            timestep: time step, with the implicit-fast integrator [s].
         """
         spec = robot_scene("li_robot", timestep)
         body = spec.worldbody.add_body(
@@ -114,7 +115,7 @@ class LiRobot:
         return spec
 
     def model(self, timestep: float = 1e-3) -> mujoco.MjModel:
-        """Compile the model with that time step [s]."""
+        """Compile the model with a given time step [s]."""
         return self.spec(timestep).compile()
 
     def start(self, frequency: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,13 +125,13 @@ class LiRobot:
             frequency: turns of the legs per second [Hz].
         """
         rate = 2 * math.pi * frequency
-        # One tripod is drawn back as the other comes ahead: none begins in the sand.
+        # One tripod moves backward as the other moves forward: none starts in the sand.
         sides = [(1 if x == 0 else -1) * side for _, x, side in self._legs()]
         qpos = np.array([0.0, _TALL / 2, 0.0, *(side * math.pi / 2 for side in sides)])
         return qpos, np.array([0.0, 0.0, 0.0, *[rate] * 6]), np.full(6, rate)
 
     def _legs(self) -> list[tuple[str, float, int]]:
-        """Return name, place along the body [m] and side of each leg."""
+        """Return name, position along the body [m] and side of each leg."""
         names = zip(("rear", "middle", "front"), HIPS, strict=True)
         return [(f"{n}_{s}", x, y) for n, x in names for s, y in (("left", 1), ("right", -1))]
 

@@ -14,14 +14,14 @@ from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError
 
 _FOLDER = Path(__file__).resolve().parent
-_PAPER_LENGTH = 0.2  # of the link in link.xml [m]; scenery is scaled with the length
+_PAPER_LENGTH = 0.2  # length of the link in link.xml [m]; scenery is scaled with the length
 
 
 def model_path(name: str) -> Path:
-    """The MJCF file of that name, "link" for example.
+    """Return the path of an MJCF file by name, "link" for example.
 
     Raises:
-        UnknownNameError: no such model; lists those there are.
+        UnknownNameError: no such model; lists the models.
     """
     path = _FOLDER / f"{name}.xml"
     if not path.is_file():
@@ -36,7 +36,7 @@ class Link:
     Attributes:
         length: L, pole to pole [m].
         diameter: d [m].
-        density: of the rod [kg/m^3]; its mass is that of a cylinder, rho pi d^2/4 L.
+        density: density of the rod [kg/m^3]; its mass is that of a cylinder, rho pi d^2/4 L.
 
     Raises:
         InputError: a size that is not positive and finite, or a link that is not slender.
@@ -70,7 +70,7 @@ class Link:
         return self.mass * self.length**2 / 12
 
     def spec(self) -> mujoco.MjSpec:
-        """An editable model: `link.xml` with this link in it, scenery scaled with its length."""
+        """Return an editable model: `link.xml` with this link, scenery scaled with its length."""
         spec = mujoco.MjSpec.from_file(str(model_path("link")))
         body = spec.body("link")
         body.mass = self.mass
@@ -96,22 +96,22 @@ class Link:
         return spec
 
     def model(self, timestep: float) -> mujoco.MjModel:
-        """The compiled model with that time step [s]."""
+        """Return the compiled model with a given time step [s]."""
         spec = self.spec()
         spec.option.timestep = timestep
         return spec.compile()
 
     @property
     def reach(self) -> float:
-        """Greatest extent [m]."""
+        """Largest extent [m]."""
         return self.length
 
     def lowest(self, q: float) -> tuple[float, float]:
-        """T: the point that is lowest at that angle, x and z in the body's frame [m]."""
+        """Return T, the lowest point at an angle: x and z in the body's frame [m]."""
         return 0.0, -self.length / 2
 
     def touching(self, q: float) -> np.ndarray:
-        """`qpos` with T on the surface at the origin, shape (3,).
+        """Return `qpos` with T on the surface at the origin, shape (3,).
 
         Args:
             q: angle from the vertical [rad].
@@ -120,16 +120,16 @@ class Link:
         return np.array([-x, -z, q])
 
     def moving(self, q: float, speed: float, tangential: float, omega: float) -> np.ndarray:
-        """`qvel` for given velocities of T, shape (3,).
+        """Return `qvel` for given velocities of T, shape (3,).
 
         Args:
             q: angle from the vertical [rad].
-            speed: v_Ty, of T, down [m/s].
-            tangential: v_Tx, of T, along x [m/s].
+            speed: v_Ty, speed of T downward [m/s].
+            tangential: v_Tx, speed of T along x [m/s].
             omega: dq/dt [rad/s].
         """
         x, z = offset(self.lowest(q), q)
-        # Turning by dq moves T by dq (-z, x) seen from C.
+        # A rotation by dq moves T by dq (-z, x) relative to C.
         return np.array([tangential + omega * z, -speed - omega * x, omega])
 
     def tip(
@@ -138,12 +138,12 @@ class Link:
         qvel: Sequence[float] | np.ndarray,
         point: tuple[float, float] | None = None,
     ) -> tuple[float, float, float, float]:
-        """Position and velocity of T: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
+        """Return position and velocity of T: (x_T, y_T, v_Tx, v_Ty), y down [m], [m/s].
 
         Args:
             qpos: shape (3,).
             qvel: shape (3,).
-            point: T in the body's frame, as `lowest` gave it at release; None for the lower pole.
+            point: T in the body's frame, from `lowest` at release; None for the lower pole.
         """
         x, z, q = qpos
         vx, vz, omega = qvel
@@ -152,7 +152,7 @@ class Link:
 
 
 def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
-    """From C to a point of the body, in world x and z [m].
+    """Return the vector from C to a point of the body, in world x and z [m].
 
     Args:
         point: x and z in the body's frame [m].
@@ -163,11 +163,11 @@ def offset(point: tuple[float, float], q: float) -> tuple[float, float]:
 
 
 def robot_scene(name: str, timestep: float) -> mujoco.MjSpec:
-    """Return an editable model without bodies: lights, a floor at z = 0, materials of robots.
+    """Return an editable model without bodies: lights, a floor at z = 0, materials for robots.
 
     Args:
-        name: of the model.
-        timestep: with the implicit-fast integrator [s].
+        name: name of the model.
+        timestep: time step, with the implicit-fast integrator [s].
     """
     spec = mujoco.MjSpec.from_file(str(model_path("link")))
     spec.modelname = name

@@ -1,4 +1,4 @@
-"""Other bodies in the place of the link: what is dropped on sand to compare with experiments."""
+"""Other bodies in place of the link, to compare drops with experiments."""
 
 from __future__ import annotations
 
@@ -20,14 +20,13 @@ Shape = Literal["link", "sphere", "box", "cylinder", "capsule", "ellipsoid", "pl
 class Projectile(Link):
     """A body of one geom that moves in the plane y = 0, with the link's joints and scenery.
 
-    T is the point of the body that is lowest when it is released, and stays with the body.
+    T is the lowest point of the body at release, fixed to the body.
 
     Attributes:
-        length: height along the body's own axis [m]; of a sphere not used, of a plate its side.
-        diameter: across the axis [m]; of a plate its thickness.
+        length: height along the body's axis [m]; side of a plate; not used for a sphere.
+        diameter: size across the axis [m]; thickness of a plate.
         density: [kg/m^3].
-        shape: "link" is the paper's slender rod; of the others mass and inertia are those of the
-            solid.
+        shape: "link" is the paper's slender rod; other shapes have mass and inertia of the solid.
 
     Raises:
         UnknownNameError: no such shape.
@@ -83,7 +82,7 @@ class Projectile(Link):
         return self._moments()[1]
 
     def _moments(self) -> tuple[float, float, float]:
-        """Moments of inertia about x, y and z through C [kg m^2]."""
+        """Return moments of inertia about x, y and z through C [kg m^2]."""
         x, y, z = self.halves
         m = self.mass
         if self.shape in ("sphere", "ellipsoid"):
@@ -93,7 +92,8 @@ class Projectile(Link):
         if self.shape == "cylinder":
             across = m * (3 * x * x + 4 * z * z) / 12
             return across, across, m * x * x / 2
-        # A capsule: cylinder of half height h, and two half spheres with their centres at its ends.
+        # A capsule: a cylinder of half height h, and two hemispheres with their centers at its
+        # ends.
         h = z - x
         tube, ends = self.density * 2 * math.pi * x * x * h, self.density * 4 / 3 * math.pi * x**3
         across = tube * (3 * x * x + 4 * h * h) / 12
@@ -128,7 +128,7 @@ class Projectile(Link):
 
     def lowest(self, q: float) -> tuple[float, float]:
         x, _, z = self.halves
-        # Down, seen from the body that is turned by q about -y.
+        # Downward direction in the frame of the body, rotated by q about -y.
         dx, dz = -math.sin(q), -math.cos(q)
         if self.shape == "link":
             return 0.0, -z

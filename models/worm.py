@@ -18,35 +18,35 @@ Posture = Literal["level", "upright"]
 
 @dataclass(frozen=True)
 class Worm:
-    """Equal links, each a capsule around itself and past its joints, bent by position servos.
+    """Equal links, each a capsule that extends past its joints, bent by position servos.
 
-    The capsules' round ends lie hidden in one another: what the sand meets is a smooth body. Mass
-    and moments of inertia are those of a cylinder of the body's length and width, cut into links.
+    The round ends of the capsules overlap, so that the sand meets a smooth body. Mass and moments
+    of inertia are those of a cylinder of the body's length and width, cut into links.
 
-    A level worm is free in the level plane at a depth and nowhere else; its joints turn about z. An
-    upright one is free in the plane y = 0, and its joints turn about -y. Both have their head
-    ahead, at +x. The tree of bodies begins at the middle link, whose centre moves on slides `x` and
-    `y` or `z` and turns by `q0`; a joint `qi` between links i - 1 and i, counted from the head, is
-    the angle of the latter to the former. A time step moves the root along a straight line and
-    all else about it: with the root in the middle the faults of both halves cancel, while from the
-    head they drive the whole worm one way.
+    A level worm moves only in the level plane at a depth; its joints turn about z. An upright one
+    moves in the plane y = 0, and its joints turn about -y. Both have their head in front, at +x.
+    The tree of bodies begins at the middle link, whose center moves on slides `x` and `y` or `z`
+    and turns by `q0`; a joint `qi` between links i - 1 and i, counted from the head, is the angle
+    of the latter relative to the former. A time step moves the root along a straight line and all
+    else about it: with the root in the middle the errors of both halves cancel, while with the root
+    at the head they drive the whole worm one way.
 
-    Torque is the servo's, up to its stall torque either way, less `torque / speed` times the
-    joint's speed: together the straight line from stall torque to no-load speed of a direct-current
-    motor. All values are chosen, not measured; those of a level worm let one of a sandfish's size
-    swim, and are more than a servo of that size has.
+    The joint torque is the servo's, up to its stall torque in both directions, minus `torque /
+    speed` times the joint's speed: the straight line from stall torque to no-load speed of a DC
+    motor. All values are chosen, not measured; with those of a level worm one of a sandfish's size
+    can swim, and they are larger than those of real servos of that size.
 
     Attributes:
         count: number of links.
-        length: of the body [m].
-        width: of the body [m].
-        density: of the body [kg/m^3].
+        length: length of the body [m].
+        width: width of the body [m].
+        density: density of the body [kg/m^3].
         posture: "level" or "upright".
-        depth: of the axis of a level worm [m].
-        bend: greatest angle that a servo is asked for, either way [rad].
+        depth: depth of the axis of a level worm [m].
+        bend: largest commanded servo angle in both directions [rad].
         stiffness: gain of a servo [N m/rad].
         torque: stall torque of a servo [N m].
-        speed: of an unloaded servo [rad/s].
+        speed: no-load speed of a servo [rad/s].
         armature: inertia of a servo's rotor, at the joint [kg m^2].
 
     Raises:
@@ -89,19 +89,19 @@ class Worm:
 
     @property
     def root(self) -> int:
-        """Number of the link that the tree of bodies begins with: the middle one."""
+        """Index of the root link of the tree of bodies: the middle one."""
         return self.count // 2
 
     @property
     def order(self) -> tuple[int, ...]:
-        """Numbers of the joints `q1`, `q2`, ... in `qpos` and `qvel`, from the head to the tail."""
-        first = 3  # after the slides and q0; ahead of the root the tree goes to the head
+        """Indices of the joints `q1`, `q2`, ... in `qpos` and `qvel`, from the head to the tail."""
+        first = 3  # after the slides and q0; in front of the root the tree goes to the head
         behind = first + self.root
         return (*reversed(range(first, behind)), *range(behind, self.count + 2))
 
     @property
     def chain(self) -> Chain:
-        """A chain of as many thin rods, which has the scenery and the masses of the links."""
+        """A chain of the same number of thin rods, with the scenery and the masses of the links."""
         level = self.posture == "level"
         thin = self.step / 2
         return Chain(
@@ -115,14 +115,14 @@ class Worm:
 
     @property
     def mass(self) -> float:
-        """Of the body [kg]."""
+        """Mass of the body [kg]."""
         return self.chain.mass
 
     def spec(self, timestep: float) -> mujoco.MjSpec:
-        """An editable model, with a floor at z = 0, at a time step [s].
+        """Return an editable model, with a floor at z = 0, at a time step [s].
 
         Args:
-            timestep: with the implicit-fast integrator.
+            timestep: time step, with the implicit-fast integrator [s].
         """
         level = self.posture == "level"
         spec = self.chain.spec()
@@ -134,9 +134,9 @@ class Worm:
         spec.delete(spec.key("start"))
         spec.option.timestep = timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        for light in spec.lights:  # a level worm lies on what is drawn of the sand
+        for light in spec.lights:  # a level worm lies on the rendered sand
             light.castshadow = not level
-        if level:  # the chain's first link is at x = 0, here it is the middle one
+        if level:  # the chain's first link is at x = 0; here it is the middle one
             for camera in spec.cameras:
                 camera.pos[0] += self.length / 2
         spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
@@ -161,7 +161,7 @@ class Worm:
         return spec
 
     def straight(self) -> np.ndarray:
-        """`qpos` of the straight worm along x, head ahead; an upright one on the floor."""
+        """Return `qpos` of the straight worm along +x; an upright one lies on the floor."""
         qpos = np.zeros(self.count + 2)
         if self.posture == "upright":
             qpos[1], qpos[2] = self.width / 2, -math.pi / 2
@@ -169,7 +169,7 @@ class Worm:
 
     @property
     def _axis(self) -> np.ndarray:
-        """Of the joints, in a link's frame, whose z points to the head."""
+        """Axis of the joints, in a link's frame, whose z points to the head."""
         return np.array([0.0, 1.0 if self.posture == "level" else -1.0, 0.0])
 
     def _add_root(self, spec: mujoco.MjSpec) -> mujoco.MjsBody:
@@ -193,7 +193,7 @@ class Worm:
             name=f"q{index + ahead}",
             type=mujoco.mjtJoint.mjJNT_HINGE,
             pos=[0, 0, -side * self.step / 2],
-            axis=-side * self._axis,  # the angle of the rear link to the one ahead
+            axis=-side * self._axis,  # the angle of the rear link relative to the one in front
             damping=[self.torque / self.speed, 0, 0],
             armature=self.armature,
         )
@@ -201,11 +201,11 @@ class Worm:
         return body
 
     def _fill(self, body: mujoco.MjsBody, index: int) -> None:
-        """Mass and skin."""
+        """Add mass and geom."""
         mass = self.chain.link.mass
         across = mass * (3 * (self.width / 2) ** 2 + self.step**2) / 12
         body.explicitinertial = True
-        body.ipos = [0, 0, 0]  # unset, it would be taken from the body's place
+        body.ipos = [0, 0, 0]  # unset, it would be taken from the body's position
         body.mass, body.inertia = mass, [across, across, mass * self.width**2 / 8]
         body.add_geom(
             name=f"link{index}",

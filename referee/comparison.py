@@ -1,4 +1,4 @@
-"""A law held against a measured run."""
+"""Comparison of a law with a measured run."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ class Candidate:
     """A law for a set of runs.
 
     Attributes:
-        name: on the page.
-        law: with its constants.
-        fitted_to: names of the runs that a constant was chosen by; empty for nothing fitted.
-        constants: where they are from, in a few words.
+        name: name on the page.
+        law: the law with its constants.
+        fitted_to: names of the runs that a constant was fitted to; empty if nothing was fitted.
+        constants: short description of their source.
     """
 
     name: str
@@ -27,7 +27,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A run under a law; no errors where the law has no elements for the body."""
+    """A run with a law; no errors if the law has no elements for the body."""
 
     runs: RunSet
     run: MeasuredRun
@@ -37,7 +37,7 @@ class Comparison:
 
     @property
     def mark(self) -> str:
-        """Of the run for this law: only what the law's own constants were chosen by is fitted."""
+        """Label of the run for this law: "fitted" only if this law was fitted to it."""
         if self.run.name in self.candidate.fitted_to:
             return "fitted to"
         return "seen" if self.run.mark == "fitted to" else self.run.mark

@@ -26,15 +26,15 @@ import numpy as np
 from grains import GRAVITY, HEAD, Bed, Grains, lammps_version, make_bed, read_bed, run_lammps, world
 from intruders import Intruder, capsule, plate, sphere
 
-_ROWS = 100  # of a data file, at most
-_LATE = 0.025  # of travel, beyond which a drag is averaged: its heap grows until then [m]
-_RAMP = 0.005  # of travel in which a drawn body comes to its speed [m]; chosen
+_ROWS = 100  # largest number of rows of a data file
+_LATE = 0.025  # travel after which a drag is averaged: its heap grows until then [m]
+_RAMP = 0.005  # travel within which a dragged body reaches its speed [m]; chosen
 _SLAB = 2.0  # thickness of the frozen slab of grains [diameters]; chosen
-_EVERY = 5  # steps between two readings of the force that a row averages
+_EVERY = 5  # steps between two samples of the force in the average of a row
 
 
 def main(words: list[str] | None = None) -> None:
-    """Does what the command line asks for."""
+    """Run the command."""
     options = _parser().parse_args(words)
     grains = Grains(options.grain, density=options.grain_density, friction=options.friction)
     folder = Path(options.folder)
@@ -83,10 +83,10 @@ def main(words: list[str] | None = None) -> None:
 def _drag(
     bed: Bed, intruder: Intruder, options: argparse.Namespace, speed: float
 ) -> tuple[float, float, float, float]:
-    """Speed, mean force against the motion and lift beyond `_LATE` of travel, spread.
+    """Return speed, mean force against the motion and lift beyond `_LATE` of travel, and spread.
 
     Raises:
-        SystemExit: a way that ends before it, or beyond the bed.
+        SystemExit: the path ends before that, or beyond the bed.
     """
     free = 0.75 * bed.lengths[0] - intruder.sides[0] - _SLAB * bed.grains.diameter
     if not _LATE < options.distance < free:
@@ -112,9 +112,9 @@ _TANDEM = [
 
 
 def _tandem(bed: Bed, options: argparse.Namespace) -> tuple[Intruder, list[tuple[float, ...]]]:
-    """Draw one plate, then rows of plates that start at the same place, and average the forces.
+    """Drag one plate, then rows of plates that start at the same place, and average the forces.
 
-    The spread is half the difference between the two halves of the window that is averaged.
+    The spread is half the difference between the two halves of the averaging window.
     """
     rows: list[tuple[float, ...]] = []
     (speed,) = options.speed
@@ -138,7 +138,7 @@ def _tandem(bed: Bed, options: argparse.Namespace) -> tuple[Intruder, list[tuple
 
 
 def _name(options: argparse.Namespace, count: int, gap: float, aside: float) -> str:
-    """Return the name of LAMMPS's files of a row of plates."""
+    """Return the name of the LAMMPS files for a row of plates."""
     return f"{options.name}_{count}_{gap:g}_{aside:g}"
 
 
@@ -201,7 +201,7 @@ def _run(
     name: str,
     aside: float = 0.5,
 ) -> np.ndarray:
-    """Runs LAMMPS; rows of time, depth, speed down, force up, force along x, pitch [deg].
+    """Run LAMMPS; return rows of time, depth, speed down, force up, force along x, pitch [deg].
 
     The forces of each plate along x follow.
     """
@@ -209,7 +209,8 @@ def _run(
     drawn = _is_drawn(options)
     if drawn:
         raise_to = bed.surface - options.depth - intruder.lowest
-        # The leading plate of a row leaves room behind it: LAMMPS makes no spheres outside the box.
+        # The leading plate of a row leaves space behind it: LAMMPS makes no spheres outside the
+        # box.
         ahead = 0.6 if options.what == "tandem" else 0.25
         start = np.array([ahead * bed.lengths[0], aside * bed.lengths[1], raise_to])
     script = _script(bed, intruder, options, start, speed, name)
@@ -242,7 +243,7 @@ def _run(
 
 
 def _is_drawn(options: argparse.Namespace) -> bool:
-    """Whether the body is drawn along x, and not pushed down or dropped."""
+    """Return True if the body is dragged along x, not pushed down or dropped."""
     return options.what in ("drag", "tandem")
 
 
@@ -254,7 +255,7 @@ def _script(
     speed: float,
     name: str,
 ) -> str:
-    """The input script of a run."""
+    """Return the input script of a run."""
     count, free = len(bed.centers), options.what == "drop"
     single = len(intruder.centers) == 1
     step = bed.grains.timestep(options.stiffness)
@@ -283,7 +284,7 @@ def _script(
         parts.append(f"set group intruder mass {mass / len(intruder.centers):.9g}")
         parts.append("neigh_modify exclude group intruder intruder")
     if drawn:
-        # Delete the grains where the plates are to be; the others keep their numbers.
+        # Delete the grains at the places of the plates; the others keep their numbers.
         reach = np.array(intruder.sides) / 2
         for i, place in enumerate(start + np.array(intruder.places)):
             low, high = place - reach - 1.5e-3, place + reach + 1.5e-3
@@ -325,7 +326,7 @@ def _script(
         (bed.folder / f"{name}.body").write_text(f"1\n{line}\n")
         parts.append(f"fix fall intruder rigid single infile {name}.body{only}")
     elif drawn:
-        ramp = 2 * _RAMP / v  # [s]: the speed grows evenly
+        ramp = 2 * _RAMP / v  # [s]: the speed grows linearly
         parts += [
             f"variable t equal step*{step:.9g}",
             f"variable speed equal {v:g}*((v_t<{ramp:.9g})*v_t/{ramp:.9g}+(v_t>={ramp:.9g}))",
@@ -336,7 +337,7 @@ def _script(
         ]
     else:
         parts.append(f"fix fall intruder move linear 0 0 {-v:g}")
-        # Moved bodies are given their speed as well as their place: friction and damping read it.
+        # Set the speed of moved bodies as well as their position: friction and damping read it.
     low, high = count + 1, count + len(intruder.centers)
     each = len(intruder.centers) // len(intruder.places)
     for i in range(len(intruder.places)):
@@ -362,7 +363,7 @@ def _script(
         f" file {name}.state screen no",
     ]
     if intruder.sides:
-        # The leading plate's centre, not that of its first sphere.
+        # The leading plate's center, not that of its first sphere.
         parts.insert(-6, "variable low equal xcm(plate0,z)")
         parts.insert(-6, "variable high equal xcm(plate0,z)")
     if free and intruder.body["shape"] != "capsule":
@@ -386,7 +387,7 @@ def _keep(
     rows: int,
     seconds: float,
 ) -> None:
-    """Writes where a run comes from."""
+    """Write the provenance of a run."""
     last = options.name
     if options.what == "drag":
         last = f"{options.name}_{options.speed[-1]:g}"
@@ -413,7 +414,7 @@ def _keep(
 
 
 def write_thin(path: Path, names: list[str], rows: np.ndarray, averaged: list[str]) -> None:
-    """Writes at most `_ROWS` rows; those named are averaged over what each row stands for."""
+    """Write at most `_ROWS` rows; the columns in `averaged` are means over the omitted rows."""
     picks = np.unique(np.linspace(0, len(rows) - 1, min(_ROWS, len(rows))).round().astype(int))
     thin = rows[picks].copy()
     for name in averaged:
@@ -436,7 +437,7 @@ def _of_bed(bed: Bed) -> dict[str, Any]:
 
 
 def _words() -> list[str]:
-    """The command line without the folders, which are of one machine."""
+    """Return the command line without the folders, which are specific to one machine."""
     words = sys.argv[1:]
     words = [w for i, w in enumerate(words) if i != 1]
     if "--into" in words:

@@ -1,4 +1,4 @@
-"""From comparisons to the few numbers that travel with every force."""
+"""Reduction of comparisons to the error table that reports use."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ if TYPE_CHECKING:
     from comparison import Comparison
 
 BANDS = (0.4, 1.5, 2.5, 4.0, 7.0, 10.0)
-"""Froude numbers that part the runs into groups; chosen, 0.4 is the limit of quasi-static RFT."""
+"""Froude numbers that separate groups of runs; chosen, 0.4 is the limit of quasi-static RFT."""
 
 _WIDE = 5.0  # grains across a body that counts as wide; chosen
-_FORCES = ("drop", "intrude", "drag")  # of legs, wheels and robots too little is measured
+_FORCES = ("drop", "intrude", "drag")  # too little is measured for legs, wheels and robots
 _NOT_MEASURED = ("paper_link",)
 
 Row = tuple[float, float, float, int]
 
 
 def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
-    """By law: greatest Froude number, least width in grains, worst error, number of runs.
+    """Return by law: largest Froude number, least width in grains, worst error, number of runs.
 
-    Runs that a constant of the law was chosen by tell nothing of other motion, and are left out.
-    A run counts in the group of its greatest Froude number. It has gone through all slower motion
-    too, but runs that were slow throughout say more of that.
+    Runs that a constant of the law was fitted to do not test other motion, and are omitted. A run
+    counts in the group of its largest Froude number. It passes through all slower motion too, but
+    runs that are slow throughout are a better test of that.
     """
     table: dict[str, dict[tuple[int, bool], list[tuple[float, float, float]]]] = {}
     for comparison in (c for group in found for c in group):
@@ -52,7 +52,7 @@ def findings(found: list[list[Comparison]]) -> dict[str, list[Row]]:
 
 
 def write_findings(file: Path, found: list[list[Comparison]]) -> None:
-    """Writes `mjgranular/law/error_table.py`."""
+    """Write `mjgranular/law/error_table.py`."""
     lines = [
         '"""Errors of laws against measured motion: written by `python referee/validate.py`."""',
         "",

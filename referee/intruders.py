@@ -1,4 +1,4 @@
-"""Intruders as spheres that LAMMPS can move: one sphere, or many that are rigid together."""
+"""Intruders as spheres that LAMMPS can move: one sphere, or a rigid cluster."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 from grains import Bed
 
-_SHELL = 0.0025  # diameter of the spheres that plates and feet are made of [m]; half apart
-_RIPPLE = 0.1  # distance of a rod's spheres, in diameters: a ripple of 0.25 %
-_CLEAR = 2e-5  # between an intruder and the first grain at the start [m]
+_SHELL = 0.0025  # diameter of the spheres of plates and feet [m]; spaced by half of it
+_RIPPLE = 0.1  # spacing of a rod's spheres, in diameters: a ripple of 0.25 %
+_CLEAR = 2e-5  # gap between an intruder and the first grain at the start [m]
 
 
 @dataclass(frozen=True)
 class Intruder:
-    """A rigid body as spheres.
+    """A rigid body made of spheres.
 
     Attributes:
-        body: in the words of `runs.yaml`: shape and sizes [m].
-        centers: of its spheres about the centre of the body [m], shape (n, 3).
-        diameters: [m], shape (n,).
-        inertia: about the centre, xx, yy, zz, xy, xz, yz, for a mass of one [m^2].
-        angle: of the axis from the vertical, in the x-z plane, towards +x at the top [rad].
-        sides: of a plate, along x, y and z [m].
-        places: of the centers of plates that are rigid together, the leading one first [m].
+        body: with the keys of `runs.yaml`: shape and sizes [m].
+        centers: centers of its spheres relative to the body's center [m], shape (n, 3).
+        diameters: diameters of its spheres [m], shape (n,).
+        inertia: inertia about the center, xx, yy, zz, xy, xz, yz, per unit mass [m^2].
+        angle: angle of the axis from the vertical, in the x-z plane, toward +x at the top [rad].
+        sides: sides of a plate, along x, y and z [m].
+        places: centers of the plates of a rigid row, the leading one first [m].
     """
 
     body: dict[str, Any]
@@ -38,11 +38,11 @@ class Intruder:
 
     @property
     def lowest(self) -> float:
-        """Height of its lowest point over its centre [m]."""
+        """Height of its lowest point relative to its center [m]."""
         return float((self.centers[:, 2] - self.diameters / 2).min())
 
     def start_over(self, bed: Bed) -> np.ndarray:
-        """Centre of the body over the middle of the bed, just clear of the first grain [m]."""
+        """Return the body's center above the bed's middle, just clear of the first grain [m]."""
         middle = np.array([bed.lengths[0] / 2, bed.lengths[1] / 2, 0.0])
         high = bed.centers[bed.centers[:, 2] > bed.surface - 4 * bed.grains.diameter]
         wide = bed.diameters[bed.centers[:, 2] > bed.surface - 4 * bed.grains.diameter]
@@ -59,18 +59,18 @@ class Intruder:
 
 
 def sphere(diameter: float) -> Intruder:
-    """One sphere."""
+    """Return one sphere."""
     body = {"shape": "sphere", "diameter": diameter}
     return Intruder(body, np.zeros((1, 3)), np.array([diameter]))
 
 
 def capsule(length: float, diameter: float, angle: float) -> Intruder:
-    """A rod with round ends; inertia of the uniform cylinder.
+    """Return a rod with round ends, with the inertia of a uniform cylinder.
 
     Args:
-        length: overall [m].
+        length: overall length [m].
         diameter: [m].
-        angle: of its axis from the vertical [rad]; the upper end lies towards +x.
+        angle: angle of its axis from the vertical [rad], with the upper end toward +x.
     """
     half = (length - diameter) / 2
     count = 1 + math.ceil(2 * half / (_RIPPLE * diameter))
@@ -86,14 +86,14 @@ def capsule(length: float, diameter: float, angle: float) -> Intruder:
 def plate(
     length: float, thickness: float, *, upright: bool = False, count: int = 1, gap: float = 0.0
 ) -> Intruder:
-    """A square plate, a flat foot or a row of them, as shells of spheres within the outer sizes.
+    """Return a square plate, a flat foot or a row of them, as shells of spheres.
 
     Args:
-        length: its side [m].
+        length: side of the plate [m].
         thickness: [m].
-        upright: with its normal along x, as it is drawn.
-        count: of upright plates, one behind another along -x; the inertia is that of one.
-        gap: between their faces [m].
+        upright: whether its normal is along x, as for a drag.
+        count: number of upright plates, one behind another along -x; the inertia is that of one.
+        gap: gap between their faces [m].
     """
     sides = np.array([thickness, length, length] if upright else [length, length, thickness])
     inner = sides - _SHELL

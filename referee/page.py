@@ -1,4 +1,4 @@
-"""The page of validity, written from comparisons alone."""
+"""The validity page, generated from comparisons."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ _SITUATIONS: tuple[tuple[str, Callable[[MeasuredRun, float], bool]], ...] = (
 
 
 def write_page(file: Path, found: list[list[Comparison]], figures: dict[str, str]) -> None:
-    """Writes the page."""
+    """Write the page."""
     lines = [_HEAD.replace("{quantities}", "\n".join(_quantities(found)))]
     lines += [f"- *{mark}*: {meaning};" for mark, meaning in MARKS.items()]
     lines[-1] = lines[-1][:-1] + "."
@@ -119,7 +119,7 @@ _QUANTITIES = {
 
 
 def _parts(c: Comparison) -> Iterable[tuple[str, float]]:
-    """Errors of a comparison by quantity, in parts; rows that are runs of their own count each."""
+    """Yield relative errors of a comparison by quantity; rows that are separate runs count each."""
     run, motion, e = c.run.motion, c.motion, c.errors
     assert e is not None
     assert motion is not None
@@ -145,16 +145,16 @@ def _parts(c: Comparison) -> Iterable[tuple[str, float]]:
         return [("thrust", e.final), ("lift", e.lift)]
     if c.run.kind == "roll":
         return rows("bear", "lift")
-    # Many of the wheel's forces are near zero: its vectors are compared by least squares.
+    # Many of the wheel's forces are near zero: vectors are compared by least squares.
     one, other = (np.array([m.force, m.side]).ravel() for m in (run, motion))
     return [("pull", gain(one, other)), *rows("sinkage", "depth")]
 
 
 def _quantities(found: list[list[Comparison]]) -> list[str]:
-    """Bias and spread of the default law, by quantity and mark."""
+    """Return bias and spread of the default law, by quantity and label."""
     errors: dict[tuple[str, bool], list[float]] = {}
     for c in (c for group in found for c in group):
-        # The link paper's drops are its own law; nobody has measured them.
+        # The link paper's drops are computed from its law, not measured.
         if c.candidate.name != _DEFAULT or c.errors is None or c.runs.name == "paper_link":
             continue
         for name, error in () if c.mark == "fitted to" else _parts(c):
@@ -237,7 +237,7 @@ def _span(errors: Sequence[float]) -> str:
 
 
 def _verdict(best: dict[str, list[Errors]]) -> str:
-    """Which law to believe, and how far."""
+    """Return the recommended law and its accuracy."""
     if not best:
         return "not compared"
     worst = {name: max(e.trajectory for e in errors) for name, errors in best.items()}
@@ -331,11 +331,11 @@ _SMALLER = (
         "The foot of 30 mm at 0.5 m/s in a bed two feet wide, against one three feet wide",
     ),
 )
-"""Drops in two beds: the set and run of the larger one, the run of `small_bed`, in words."""
+"""Drops in two beds: set and run of the larger one, run of `small_bed`, description."""
 
 
 def _small_beds(found: list[list[Comparison]]) -> list[str]:
-    """What a smaller bed costs: the same drop in both."""
+    """Return the effect of a smaller bed: the same drop in both."""
     sets = {group[0].runs.name: group[0].runs for group in found}
     lines = ["## What a smaller bed costs", ""]
     for (name, large), small, text in _SMALLER:

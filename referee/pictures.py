@@ -1,4 +1,4 @@
-"""Figures of the page of validity: whole trajectories, measured and under each law."""
+"""Figures of the validity page: whole trajectories, measured and with each law."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from mjgranular.referee import Motion
 
-# Okabe and Ito's colours; dashes for the laws without inertia, dots for those with an added mass,
-# dashes and dots for those for fast motion.
+# Okabe and Ito's colors; dashed lines for the laws without inertia, dotted for those with an added
+# mass, dash-dotted for those for fast motion.
 _LOOK = {
     "link": ("#AA4499", "--"),
     "link_distributed": ("#AA4499", "-"),
@@ -52,7 +52,7 @@ _AXES = {
 
 
 def draw(found: list[Comparison], folder: Path) -> str:
-    """Draws all runs of a set; returns the name of the file."""
+    """Draw all runs of a set; return the name of the file."""
     runs = found[0].runs
     columns = min(3, len(runs.runs))
     lines = -(-len(runs.runs) // columns)
@@ -108,9 +108,9 @@ def draw(found: list[Comparison], folder: Path) -> str:
 
 
 def _curve(kind: str, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """What is drawn: height over time of a drop [mm, ms], force over depth [mm] or speed [N].
+    """Return a curve: height over time of a drop [mm, ms], force over depth [mm] or speed [N].
 
-    Of legs, wheels and robots what `_AXES` says.
+    For legs, wheels and robots see `_AXES`.
     """
     if kind == "drop":
         assert motion.time is not None

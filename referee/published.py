@@ -1,10 +1,10 @@
-"""Writes the published sets: lines that papers print as formulas or tables, as runs.
+"""Write the published sets: formulas and tables of papers, as runs.
 
     python referee/published.py        # writes data/katsuragi_durian, paper_link, plates, quikrete
 
-These are what the papers' own laws say with the constants that they print, not their raw
-measurements, which they show in figures only. Drops are integrated here, in rods and spheres of
-their own, without mjgranular.
+These are results of the papers' laws with their published constants, not raw measurements, which
+they show only in figures. Drops are integrated here, with separate code for rods and spheres,
+without mjgranular.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GRAVITY = 9.81
 def solve(
     slope: Callable[[np.ndarray], np.ndarray], state: np.ndarray, step: float, moving: int
 ) -> np.ndarray:
-    """Runge-Kutta of fourth order until the velocity `moving` is no longer positive.
+    """Integrate with fourth-order Runge-Kutta until the velocity `moving` is no longer positive.
 
     Returns:
         Rows of time and state; the last step is shortened so that it ends at the stop.
@@ -65,7 +65,7 @@ def _set(name: str, medium: str, runs: list[str], about: dict[str, object]) -> P
 
 
 def katsuragi_durian() -> None:
-    """Sphere into glass beads: m z'' = m g - k z - m z'^2 / d1."""
+    """Write drops of a sphere into glass beads: m z'' = m g - k z - m z'^2 / d1."""
     given = json.loads((ROOT / "tests" / "data" / "katsuragi_durian.json").read_text())
     k, d1 = given["stiffness_over_mass"], given["drag_length"]
     mass, diameter = given["mass"], given["diameter"]
@@ -99,7 +99,7 @@ def katsuragi_durian() -> None:
 
 
 def paper_link() -> None:
-    """The paper's link: its equations (2), (5) to (11), to the stop of T."""
+    """Write drops of the paper's link: equations (2), (5) to (11), to the stop of T."""
     given = json.loads((ROOT / "tests" / "data" / "paper.json").read_text())
     c = given["constants"]
     length, d, rho, eta = c["length"], c["diameter"], c["sand_density"], c["eta_d"]
@@ -178,7 +178,7 @@ def _until_tip_stops(
 
 
 def plates() -> None:
-    """Upright plate drawn along its normal, per meter of width: F = K |z| + lambda rho h v^2."""
+    """Write drags of an upright plate, per meter of width: F = K |z| + lambda rho h v^2."""
     given = json.loads((ROOT / "tests" / "data" / "resistive_force_theory.json").read_text())
     given = given["inertial"]
     height = given["plate"]
@@ -216,7 +216,7 @@ def plates() -> None:
 
 
 def quikrete() -> None:
-    """Level plate pushed straight down: the printed stiffness, 2.02 N/cm^3."""
+    """Write a push of a level plate straight down: the published stiffness, 2.02 N/cm^3."""
     given = json.loads((ROOT / "tests" / "data" / "resistive_force_theory.json").read_text())
     given = given["spatial"]["flat_plate"]
     side, name = 0.04, "plate pushed down"

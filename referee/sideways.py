@@ -21,11 +21,11 @@ from mjgranular.referee import RunSet, compare, read_runs, simulate
 from mjgranular.sand.material import law_of
 
 DATA = Path(__file__).parent / "data"
-SMALL = 0.25  # of the load: horizontal forces on wheels below that are compared with it; chosen
+SMALL = 0.25  # of the load: reference for smaller horizontal forces on wheels; chosen
 
 
 def score(law: str | Law = "rft3d_dynamic") -> dict[str, Any]:
-    """Return all scores of a law, in parts: `legs`, `drawn`, `wheel`, `robot` and `summary`."""
+    """Return all scores of a law, relative: `legs`, `drawn`, `wheel`, `robot` and `summary`."""
     legs = {
         f"{name[5:]} {run.name}": compare(run.motion, simulate(run, runs.medium, law)).trajectory
         for name in ("legs_poppy", "legs_glass")
@@ -64,7 +64,7 @@ def score(law: str | Law = "rft3d_dynamic") -> dict[str, Any]:
 
 
 def fit_scale(runs: RunSet, law: str | Law) -> Law:
-    """Return the law with its `scale` by least squares from the first run, a push."""
+    """Return the law with its `scale` fitted by least squares to the first run, a push."""
     push, made = runs.runs[0], law_of(law, runs.medium)
     found = simulate(push, runs.medium, made).force
     measured = push.motion.force
@@ -80,7 +80,7 @@ def _columns(measured: Any, found: Any) -> Iterable[tuple[float, ...]]:
 
 
 def _wheel(law: str | Law) -> dict[str, dict[str, float]]:
-    """Law over measured, at the measured sinkage and free, by slip and slip angle."""
+    """Return law over measurement, at the measured sinkage and free, by slip and slip angle."""
     runs = read_runs(DATA / "wheel")
     out: dict[str, dict[str, float]] = {}
     for given, free in zip(runs.runs[::2], runs.runs[1::2], strict=True):
@@ -112,7 +112,7 @@ def _mean(values: Iterable[float]) -> float:
 
 
 def main() -> None:
-    """Prints all scores."""
+    """Print all scores."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--law", default="rft3d_dynamic", help="with its constants, as for Sand")
     found = score(parser.parse_args().law)

@@ -35,7 +35,7 @@ from mjgranular.referee import MeasuredRun, RunSet, compare, read_runs, simulate
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "referee" / "data"
 SIDEWAYS = ("drawn", "drawn_rough", "legs_poppy", "legs_glass", "robot", "wheel")
-"""Those of bodies that are drawn, turn, roll or walk."""
+"""Sets of bodies that are dragged, turn, roll or walk."""
 
 SETS = (
     *("seen", "small_bed", "wide_bed", "katsuragi_durian", "plates", "quikrete", "paper_link"),
@@ -46,14 +46,14 @@ SETS = (
 _JUDGED_SIDEWAYS = ("rft2d", "rft2d_dynamic", "rft3d", "rft3d_dynamic")
 
 SIMULATED = ("seen", "small_bed", "wide_bed")
-"""Those of simulated grains."""
+"""Sets of simulated grains."""
 
 KAPPA, ADDED_BY = 2.5, ("sphere 1 m/s", "sphere 3 m/s")
-"""Of the added mass, and the runs of `seen` that it was chosen by."""
+"""Constants of the added mass, and the runs of `seen` that they were fitted to."""
 
 
 def candidates(runs: RunSet) -> list[Candidate]:
-    """The laws that there are constants for, with and without the inertial term."""
+    """Return the laws with known constants, with and without the inertial term."""
     found: list[Candidate] = []
     stiffness, fitted = _slow_stiffness(runs)
     play_sand = "play sand's of the link paper; the density is that of the bed"
@@ -89,7 +89,7 @@ def candidates(runs: RunSet) -> list[Candidate]:
 def _dynamic(
     runs: RunSet, law: Rft2dLaw | Rft3dLaw, by: tuple[str, ...], theirs: tuple[str, ...]
 ) -> Candidate:
-    """The dynamic law, its strength from the slowest push of a level plate where there is one."""
+    """Return the dynamic law, its strength from the slowest push of a level plate, if any."""
     if isinstance(law, Rft3dLaw):
         made = DynamicRft3dLaw.from_medium(runs.medium)
     elif Rft2dLaw.name in runs.medium.constants:
@@ -116,7 +116,7 @@ def _dynamic(
 def _resistive(
     runs: RunSet, stiffness: float | None, fitted: tuple[str, ...]
 ) -> list[tuple[str, Rft2dLaw | Rft3dLaw, str, tuple[str, ...]]]:
-    """Both laws of resistive force theory with what fits the set: name, law, constants, fitted."""
+    """Return both laws of resistive force theory for a set: name, law, constants, fitted."""
     if runs.name == "plates":
         found = []
         for name, law in (
@@ -143,13 +143,13 @@ def _resistive(
 
 
 def _slow_push(runs: RunSet) -> MeasuredRun | None:
-    """The slowest push of a level plate by which constants are chosen."""
+    """Return the slowest push of a level plate, to fit constants to."""
     pushes = [r for r in runs.runs if r.kind == "intrude" and r.mark == "fitted to"]
     return min(pushes, key=lambda run: run.speed, default=None)
 
 
 def _slow_stiffness(runs: RunSet) -> tuple[float | None, tuple[str, ...]]:
-    """Force over area and depth of the slowest level plate [N/m^3], and the run's name."""
+    """Return force over area and depth of the slowest level plate [N/m^3], and the run's name."""
     run = _slow_push(runs)
     if run is None:
         return None, ()
@@ -160,7 +160,7 @@ def _slow_stiffness(runs: RunSet) -> tuple[float | None, tuple[str, ...]]:
 
 
 def _scale_to_line(runs: RunSet, law: Rft2dLaw | Rft3dLaw) -> float:
-    """The factor with which a law at rest gives the published line K z of drawn plates."""
+    """Return the factor by which a law at rest gives the published line K z of dragged plates."""
     run = runs.runs[0]
     still = replace(run, motion=replace(run.motion, speed=np.full_like(run.motion.depth, 1e-6)))
     force = simulate(still, runs.medium, law).force
@@ -170,7 +170,7 @@ def _scale_to_line(runs: RunSet, law: Rft2dLaw | Rft3dLaw) -> float:
 
 
 def hold(runs: RunSet) -> list[Comparison]:
-    """Every law against every run of a set."""
+    """Compare every law with every run of a set."""
     found = []
     for run in runs.runs:
         for candidate in candidates(runs):
@@ -186,7 +186,7 @@ def hold(runs: RunSet) -> list[Comparison]:
 
 
 def _foreign(run: MeasuredRun, candidate: Candidate) -> bool:
-    """Whether the law is for other bodies: rods, or the one sphere that it was fitted to."""
+    """Return True if the law is for other bodies: rods, or the one sphere that it was fitted to."""
     if candidate.name in ("link", "link_distributed"):
         return run.shape not in ("link", "capsule")
     if candidate.name == "depth_velocity":
@@ -195,7 +195,7 @@ def _foreign(run: MeasuredRun, candidate: Candidate) -> bool:
 
 
 def main(words: list[str] | None = None) -> None:
-    """Compares, and writes page, figures and found errors."""
+    """Compare, and write page, figures and error table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--report", type=Path, default=ROOT / "docs" / "validity.md")
     parser.add_argument(

@@ -5,8 +5,8 @@
     python scripts/attack.py --only models --seed 7 --case 123     # one case, in this process
 
 Other cases run in worker processes, which may crash or hang. Each finding is printed with the
-command that repeats its case alone; the file `--out` gets a line of JSON for each case. The exit
-status is 1 if anything breaks a promise.
+command that repeats its case; the file `--out` gets a line of JSON for each case. The exit status
+is 1 after a failure.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from attacks import changes, models, worker
 from rich.console import Console
 from rich.progress import track
 
-STEPS = 155  # of a model: with those that end early, 3,000 make 400,000
+STEPS = 155  # per model: with those that end early, 3,000 models make 400,000
 MODELS = 3000
 COUNTS = {"files": 200, "kills": 16, "workers": 8, "media": 200, "mjcf": 200}
-"""Attacks besides models, and the number of cases by default."""
+"""Attacks besides models, and their default number of cases."""
 
 
 def load(name: str) -> Any:
@@ -120,7 +120,7 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Run the attacks that are asked for."""
+    """Run the requested attacks."""
     options, console = parse(), Console()
     options.out = options.out.resolve()
     options.out.parent.mkdir(parents=True, exist_ok=True)

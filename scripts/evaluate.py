@@ -1,4 +1,4 @@
-"""Evaluates what scripts/train.py has saved, over ten seeds.
+"""Evaluate a policy from scripts/train.py, over ten seeds.
 
 python scripts/evaluate.py mjgranular/ChainSwim-v0 policy
 """
@@ -13,11 +13,11 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-import mjgranular  # noqa: F401  its environments are known to Gymnasium
+import mjgranular  # noqa: F401  registers its environments
 
 
 def main(env_id: str, folder: Path) -> None:
-    """Prints the mean return; `mjgranular evaluate` does it on other sands, with intervals."""
+    """Print the mean return; `mjgranular evaluate` also does other sands, with intervals."""
     plain = DummyVecEnv([lambda: Monitor(gym.make(env_id))])
     env = VecNormalize.load(str(folder / "normalizer.pkl"), plain)
     env.training, env.norm_reward = False, False

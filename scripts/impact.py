@@ -1,4 +1,4 @@
-"""Drops the paper's link into play sand, step by step, and prints when and where T stops.
+"""Drop the paper's link into play sand, step by step, and print when and where T stops.
 
 python scripts/impact.py
 """
@@ -12,7 +12,7 @@ from mjgranular.models import model_path
 
 
 def main() -> None:
-    """Runs one impact."""
+    """Run one impact."""
     model = mujoco.MjModel.from_xml_path(str(model_path("link")))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("impact").id)  # 45 degrees, 10 m/s down

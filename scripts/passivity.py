@@ -3,16 +3,17 @@
     python scripts/passivity.py                     # 200 models, all laws on all surfaces
     python scripts/passivity.py --seed 7 --models 20
 
-Models are those of `scripts/attack.py`, with the integrator `discrete`. Each walks in some worlds
-that begin with velocities of their own. After each step the work of the sand is found in double
-precision with the velocity that the step has ended with, by MuJoCo's own kinematics:
+Models are those of `scripts/attack.py`, with the integrator `discrete`. Each is stepped in several
+worlds with different initial velocities. After each step the work of the sand is computed in double
+precision with the velocity at the end of the step, by MuJoCo's kinematics:
 
-- of the forces that `WarpSand` tells;
-- of the forces that the bodies have really felt, by MuJoCo's inverse dynamics, where no constraint
-  and no actuator is active. Single precision keeps a velocity to 6e-8 of itself, so that a
-  part of the kinetic energy as small comes and goes in any step, without sand too.
+- of the forces that `WarpSand` reports;
+- of the forces that act on the bodies, by MuJoCo's inverse dynamics, if no constraint and no
+  actuator is active. The relative precision of a velocity is 6e-8, so that the kinetic energy
+  changes by such a part in any step, even without sand.
 
-MuJoCo Warp compiles for each number of degrees of freedom anew: models of a few numbers are drawn.
+MuJoCo Warp recompiles for each number of degrees of freedom: only models with a few different
+numbers are drawn.
 """
 
 from __future__ import annotations
@@ -46,20 +47,20 @@ PROGRAMS = tuple(
 )
 SIZES = (9, 12, 18)
 WORLDS, STEPS = 4, 30
-BAR = 1e-6  # of the kinetic energy
-JOULES = 1e-9  # of kinetic energy at least, for a step that counts
+BAR = 1e-6  # in parts of the kinetic energy
+JOULES = 1e-9  # least kinetic energy of a step that counts
 
 
 @dataclass
 class Weighed:
-    """What was found of a model's steps.
+    """Results for a model's steps.
 
     Attributes:
-        told: greatest work of the forces that the sand tells, in parts of the kinetic energy.
-        felt: of those that bodies have felt.
-        given: works that were positive, summed up [J].
-        taken: that were negative.
-        counts: of steps, by what they are.
+        told: largest work of the forces that the sand reports, in parts of the kinetic energy.
+        felt: largest work of the forces that act on the bodies.
+        given: sum of positive works [J].
+        taken: sum of negative works [J].
+        counts: numbers of steps, by kind.
     """
 
     told: float = -np.inf
@@ -70,10 +71,10 @@ class Weighed:
 
 
 def draw(seed: int, number: int, sizes: tuple[int, ...]) -> tuple[str, mujoco.MjModel]:
-    """Draws a model that MuJoCo Warp takes, with as many degrees of freedom as one of some numbers.
+    """Draw a model that MuJoCo Warp supports, with a number of degrees of freedom in `sizes`.
 
     Returns:
-        Arguments of the sand, as they would be written, and the model.
+        Arguments of the sand as a string, and the model.
     """
     rng = np.random.default_rng([seed, number])
     while True:
@@ -90,13 +91,13 @@ def draw(seed: int, number: int, sizes: tuple[int, ...]) -> tuple[str, mujoco.Mj
             continue
         try:
             mjw.put_model(model)
-        except (NotImplementedError, ValueError):  # what MuJoCo Warp has not
+        except (NotImplementedError, ValueError):  # not supported in MuJoCo Warp
             continue
         return drawn.sand, model
 
 
 def weigh(seed: int, number: int, *, steps: int = STEPS, sizes: tuple[int, ...] = SIZES) -> Weighed:
-    """Walks a model and weighs the sand's work in each step."""
+    """Step a model, and measure the sand's work in each step."""
     given, model = draw(seed, number, sizes)
     rng = np.random.default_rng([seed, number, 1])
     sand = WarpSand(model, **arguments(given))
@@ -129,7 +130,7 @@ def _weigh_step(
     wrenches: np.ndarray,
     weighed: Weighed,
 ) -> None:
-    """Weighs one step of one world."""
+    """Measure the work in one step of one world."""
     h = model.opt.timestep
     data.qpos, data.qvel, end = state
     data.qacc = (end - state[1]) / h
@@ -156,7 +157,7 @@ def _weigh_step(
 
 
 def main() -> int:
-    """Weighs models, and says what was found."""
+    """Measure models, and print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--models", type=int, default=200)

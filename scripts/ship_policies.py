@@ -2,8 +2,9 @@
 
     python scripts/ship_policies.py runs/ChainSwim-v0-ppo-0 runs/ChainSwim-v0-ppo-1
 
-Of `policy.zip` it leaves out what only a training needs, the optimiser's moments, two thirds of the
-file, and what machine it was. A copy acts as the original does, to the last bit, or is not kept.
+It omits from `policy.zip` what only training needs, the optimizer's moments (two thirds of the
+file), and the machine's description. The actions of a copy must be bit-identical to those of the
+original, or it is not kept.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _MACHINE = "system_info.txt"
 
 
 def slim(original: Path, copy: Path) -> None:
-    """Copies a file of Stable-Baselines3 without the optimiser's moments."""
+    """Copy a file of Stable-Baselines3 without the optimizer's moments."""
     with zipfile.ZipFile(original) as old, zipfile.ZipFile(copy, "w", zipfile.ZIP_DEFLATED) as new:
         for name in old.namelist():
             content = old.read(name)
@@ -45,7 +46,7 @@ def slim(original: Path, copy: Path) -> None:
 
 
 def ship(folder: Path, to: Path) -> Path:
-    """Copies one run; returns where it is now."""
+    """Copy one run; return its new path."""
     run = open_run(folder)
     missing = [name for name in POLICY_FILES if not (folder / name).is_file()]
     if missing:
@@ -53,7 +54,7 @@ def ship(folder: Path, to: Path) -> Path:
     there = to / run.environment.rpartition("/")[2] / f"{run.settings.algorithm}-{run.seed}"
     if there.exists():
         raise SystemExit(f"{there} is there already: remove it first")
-    part = there.with_name(f".{there.name}.part")  # whole or not at all
+    part = there.with_name(f".{there.name}.part")  # for an atomic copy
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     for name in POLICY_FILES:
@@ -77,7 +78,7 @@ def ship(folder: Path, to: Path) -> Path:
 
 
 def main() -> int:
-    """Copies the runs that are named."""
+    """Copy the given runs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("runs", nargs="*", type=Path)
     parser.add_argument("--to", type=Path, default=SHIPPED)

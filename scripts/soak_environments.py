@@ -22,7 +22,7 @@ NUM_ENVS = 64
 
 
 def soak(name: str, steps: int) -> bool:
-    """Runs one environment; says what happened and whether all was well."""
+    """Run one environment; print the result and return whether all was well."""
     batch = SandVectorEnv(name, NUM_ENVS, max_episode_steps=tasks[name].episode, randomise=RANGES)
     batch.reset(seed=0)
     batch.action_space.seed(0)
@@ -34,7 +34,7 @@ def soak(name: str, steps: int) -> bool:
         observations, rewards, *_ = batch.step(batch.action_space.sample())
         bad += not (np.isfinite(observations).all() and np.isfinite(rewards).all())
         fastest = max(fastest, float(np.abs(batch.batch.bind("qvel")).max()))
-        numbers = batch.batch.warning[:, :, 1].sum(axis=0)  # until a reset clears them
+        numbers = batch.batch.warning[:, :, 1].sum(axis=0)  # a reset clears them
         for kind, number in zip(kinds, numbers, strict=True):
             if number:
                 told[kind.name.removeprefix("mjWARN_")] = int(number)
@@ -48,7 +48,7 @@ def soak(name: str, steps: int) -> bool:
 
 
 def main() -> int:
-    """Runs those that are named, or all."""
+    """Run the given environments, or all."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", default=list(tasks))
     parser.add_argument("--steps", type=int, default=1_000_000)

@@ -1,4 +1,4 @@
-"""Depth and stopping time against the diameter of the link: a sweep of your own.
+"""Depth and stopping time against the diameter of the link: a custom sweep.
 
 python scripts/sweep.py
 """
@@ -9,7 +9,7 @@ from mjgranular.experiment import Impact, run_impact
 
 
 def main() -> None:
-    """Drops links of five diameters, otherwise the paper's, at 2 m/s."""
+    """Drop links like the paper's, of five diameters, at 2 m/s."""
     base = Impact(speed=2.0)
     print("diameter [mm]   stopping time [ms]   depth [mm]")
     for diameter in (0.005, 0.0075, 0.01, 0.015, 0.02):

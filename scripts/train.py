@@ -1,4 +1,4 @@
-"""Trains a policy on sand with Stable-Baselines3 alone, and saves it with its normaliser.
+"""Train a policy on sand with Stable-Baselines3 alone, and save it with its normalizer.
 
 python scripts/train.py mjgranular/ChainSwim-v0 100000 policy
 """
@@ -11,11 +11,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-import mjgranular  # noqa: F401  its environments are known to Gymnasium
+import mjgranular  # noqa: F401  registers its environments
 
 
 def main(env_id: str, steps: int, out: Path) -> None:
-    """Trains for so many steps; `mjgranular train` does it with checkpoints and tuned settings."""
+    """Train for `steps` steps; `mjgranular train` adds checkpoints and tuned settings."""
     env = VecNormalize(make_vec_env(lambda: gym.make(env_id), n_envs=4, seed=0))
     model = PPO("MlpPolicy", env, n_steps=512, batch_size=256, seed=0, device="cpu")
     model.learn(steps)

@@ -1,4 +1,4 @@
-"""Trains a policy with PPO of RLlib on a local Ray cluster, and saves it.
+"""Train a policy with PPO of RLlib on a local Ray cluster, and save it.
 
 python scripts/train_rllib.py mjgranular/ChainSwim-v0 100 policy
 
@@ -16,7 +16,7 @@ from mjgranular.envs.rllib import register_env
 
 
 def main(env_id: str, iterations: int, out: Path) -> None:
-    """Trains for some iterations of 4096 steps each, sampled by two env runners."""
+    """Train for `iterations` iterations of 4096 steps each, sampled by two env runners."""
     ray.init(address="local", num_cpus=2, include_dashboard=False)
     config = (
         PPOConfig()

@@ -21,7 +21,7 @@ from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import begin_run
 from mjgranular.learn.train import train
 
-# Seeds of no training, and not those of `mjgranular evaluate`: the best is evaluated on others.
+# Not seeds of training or of `mjgranular evaluate`: the best trial is evaluated on others.
 SEEDS = 20_000
 
 

@@ -1,4 +1,4 @@
-"""Films an impact: runs it, renders it in slow motion with the force as an arrow.
+"""Film an impact: run it, and render it in slow motion with the force as an arrow.
 
 python scripts/video.py film.mp4
 """
@@ -12,7 +12,7 @@ from mjgranular.picture.video import Film, frames_of_run, write_video
 
 
 def main(path: Path, seconds: float) -> None:
-    """Writes the film of a drop at 5 m/s, 30 degrees, that lasts so many seconds."""
+    """Write a film of `seconds` seconds of a drop at 5 m/s, 30 degrees."""
     result = run_impact(Impact(speed=5.0, angle=math.radians(30)))
     if result.stop is None:
         raise SystemExit("T did not stop: nothing to film")

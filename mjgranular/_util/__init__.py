@@ -1,1 +1,1 @@
-"""Checks, parsing, files and other things that all packages use."""
+"""Checks, parsing, files and other helpers for all packages."""

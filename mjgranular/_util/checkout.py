@@ -1,4 +1,4 @@
-"""The folders `models` and `envs` of a checkout, which lie beside the package."""
+"""The folders `models` and `envs` of a checkout, which are next to the package."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 
 
 def add_checkout_folders(path: MutableSequence[str]) -> None:
-    """Add the root of a checkout to the path of the package, where `models` is missing from it.
+    """Add the root of a checkout to the path of the package, if `models` is missing from it.
 
-    `python -m` and `python -c` put the current folder first on the path. In a checkout that hides
-    the installed package behind this folder, which lacks what setup.py maps into it.
+    `python -m` and `python -c` put the current folder first on the path. In a checkout this folder
+    then hides the installed package, but lacks what setup.py maps into it.
 
     Args:
         path: `mjgranular.__path__`.

@@ -1,4 +1,4 @@
-"""Checks of arguments of the wrong type: a sentence that says what was meant."""
+"""Checks of the types of arguments, with messages that say what is expected."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mjgranular.errors import InputError, shown
 
 
 def check_model(model: Any, who: str) -> None:
-    """Refuses what is no compiled model.
+    """Check that `model` is a compiled model.
 
     Raises:
-        InputError: says how one is made of it.
+        InputError: it is not; says how to make one from it.
     """
     if isinstance(model, mujoco.MjModel):
         return
@@ -32,10 +32,10 @@ def check_model(model: Any, who: str) -> None:
 
 
 def check_spec(spec: Any, who: str) -> None:
-    """Refuses what is no `MjSpec`.
+    """Check that `spec` is an `MjSpec`.
 
     Raises:
-        InputError: says how one is made of it.
+        InputError: it is not; says how to make one from it.
     """
     if isinstance(spec, mujoco.MjSpec):
         return
@@ -48,10 +48,10 @@ def check_spec(spec: Any, who: str) -> None:
 
 
 def check_data(data: Any, who: str) -> None:
-    """Refuses what is no `MjData`.
+    """Check that `data` is an `MjData`.
 
     Raises:
-        InputError: says how one is made.
+        InputError: it is not; says how to make one.
     """
     if not isinstance(data, mujoco.MjData):
         raise InputError(
@@ -60,16 +60,16 @@ def check_data(data: Any, who: str) -> None:
 
 
 def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:
-    """Refuses what is not of a kind.
+    """Check that a value is an instance of a class.
 
     Args:
-        value: what was given.
+        value: the given value.
         kind: a class.
-        who: takes one.
-        meant: how one is made, if its name does not say so.
+        who: name of the caller that expects it.
+        meant: how to make one, if its name does not say so.
 
     Raises:
-        InputError: says so.
+        InputError: it is not.
     """
     if not isinstance(value, kind):
         how = f"; use {meant}" if meant else ""
@@ -77,29 +77,29 @@ def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:
 
 
 def check_switch(name: str, value: Any) -> None:
-    """Refuses what is neither True nor False: a word, "no" as well, would count as True.
+    """Check that a value is True or False: any string, even "no", would count as True.
 
     Args:
-        name: of the argument.
-        value: of it.
+        name: name of the argument.
+        value: the given value.
 
     Raises:
-        InputError: says so.
+        InputError: it is not.
     """
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} must be True or False, not {kind_of(value)}")
 
 
 def check_count(name: str, value: Any, least: int = 1) -> None:
-    """Refuses what is no whole number from some number up.
+    """Check that a value is an integer of at least `least`.
 
     Args:
-        name: of the argument.
-        value: of it.
-        least: the smallest that will do.
+        name: name of the argument.
+        value: the given value.
+        least: the smallest valid value.
 
     Raises:
-        InputError: says so.
+        InputError: it is not.
     """
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
         raise InputError(f"{name} must be a whole number, not {kind_of(value)}")
@@ -108,12 +108,12 @@ def check_count(name: str, value: Any, least: int = 1) -> None:
 
 
 def is_finite(value: Any) -> bool:
-    """Tells whether a value is a number, and a finite one."""
+    """Return True if a value is a finite number."""
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)
 
 
 def kind_of(value: Any) -> str:
-    """Names the kind of a value in a word or two."""
+    """Return the kind of a value in a word or two."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     if value is None or isinstance(value, (str, int, float)):
@@ -122,5 +122,5 @@ def kind_of(value: Any) -> str:
 
 
 def _one(name: str) -> str:
-    """A name with its article; those of MuJoCo's are spoken letter by letter."""
+    """Return a name with its article; "Mj" is pronounced letter by letter."""
     return f"{'an' if name[0] in 'AEIOU' else 'a'} {name}"

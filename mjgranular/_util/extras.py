@@ -1,4 +1,4 @@
-"""Imports that come with an extra of the package, with the install line where one is missing."""
+"""Imports of optional dependencies; errors have the install line."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from mjgranular.errors import MissingExtraError
 
 
 def need(package: str, *, extra: str, purpose: str) -> Any:
-    """Imports a module.
+    """Import a module of an optional dependency.
 
     Args:
-        package: its dotted name.
-        extra: the extra of mjgranular that brings it.
-        purpose: what it is wanted for, at the beginning of a sentence.
+        package: dotted name of the module.
+        extra: the extra of mjgranular that installs it.
+        purpose: what it is needed for, as the beginning of a sentence.
 
     Raises:
         MissingExtraError: it is not installed; gives the install line.

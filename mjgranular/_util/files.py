@@ -1,13 +1,13 @@
-"""Files that survive a killed process: written beside, flushed, renamed; one writer at a time.
+"""Files that survive a killed process: temporary file, flush, rename; one writer at a time.
 
-All that the package writes goes through here. Four things are promised:
+The package writes all files with this module. It guarantees four things:
 
-- `whole`: a file is there with all of its content, or as it was before.
+- `whole`: a file has its complete new content, or is unchanged.
 - `published`: several files that belong together appear at once. They wait in a hidden folder, and
-  one rename makes them the result; whoever comes next finishes what a killed process began, and
-  `current` reads what waits as if it were in its place.
-- `write_folder`: the same of a folder, with sums by which damage is found out.
-- `locked`: one process at a time. The system lets go of the lock when its holder ends.
+  one rename makes them the result; the next process finishes what a killed one began, and `current`
+  reads waiting files as if they were in their places.
+- `write_folder`: the same for a folder, with checksums that reveal damage.
+- `locked`: one process at a time. The system releases the lock when its holder ends.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ T = TypeVar("T")
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
-_READY = ".publish"  # folder of files that are the result already, but not in their places yet
-_LIST = "publish.json"  # in it: what goes, now that they come
+_READY = ".publish"  # folder of published files that are not in their places yet
+_LIST = "publish.json"  # in it: names of files to remove
 _PART, _GONE = ".part", ".gone"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 _TRIES = 5
@@ -48,12 +48,12 @@ _TRIES = 5
 
 @contextmanager
 def whole(file: Path) -> Iterator[Path]:
-    """Gives a path to write to; what it holds at the end is `file`, whole or not at all.
+    """Return a path to write to; at the end its content replaces `file` atomically.
 
     Raises:
         OutputError: it cannot be written.
     """
-    # The ending stays: writers choose the format by it.
+    # The extension stays: writers choose the format by it.
     part = file.with_name(f".{file.name}{_PART}{secrets.token_hex(4)}{file.suffix}")
     try:
         yield part
@@ -68,7 +68,7 @@ def whole(file: Path) -> Iterator[Path]:
 
 
 def write_bytes(file: Path, content: bytes) -> None:
-    """Writes a file whole or not at all.
+    """Write a file atomically.
 
     Raises:
         OutputError: it cannot be written.
@@ -78,7 +78,7 @@ def write_bytes(file: Path, content: bytes) -> None:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Writes a text file whole or not at all, in UTF-8.
+    """Write a UTF-8 text file atomically.
 
     Raises:
         OutputError: it cannot be written.
@@ -91,11 +91,11 @@ def write_text(file: Path, text: str) -> None:
 
 @contextmanager
 def published(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]:
-    """Gives a folder to write files to; at the end they are all in `folder`, or none of them.
+    """Return a folder to write files to; at the end all of them are in `folder`, or none.
 
     Args:
         folder: must be locked.
-        instead_of: names of files in it that go when the new ones come.
+        instead_of: names of files in it that the new ones replace.
 
     Raises:
         OutputError: they cannot be written.
@@ -121,13 +121,13 @@ def published(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]
 
 
 def finish_publishing(folder: Path) -> None:
-    """Puts files in their places that a killed process had published; the folder must be locked."""
+    """Move files that a killed process had published to their places; lock the folder first."""
     ready = folder / _READY
     if not ready.is_dir():
         return
     try:
         stale = read_json(ready / _LIST).get("remove")
-    except OutputError:  # it goes last: all the others are in their places
+    except OutputError:  # this one is last: all others are in their places
         stale = None
     for name in stale if isinstance(stale, list) else []:
         if is_plain_name(name):
@@ -140,21 +140,21 @@ def finish_publishing(folder: Path) -> None:
 
 
 def current(folder: Path, name: str) -> Path:
-    """Finds a file of a folder: in its place, or where it waits to be put there."""
+    """Return the path of a file of a folder: in its place, or where it waits."""
     waiting = folder / _READY / name
     return waiting if waiting.exists() else folder / name
 
 
 def consistently(folder: Path, name: str, read: Callable[[], T]) -> T:
-    """Reads several files of a folder so that all are of the same result.
+    """Read several files of a folder so that all belong to the same result.
 
     Args:
-        folder: with the files.
-        name: of one that every result writes anew.
-        read: reads them, each by `current`; called again if the result changed meanwhile.
+        folder: folder of the files.
+        name: name of a file that every result rewrites.
+        read: reads them, each with `current`; called again if the result has changed meanwhile.
 
     Raises:
-        OutputError: as `read` does, or the files change all the time.
+        OutputError: `read` raised it, or the files keep changing.
     """
 
     def state() -> tuple[object, ...]:
@@ -182,11 +182,11 @@ def consistently(folder: Path, name: str, read: Callable[[], T]) -> T:
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Writes a folder whole or not at all, with a manifest of sizes and SHA-256 sums.
+    """Write a folder atomically, with a manifest of sizes and SHA-256 sums.
 
     Args:
-        folder: replaced if it is there.
-        fill: writes files into the folder it is given.
+        folder: the folder; replaced if it exists.
+        fill: writes files into a given folder.
 
     Raises:
         OutputError: it cannot be written.
@@ -217,7 +217,7 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
 
 
 def remove_folder(folder: Path) -> None:
-    """Removes a folder so that a half removed one is never taken for a whole one."""
+    """Remove a folder so that a partly removed one is never taken for a complete one."""
     if folder.exists():
         gone = folder.with_name(f".{folder.name}{_PART}{secrets.token_hex(4)}")
         folder.replace(gone)
@@ -225,11 +225,11 @@ def remove_folder(folder: Path) -> None:
 
 
 def fault(folder: Path, names: Sequence[str] = ()) -> str | None:
-    """Finds what is wrong with a folder written by `write_folder`; None if nothing is.
+    """Find what is wrong with a folder written by `write_folder`; None if nothing is.
 
     Args:
         folder: the folder.
-        names: of files that must be in it.
+        names: names of files that must be in it.
     """
     try:
         manifest = read_json(folder / MANIFEST)
@@ -253,15 +253,15 @@ def fault(folder: Path, names: Sequence[str] = ()) -> str | None:
 
 
 def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
-    """Removes what killed processes left half written; the folder must be locked.
+    """Remove partly written files of killed processes; the folder must be locked.
 
     Args:
         folder: the folder.
-        names: of the files and folders whose leftovers go; None for all.
+        names: names of the files and folders whose leftovers are removed; None for all.
     """
     mine = {_READY[1:], *(names or ())}
     for path in list(folder.glob(".*")):
-        name = path.name.lstrip(".")  # of a part of a part there are two
+        name = path.name.lstrip(".")  # two for a part of a part
         whose, mark, _ = name.partition(_PART)
         old = not mark and name.endswith(_GONE)
         if old:
@@ -283,17 +283,17 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
-    """Keeps other processes out of a folder, which is made if it is not there.
+    """Keep other processes out of a folder, which is made if it does not exist.
 
-    Before anything is read that is to be changed, not only before it is written. A file system
-    without locks gives a warning.
+    Lock before reading what is to be changed, not only before writing. A file system without locks
+    gives a warning.
 
     Args:
         folder: the folder.
-        name: of the file that stands for the lock; gone at the end.
+        name: name of the lock file; removed at the end.
 
     Raises:
-        OutputError: another process is at work in the folder, or it cannot be written to.
+        OutputError: another process is using the folder, or it cannot be written to.
     """
     file = folder / name
     try:
@@ -326,13 +326,13 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
 
 
 def _lock(file: Path) -> int:
-    """Opens and locks a file; raises `BlockingIOError` if another process has it."""
+    """Open and lock a file; raise `BlockingIOError` if another process has it."""
     tries = 0
     while True:
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
-        except FileNotFoundError:  # the holder before us removed the folder that it had made
+        except FileNotFoundError:  # the previous holder removed the folder that it had made
             tries += 1
             if tries == _TRIES:
                 raise
@@ -345,7 +345,7 @@ def _lock(file: Path) -> int:
                     raise BlockingIOError from None
                 return descriptor
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # The one who had it removes the file: a lock on a removed file is none.
+            # The previous holder removes the file: a lock on a removed file is void.
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(descriptor), file.stat()):
                     return descriptor
@@ -356,9 +356,9 @@ def _lock(file: Path) -> int:
 
 
 def _flush(path: Path) -> None:
-    """Has the system write a file or folder to the disk."""
+    """Flush a file or folder to the disk."""
     if path.is_dir() and os.name == "nt":
-        return  # folders cannot be opened there
+        return  # folders cannot be opened on this system
     descriptor = os.open(path, os.O_RDONLY if os.name != "nt" else os.O_RDWR)
     try:
         os.fsync(descriptor)
@@ -372,7 +372,7 @@ def _sum(file: Path) -> str:
 
 
 def _said(path: Path, error: OSError) -> OSError:
-    """The error in one sentence, unless it is one already."""
+    """Return the error in one sentence, unless it is one already."""
     if isinstance(error, GranularError):
         return error
     return OutputError(f"cannot write {path}: {error.strerror or error}")

@@ -1,4 +1,4 @@
-"""Chooses, on import, how MuJoCo draws on a machine without a screen."""
+"""Selection of MuJoCo's renderer on a machine without a display."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import sys
 
 
 def choose_renderer() -> None:
-    """Sets `MUJOCO_GL=egl` where that is the way to draw and nobody has chosen otherwise.
+    """Set `MUJOCO_GL=egl` where EGL is needed and the variable is not set.
 
-    That is on Linux without a display, with an EGL library, before mujoco is imported: MuJoCo
-    reads the variable once. Its own default there (GLFW) needs a display and fails.
+    This applies on Linux without a display, with an EGL library, before mujoco is imported: MuJoCo
+    reads the variable once. Its default (GLFW) needs a display and fails.
     """
     if "MUJOCO_GL" in os.environ or "mujoco" in sys.modules or not sys.platform.startswith("linux"):
         return
@@ -20,7 +20,7 @@ def choose_renderer() -> None:
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError:
-        return  # `import mujoco` would fail with the variable set; without it only drawing does
+        return  # `import mujoco` would fail with the variable set; without it only rendering fails
     os.environ["MUJOCO_GL"] = "egl"
 
 

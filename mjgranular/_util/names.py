@@ -1,4 +1,4 @@
-"""Names of what is in a model, whatever bytes the model's file has there."""
+"""Names of a model's objects, for any bytes in the model's file."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import mujoco
 
 
 def name_of(model: mujoco.MjModel, kind: str, number: int) -> str:
-    """The name of a body, geom or the like, "" for none; bytes that are no UTF-8 are shown.
+    """Return the name of a body, geom or the like, "" for none; escape bytes that are not UTF-8.
 
-    MuJoCo takes them, but its Python bindings raise `UnicodeDecodeError` where they are read.
+    MuJoCo accepts such bytes, but its Python bindings raise `UnicodeDecodeError` on reading them.
 
     Args:
         model: the model.

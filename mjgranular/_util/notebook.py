@@ -7,22 +7,22 @@ from typing import Any
 
 
 def show(film: Any, *, fps: int = 30, seconds: float = 5.0, camera: str | None = None) -> None:
-    """Plays a film where a notebook shows what a cell gives.
+    """Play a film in the output of a notebook cell.
 
     Args:
         film: pictures, shape (height, width, 3), uint8, one by one or as an array; or the result of
-            a run, of `mjgranular.experiment.run_drop` or `run_impact`, which is filmed.
-        fps: frames a second.
-        seconds: how long the film of a result lasts at least [s]; a run of a model that takes
-            longer lasts as long as life.
-        camera: of the model, for the film of a result; None for one that has all in view.
+            `mjgranular.experiment.run_drop` or `run_impact`, which is filmed.
+        fps: frames per second.
+        seconds: least duration of the film of a result [s]; longer runs of a model are filmed in
+            real time.
+        camera: camera of the model, for the film of a result; None for one that shows everything.
 
     Raises:
         InputError: no pictures, or neither pictures nor a result.
         MissingExtraError: a package for video is not installed; gives the install line.
-        RenderError: MuJoCo cannot draw on this machine.
+        RenderError: MuJoCo cannot render on this machine.
     """
-    # Loaded when used: it stands above all that a simulation needs.
+    # Imported when used: it depends on packages that import this one.
     importlib.import_module("mjgranular.picture.inline").play(
         film, fps=fps, seconds=seconds, camera=camera
     )

@@ -1,7 +1,7 @@
 """A name and its options, as in a shell: `link eta_d=7`, `bed geom='my tray'`.
 
-So laws, surfaces and schemes are written in MJCF, on the command line and in Python: there is no
-other parser. Nothing is evaluated.
+Laws, surfaces and schemes are written in this form in MJCF, on the command line and in Python: this
+is the only parser. Nothing is evaluated.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from mjgranular.errors import InputError, shown
 T = TypeVar("T")
 
 LARGEST = 100_000
-"""Of whole numbers; chosen: more pieces than any body needs, and fewer than memory cannot hold."""
+"""Largest integer; chosen: more pieces than any body needs, and few enough for memory."""
 
 
 def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T], dict[str, Any]]:
-    """Reads a name and its options: the class of that name, and the options by their names.
+    """Parse a name and its options: return the class of that name, and the options by name.
 
     Args:
         text: `name option=value ...`.
-        register: of the classes, dataclasses of their options.
-        kind: what they are, in a word.
+        register: registry of the classes, dataclasses of their options.
+        kind: what they are, in one word.
 
     Raises:
-        UnknownNameError: no such name; lists those there are.
+        UnknownNameError: no such name; lists the valid ones.
         InputError: an option that is unknown, given twice, or of a wrong type.
     """
     words = split_words(text)
@@ -40,10 +40,10 @@ def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T
 
 
 def split_words(text: str) -> list[str]:
-    """Words as in a shell, where quotes keep them together.
+    """Split a string into words as a shell does, where quotes keep words together.
 
     Raises:
-        InputError: a quotation that does not end.
+        InputError: a quote is not closed.
     """
     try:
         return shlex.split(text)
@@ -54,10 +54,10 @@ def split_words(text: str) -> list[str]:
 
 
 def read_value(text: str, kind: Any, name: str) -> Any:
-    """A value of a type: bool, int, float or str; a float may be one that need not be given.
+    """Parse a value of type bool, int, float, str or `float | None`.
 
     Raises:
-        InputError: it is of another, or cannot be written at all.
+        InputError: it is of another type, or a type that cannot be written as a string.
     """
     if kind is bool:
         if text not in ("true", "false"):
@@ -78,7 +78,7 @@ def read_value(text: str, kind: Any, name: str) -> Any:
 
 
 def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:
-    """Reads `name=value` words as fields of a dataclass.
+    """Parse `name=value` words as fields of a dataclass.
 
     Raises:
         InputError: an option of `what` that is unknown, given twice, or of a wrong type.

@@ -1,4 +1,4 @@
-"""Files that somebody else may have written, read without trust."""
+"""Safe reading of files from untrusted sources."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 
 from mjgranular.errors import InputError, one_line
 
-_PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not all on all systems
-_LONGEST_PATH = 300  # characters of it that a message shows; chosen
+_PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not defined on all systems
+_LONGEST_PATH = 300  # characters of a path that a message shows; chosen
 
 
 def check_regular(path: Path, what: str) -> None:
-    """Refuses what is no regular file, before it is opened, by us or by others.
+    """Check that a path is a regular file, before it is opened, by us or by others.
 
-    A pipe would have the reader wait for a writer, a device never end. What is not there at all is
-    left to the reader to tell.
+    A pipe would block the reader until there is a writer; a device may be endless. The reader
+    reports a missing file.
 
     Raises:
-        InputError: there is something else; `what` says what it was to be.
+        InputError: it is not regular; `what` names the expected content.
     """
     try:
         mode = path.stat().st_mode
@@ -32,16 +32,16 @@ def check_regular(path: Path, what: str) -> None:
 
 
 class NotRegularError(OSError):
-    """Error for a path that is no regular file."""
+    """Error for a path that is not a regular file."""
 
 
 def beginning(path: Path, most: int) -> bytes:
-    """The first bytes of a regular file, opened so that nothing blocks.
+    """Return the first bytes of a regular file, opened so that nothing blocks.
 
     Raises:
-        NotRegularError: it is something else.
+        NotRegularError: it is not a regular file.
         OSError: it cannot be read.
-        ValueError: it is no path.
+        ValueError: it is not a valid path.
     """
     descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
     with os.fdopen(descriptor, "rb") as file:
@@ -51,17 +51,17 @@ def beginning(path: Path, most: int) -> bytes:
 
 
 def read_file(path: Path, what: str, *, largest: int) -> bytes:
-    """The content of a regular file; others are not waited for.
+    """Return the content of a regular file; never block on others.
 
     Args:
-        path: to the file.
-        what: it was to be, for the message: "the medium".
-        largest: size that is read [bytes].
+        path: path of the file.
+        what: expected content, for the message: "the medium".
+        largest: largest accepted size [bytes].
 
     Raises:
-        InputError: it cannot be read, is no regular file, or is larger.
+        InputError: it cannot be read, is not a regular file, or is larger.
     """
-    check_regular(path, what)  # opening alone can move a tape or take a terminal
+    check_regular(path, what)  # opening alone can move a tape or acquire a terminal
     try:
         content = beginning(path, largest + 1)
     except NotRegularError:
@@ -77,7 +77,7 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
 
 
 def place(path: Path) -> str:
-    """A path as a message shows it."""
+    """Format a path for a message."""
     text = one_line(str(path))
     return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
 

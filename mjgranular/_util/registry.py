@@ -1,4 +1,4 @@
-"""Named things that can be added from outside: media, laws."""
+"""Registries that users can extend: media, laws."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Registry(Mapping[str, T]):
         self._things: dict[str, T] = {}
 
     def add(self, name: str, thing: T, *, replace: bool = False) -> None:
-        """Makes `thing` known under `name`.
+        """Register `thing` as `name`.
 
         Raises:
-            InputError: the name is taken by something else and `replace` is false.
+            InputError: another thing has the name and `replace` is false.
         """
         if not replace and self._things.get(name, thing) is not thing:
             raise InputError(

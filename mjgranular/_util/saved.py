@@ -1,8 +1,8 @@
-"""Reading what a process wrote before, perhaps a stranger's: as data, with nothing taken on trust.
+"""Safe reading of files from an earlier, perhaps untrusted, process: only as data.
 
-A file may be missing, cut off, of the wrong kind, endless, or made to do harm. Whatever it is, each
-function here returns values of the kind that it says, or raises `OutputError` with one sentence.
-Nothing of a file is executed.
+A file may be missing, truncated, of the wrong kind, endless, or malicious. In every case each
+function here returns values of the documented kind, or raises `OutputError` with one sentence.
+Nothing in a file is executed.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ import numpy as np
 from mjgranular._util.reading import NotRegularError, beginning
 from mjgranular.errors import OutputError
 
-# Far beyond what the package writes; chosen, not measured.
+# Far larger than what the package writes; chosen, not measured.
 _MOST_TEXT = 16 * 2**20  # bytes
 _MOST_ARRAYS = 384 * 2**20  # bytes, unpacked
 _LONGEST = 4096  # characters of a name
 
 
 def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
-    """The content of a regular file.
+    """Return the content of a regular file.
 
     Args:
         file: the file.
-        most: bytes that it may have.
+        most: largest accepted size [bytes].
 
     Raises:
-        OutputError: there is none, it cannot be read, or it is larger.
+        OutputError: it does not exist, cannot be read, or is larger.
     """
     try:
         content = beginning(file, most + 1)
@@ -50,10 +50,10 @@ def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
 
 
 def read_text(file: Path) -> str:
-    """The text of a file, UTF-8.
+    """Return the content of a UTF-8 text file.
 
     Raises:
-        OutputError: it cannot be read, or is no text.
+        OutputError: it cannot be read, or is not UTF-8.
     """
     try:
         return read_bytes(file).decode()
@@ -62,7 +62,7 @@ def read_text(file: Path) -> str:
 
 
 def read_json(file: Path) -> dict[str, Any]:
-    """The object in a JSON file.
+    """Return the object in a JSON file.
 
     Raises:
         OutputError: it cannot be read, is not JSON, or not an object; says where.
@@ -71,18 +71,18 @@ def read_json(file: Path) -> dict[str, Any]:
 
 
 def parse_json(text: str, where: str) -> dict[str, Any]:
-    """The object in a JSON text.
+    """Parse the object in a JSON string.
 
     Args:
-        text: the text.
-        where: it is from, for the message.
+        text: the string.
+        where: its source, for the message.
 
     Raises:
         OutputError: not JSON, or not an object.
     """
     try:
         content = json.loads(text, parse_constant=_refuse_constant)
-        if "\\u" in text:  # halves of characters cannot be printed
+        if "\\u" in text:  # lone surrogates cannot be printed
             json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         reason = "" if isinstance(error, RecursionError) else f": {str(error)[:200]}"
@@ -95,12 +95,12 @@ def parse_json(text: str, where: str) -> dict[str, Any]:
 def read_arrays(
     file: Path, names: Sequence[str], *, most: int | None = _MOST_ARRAYS
 ) -> dict[str, np.ndarray]:
-    """Arrays of numbers from an `.npz` file, all of them finite.
+    """Read arrays of finite numbers from an `.npz` file.
 
     Args:
         file: the file.
-        names: of the arrays.
-        most: bytes that they may have; None for as many as the file itself.
+        names: names of the arrays.
+        most: largest accepted size of the arrays [bytes]; None for the size of the file.
 
     Raises:
         OutputError: it cannot be read, or lacks one of the names; says which.
@@ -116,7 +116,7 @@ def read_arrays(
             arrays = {name: np.asarray(archive[name]) for name in names}
     except OutputError:
         raise
-    except Exception as error:  # zip, zlib, headers and dtypes fail in a way of their own each
+    except Exception as error:  # zip, zlib, headers and dtypes each fail differently
         reason = f"{error.args[0]}" if isinstance(error, KeyError) and error.args else str(error)
         raise OutputError(f"{file} is damaged: {reason[:200] or type(error).__name__}") from None
     for name, array in arrays.items():
@@ -126,10 +126,10 @@ def read_arrays(
 
 
 def number(content: Mapping[str, Any], name: str, where: object) -> float | None:
-    """A finite number or None from an object that was read.
+    """Return a finite number or None from a parsed object.
 
     Raises:
-        OutputError: it is missing, or something else.
+        OutputError: it is missing, or neither of these.
     """
     value = content.get(name, "")
     if value is not None and not fits(value, float):
@@ -138,12 +138,12 @@ def number(content: Mapping[str, Any], name: str, where: object) -> float | None
 
 
 def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
-    """The fields of a dataclass from an object that was read: known names, right types.
+    """Return the fields of a dataclass from a parsed object; check names and types.
 
     Args:
         cls: the dataclass; annotated with plain types, their unions, tuples and literals.
-        content: what was read.
-        where: it was read from, for the message.
+        content: the parsed object.
+        where: its source, for the message.
 
     Raises:
         OutputError: says which field is wrong, and what it must be.
@@ -160,11 +160,12 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
 
 
 def fits(value: object, kind: Any) -> bool:
-    """Return whether a value read from a file is of a type.
+    """Return True if a value read from a file is of a type.
 
     Args:
-        value: of JSON or TOML; numbers must be finite, strings printable.
-        kind: a plain type, None, or a union, tuple or literal of such; of others there are none.
+        value: value from JSON or TOML; numbers must be finite, strings printable.
+        kind: a plain type, None, or a union, tuple or literal of these; no other types are
+            supported.
     """
     origin = typing.get_origin(kind)
     if origin in (Union, types.UnionType):
@@ -191,7 +192,7 @@ def fits(value: object, kind: Any) -> bool:
 
 
 def is_plain_name(name: object) -> bool:
-    """Tells whether a name is that of a visible file in the folder itself, and nowhere else."""
+    """Return True if a name is that of a visible file directly in the folder."""
     return (
         isinstance(name, str)
         and is_text(name)
@@ -202,12 +203,12 @@ def is_plain_name(name: object) -> bool:
 
 
 def is_text(value: object) -> bool:
-    """Tells whether a text can be shown: of sensible length, without control codes."""
+    """Return True if a string can be shown: not too long, without control codes."""
     return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable()
 
 
 def _kind(value: object) -> str:
-    """A value for a message: never long, never with control codes."""
+    """Describe the kind of a value for a message."""
     if isinstance(value, (dict, list)):
         return "an object" if isinstance(value, dict) else "a list"
     if value is None or isinstance(value, (bool, int, float)):

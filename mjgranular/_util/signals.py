@@ -1,4 +1,4 @@
-"""Signals that end a program, as exceptions: what is unfinished is cleaned up, as after Ctrl-C."""
+"""Signals that end a program, as exceptions, so that cleanup runs as after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# What a scheduler, a shell and a closed terminal send; the last is unknown to Windows.
+# Sent by a scheduler, a shell and a closed terminal; Windows does not have the last.
 _ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Stopped(KeyboardInterrupt):
-    """The process was told to end.
+    """The process received a signal to end.
 
     Args:
-        number: of the signal.
+        number: number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -24,15 +24,15 @@ class Stopped(KeyboardInterrupt):
 
 
 def signal_of(stop: KeyboardInterrupt) -> int:
-    """The number of the signal that an interruption comes from."""
+    """Return the number of the signal that an interruption comes from."""
     return stop.number if isinstance(stop, Stopped) else int(signal.SIGINT)
 
 
 @contextmanager
 def stopped_by_signals() -> Iterator[None]:
-    """Raises `Stopped` where SIGTERM or SIGHUP would end the process on the spot.
+    """Raise `Stopped` where SIGTERM or SIGHUP would end the process immediately.
 
-    A signal that something else takes care of, or that is ignored (`nohup`), is left alone.
+    A signal that has another handler, or that is ignored (`nohup`), is not changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # signals belong to the main thread
@@ -50,7 +50,7 @@ def stopped_by_signals() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        # Libraries in C++ turn what a signal has raised within them into an error of their own.
+        # C++ libraries turn an exception that a signal raised within them into their own error.
         if came:
             raise Stopped(came[-1]) from error
         raise

@@ -9,12 +9,12 @@ from mjgranular.errors import one_line
 
 
 def html_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table as HTML; all texts are shown as they are, whatever is in them.
+    """Return a table as HTML; all strings are escaped.
 
     Args:
-        title: stands above it.
-        headings: of the columns.
-        rows: a cell for each column; numbers are shown with four digits.
+        title: title above the table.
+        headings: headings of the columns.
+        rows: one cell per column; numbers are shown with four digits.
     """
     head = "".join(f"<th>{_text(heading)}</th>" for heading in headings)
     body = "".join(f"<tr>{''.join(f'<td>{_text(c)}</td>' for c in row)}</tr>" for row in rows)

@@ -1,6 +1,6 @@
-"""Modules of a user's own, as he names them in words: `my_quad:MyQuad-v0`, `my_laws:Drag`.
+"""Custom modules, named by the user as in `my_quad:MyQuad-v0` or `my_laws:Drag`.
 
-What is named so is executed. Only a user's own words are to come here, never those of a file.
+A module named so is executed. Pass only names from the user here, never from a file.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from mjgranular.errors import InputError, UnknownNameError
 
 
 def import_own(name: str, what: str) -> ModuleType:
-    """Imports a module that is installed, or lies in the current folder.
+    """Import a module that is installed, or is in the current folder.
 
-    The current folder is looked in last, so that nothing in it takes the place of what is
-    installed. It stays in `sys.path`: the module may import its neighbours later, and processes
-    that Python starts anew find the module there.
+    The current folder is searched last, so that nothing in it shadows an installed module. It stays
+    in `sys.path`: the module may import its neighbors later, and spawned processes find the module
+    there.
 
     Args:
-        name: of the module, dotted as in an import.
-        what: it is named for, for messages: "the environment my_quad:MyQuad-v0".
+        name: dotted name of the module, as in an import.
+        what: what it is imported for, for messages: "the environment my_quad:MyQuad-v0".
 
     Raises:
-        UnknownNameError: there is none; says what was searched.
-        InputError: it is no name of a module, or the module cannot be imported.
+        UnknownNameError: it was not found; says what was searched.
+        InputError: it is not a module name, or the module cannot be imported.
     """
     if not all(part.isidentifier() for part in name.split(".")):
         raise InputError(
@@ -50,6 +50,6 @@ def import_own(name: str, what: str) -> ModuleType:
     except SystemExit:
         reason = "it ends the program; what it is to do as a script belongs under "
         reason += 'if __name__ == "__main__"'
-    except Exception as error:  # it is anybody's module
+    except Exception as error:  # any module may come here
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
     raise InputError(f"the module {name!r} of {what} cannot be imported: {reason}")

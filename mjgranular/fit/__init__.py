@@ -1,4 +1,4 @@
-"""A medium from measurements: constants of a law, with what the data say about each."""
+"""Fits of a medium to measurements: constants of a law, with intervals."""
 
 from mjgranular.fit.body import Body as Body
 from mjgranular.fit.fit import Fit as Fit

@@ -1,8 +1,8 @@
-"""Sand under a body whose law changes from one evaluation to the next, without compiling anew.
+"""Sand under a body whose law changes between evaluations, without recompiling.
 
-A law's constants are numbers in the record that its compiled program reads. Where other constants
-change neither elements nor kernels, which is looked at once for each set of them, a new law is a
-new record and costs nothing.
+A law's constants are numbers in the record that its compiled program reads. If a change of
+constants changes neither elements nor kernels, which is checked once for each set of constants, a
+new law is a new record and costs nothing.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from mjgranular.sand.spec import SandSpec
 from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import FINE
 
-_STILL = 1e-6  # greatest velocity at which a body is said to rest [m/s], [rad/s]; chosen
-_LOOK = 8  # steps between two looks
+_STILL = 1e-6  # largest velocity at which a body counts as at rest [m/s], [rad/s]; chosen
+_LOOK = 8  # steps between two checks for rest
 
 
 class Bench:
@@ -32,7 +32,7 @@ class Bench:
 
     Args:
         model: the model.
-        scheme: to let it move, or to ask for forces on what is led.
+        scheme: time stepping scheme, for free motion or for forces on a prescribed motion.
         bodies: names of the bodies that meet the sand; None for all that can move.
     """
 
@@ -45,18 +45,18 @@ class Bench:
         self._prepared: PreparedSand | None = None
         self._material: Material | None = None
         self._binding: Binding | None = None
-        self._alike: set[frozenset[str]] = set()  # constants that elements do not depend on
+        self._alike: set[frozenset[str]] = set()  # sets of constants that elements do not depend on
 
     def _prepare(self, material: Material) -> PreparedSand:
         spec = SandSpec(
             medium=material.medium, law=material.law, scheme=self._scheme, bodies=self._bodies
         )
-        with warnings.catch_warnings():  # the model is made for this, the law is being looked for
+        with warnings.catch_warnings():  # the model is made for this, and the law is still unknown
             warnings.simplefilter("ignore", GranularWarning)
             return prepare(self.model, spec)
 
     def use(self, material: Material) -> None:
-        """Has the sand be of that material from now on.
+        """Change the material of the sand.
 
         Raises:
             InputError: the law has no elements for the body.
@@ -79,7 +79,7 @@ class Bench:
         self._keep(anew, material)
 
     def _keep(self, prepared: PreparedSand, material: Material) -> None:
-        self.data = mujoco.MjData(self.model)  # what was bound to the other has its addresses
+        self.data = mujoco.MjData(self.model)  # data bound to the old sand has its addresses
         self._prepared, self._material = prepared, material
         self._binding = bind(self.model, self.data, prepared)
         self._guarded = entry(guarded_step, "int64(int64, int64, float64)")
@@ -88,7 +88,7 @@ class Bench:
 
     @property
     def elements(self) -> np.ndarray:
-        """Elements of the law."""
+        """The elements of the law."""
         assert self._prepared is not None
         return self._prepared.elements
 
@@ -105,19 +105,19 @@ class Bench:
         )
 
     def move(self, qpos: np.ndarray, qvel: np.ndarray, steps: int) -> np.ndarray:
-        """Lets the model move.
+        """Simulate the model.
 
         Args:
-            qpos: to start from.
-            qvel: half a time step before.
+            qpos: initial positions.
+            qvel: velocities half a time step before.
             steps: number of time steps.
 
         Returns:
-            `qpos` after each step, the start first, shape (steps + 1, nq). The model that has come
-            to rest stays there.
+            `qpos` after each step, the start first, shape (steps + 1, nq). A model at rest stays
+            there.
 
         Raises:
-            UnstableError: the state left reason.
+            UnstableError: the state diverged.
         """
         model, data = self.model, self.data
         assert self._prepared is not None
@@ -143,12 +143,12 @@ class Bench:
         return path
 
     def watch(self, qpos: np.ndarray, qvel: np.ndarray, duration: float, body: int) -> np.ndarray:
-        """Lets the model move; the depth of a body's deepest element before each step.
+        """Simulate the model, and return the depth of a body's deepest element before each step.
 
         Args:
-            qpos: to start from.
-            qvel: likewise.
-            duration: [s].
+            qpos: initial positions.
+            qvel: initial velocities.
+            duration: simulated time [s].
             body: its id.
 
         Returns:
@@ -174,7 +174,7 @@ class Bench:
         return depth
 
     def force(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """The sand's force on the model in a state of motion [N], world frame, shape (3,)."""
+        """Return the sand's force on the model in a given state [N], world frame, shape (3,)."""
         model, data = self.model, self.data
         assert self._binding is not None
         data.qpos[:], data.qvel[:] = qpos, qvel
@@ -189,7 +189,7 @@ class Bench:
 
 
 def _changed(before: Material, after: Material) -> frozenset[str]:
-    """Names of the constants by which two materials differ."""
+    """Return the names of the constants by which two materials differ."""
     every = fields(before.law)  # pyright: ignore[reportArgumentType]
     names = {f.name for f in every if getattr(before.law, f.name) != getattr(after.law, f.name)}
     return frozenset(names | ({"medium"} if before.medium != after.medium else set()))

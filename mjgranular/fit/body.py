@@ -1,4 +1,4 @@
-"""A measured body: shape, size and mass, as bodies that are dropped elsewhere in the package."""
+"""A measured body: shape, size and mass, as for the projectiles of the package."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
 
-_STEEL = 7850.0  # density of a body that is moved, not dropped, where none is given [kg/m^3]
+_STEEL = 7850.0  # default density of a body that is moved, not dropped [kg/m^3]
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Body:
 
     Attributes:
         shape: sphere, capsule, cylinder, box, plate, ellipsoid or link.
-        diameter: across the axis [m]; of a plate its thickness.
-        length: along the axis [m]; of a plate its side; of a sphere not used.
-        mass: [kg]; of a body that is dropped mass or density is needed.
+        diameter: size across the axis [m]; thickness of a plate.
+        length: size along the axis [m]; side of a plate; not used for a sphere.
+        mass: mass [kg]; a dropped body needs mass or density.
         density: [kg/m^3].
 
     Raises:
@@ -54,12 +54,12 @@ class Body:
 
     @property
     def is_heavy(self) -> bool:
-        """Whether it is known what it weighs."""
+        """Whether its weight is known."""
         return self.mass is not None or self.density is not None
 
     @property
     def projectile(self) -> Projectile:
-        """The body as it is dropped."""
+        """The body as a projectile."""
         length = self.diameter if self.length is None else self.length
         plain = Projectile(length, self.diameter, 1.0, self.shape)
         density = self.density or _STEEL
@@ -69,19 +69,19 @@ class Body:
 
     @property
     def size(self) -> float:
-        """Greatest extent [m]."""
+        """Largest extent [m]."""
         return max(self.diameter, 0.0 if self.length is None else self.length)
 
     @property
     def area(self) -> float:
-        """A measure of what meets the sand [m^2]: greatest extent times diameter."""
+        """A measure of the area in the sand [m^2]: largest extent times diameter."""
         return self.size * (self.size if self.shape == "plate" else self.diameter)
 
     def reach(self, angle: np.ndarray) -> np.ndarray:
-        """Distance from the middle down to the lowest point, at angles from the vertical [m].
+        """Return the distance from the center down to the lowest point, at some angles [m].
 
         Args:
-            angle: [rad], any shape.
+            angle: angle from the vertical [rad], any shape.
         """
         x, _, z = self.projectile.halves
         s, c = np.abs(np.sin(angle)), np.abs(np.cos(angle))
@@ -92,7 +92,7 @@ class Body:
         return x + (z - x) * c  # half spheres at both ends
 
     def describe(self) -> str:
-        """In a few words."""
+        """Return a short description."""
         size = f"{self.diameter * 1e3:g} mm"
         if self.length is not None and self.shape != "sphere":
             size = f"{self.length * 1e3:g} x {size}"
@@ -100,10 +100,10 @@ class Body:
         return f"{self.shape} of {size}{weight}"
 
     def heavier(self, factor: float) -> Body:
-        """The same body with so many times its mass."""
+        """Return the same body with its mass multiplied by `factor`."""
         return Body(self.shape, self.diameter, self.length, self.projectile.mass * factor)
 
 
 def degrees(angle: float) -> float:
-    """Degrees of an angle in radians, free of the last digit's noise."""
+    """Convert radians to degrees, rounding away the noise of the last digit."""
     return round(math.degrees(angle), 9)

@@ -1,8 +1,8 @@
-"""Constants of a law that can be free, found by what the law itself says and accepts.
+"""Constants of a law that can be free, derived from the law itself.
 
-Nothing here knows a law. A law's free constants are its fields that are numbers, the bulk density
-where its record changes with that of the medium, and `strength`, the factor on static resistance
-that `engine.tune` knows by `Law.strength_keys`. Bounds are what its constructor accepts.
+No law is hard-coded here. A law's free constants are its numeric fields, the bulk density if the
+law's record depends on it, and `strength`, the factor on static resistance that `engine.tune` finds
+by `Law.strength_keys`. Bounds are what its constructor accepts.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from mjgranular.sand.material import law_of
 STRENGTH = "strength"
 DENSITY = "density"
 
-_STRONGER = 1.5  # a factor to try with
-_LARGEST = 1e9  # times the start: what a law accepts there it accepts anywhere
+_STRONGER = 1.5  # a factor for the test
+_LARGEST = 1e9  # times the start: a value that a law accepts here it accepts anywhere
 _BISECTIONS = 60
 
 
 @dataclass(frozen=True)
 class Material:
-    """A law, the medium that it is of, and a factor on its static resistance.
+    """A law, its medium, and a factor on its static resistance.
 
     Attributes:
         law: the law, with its constants.
         medium: the medium.
-        given: names of the constants that somebody has chosen; the others are the law's defaults.
+        given: names of the constants that were given; the others are the law's defaults.
     """
 
     law: Law
@@ -44,10 +44,10 @@ class Material:
 
     @classmethod
     def of(cls, medium: Medium, law: str | Law | None) -> Material:
-        """The law with the medium's constants; `law` as `Sand` takes it.
+        """Return the law with the medium's constants; `law` as `Sand` takes it.
 
         Raises:
-            UnknownNameError: no such law, or none of its constants.
+            UnknownNameError: no such law, or the medium has no constants for it.
             InputError: a constant out of range.
         """
         made = law_of(law, medium)
@@ -67,7 +67,7 @@ class Material:
 
     @cached_property
     def _stronger(self) -> tuple[str, ...]:
-        """Fields that a factor on the static resistance goes to; none if there are no such."""
+        """The fields that a factor on static resistance scales; may be empty."""
         keys = type(self.law).strength_keys
         numbers = [name for name in self._numbers if getattr(self.law, name) != 0]
         choices = [tuple(key for key in keys if key in numbers), ("scale",)]
@@ -75,7 +75,7 @@ class Material:
         return next((names for names in choices if names and self._scales(names, keys)), ())
 
     def _scales(self, names: tuple[str, ...], keys: tuple[str, ...]) -> bool:
-        """Whether a factor on these fields is one on the static resistance and on nothing else."""
+        """Return True if a factor on these fields scales the static resistance and nothing else."""
         if not keys or not set(names) <= set(self._numbers):
             return False
         try:
@@ -111,7 +111,7 @@ class Material:
         return tuple(found)
 
     def value(self, name: str) -> float:
-        """The value of a constant; a strength is one."""
+        """Return the value of a constant; that of strength is 1."""
         if name == STRENGTH:
             return 1.0
         if name == DENSITY and DENSITY not in self._numbers:
@@ -119,7 +119,7 @@ class Material:
         return float(getattr(self.law, name))
 
     def changed(self, values: dict[str, float]) -> Material:
-        """The material with other values of some constants; strength is a factor on it.
+        """Return the material with other values of some constants; strength is a factor on it.
 
         Raises:
             InputError: a value that the law, or the medium, does not accept.
@@ -135,7 +135,7 @@ class Material:
         return made if factor == 1.0 else made._times(self._stronger, factor)
 
     def by_speed(self, name: str) -> bool:
-        """Whether a constant acts on resistance by velocity alone, by the law's own word."""
+        """Return True if, by the law, a constant affects only rate-dependent resistance."""
         value = self.value(name)
         for other in (1.01 * value, 0.99 * value) if value else (1.0,):
             if self._accepts(name, other):
@@ -146,11 +146,12 @@ class Material:
         return False
 
     def check_free(self, names: tuple[str, ...]) -> None:
-        """Refuses constants that cannot be free.
+        """Check that constants can be free.
 
         Raises:
-            UnknownNameError: one that the law does not have; lists those it has.
-            InputError: none at all, one twice, or strength beside what it is a factor on.
+            UnknownNameError: the law has no such constant; lists those it has.
+            InputError: no constant, one of them twice, or strength together with a constant that it
+                scales.
         """
         if not names:
             raise InputError(
@@ -173,10 +174,10 @@ class Material:
                 )
 
     def has_start(self, name: str) -> bool:
-        """Whether a fit can start from the value there is; a default on a bound is none.
+        """Return True if a fit can start from the current value: not from a default on a bound.
 
         Raises:
-            InputError: the value was given, and lies on a bound.
+            InputError: a given value lies on a bound.
         """
         value, (low, high) = self.value(name), self.bounds(name)
         if low < value < high and value != 0:
@@ -189,7 +190,7 @@ class Material:
         return False
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """The least and the greatest value that the law accepts; infinite where there is none."""
+        """Return the range of values that the law accepts; infinite without a limit."""
         value = self.value(name)
         size = abs(value) or 1.0
         return self._end(name, value, -size), self._end(name, value, size)
@@ -222,7 +223,7 @@ class Material:
         return True
 
     def unit(self, name: str) -> str:
-        """The unit of a constant, as the law's docstring has it; "" where it says none."""
+        """Return the unit of a constant, from the law's docstring; "" if that has none."""
         if name == DENSITY:
             return "kg/m^3"
         line = re.search(
@@ -234,7 +235,7 @@ class Material:
         return unit[1] if unit else ""
 
     def constants(self) -> dict[str, float]:
-        """The law's constants that a medium has to have: all but defaults."""
+        """Return the law's constants that a medium must have: all but defaults."""
         every = {field.name: field for field in fields(self.law)}  # pyright: ignore
         kept = {}
         for name in self._numbers:
@@ -245,7 +246,7 @@ class Material:
         return kept
 
     def others(self) -> dict[str, Any]:
-        """Fields that are no numbers and not the law's defaults: a medium cannot have them."""
+        """Return fields that a medium cannot have: neither numbers nor the law's defaults."""
         every = fields(self.law)  # pyright: ignore[reportArgumentType]
         return {
             field.name: getattr(self.law, field.name)

@@ -1,4 +1,4 @@
-"""Depth over time: where a curve begins, where it ends, and whether it can be what it says."""
+"""Depth over time: beginning and end of a curve, and a check of its units."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 from mjgranular.errors import InputError
 
-GRAVITY = 9.81  # of the bodies that are dropped (models/link.xml) [m/s^2]
+GRAVITY = 9.81  # as for all dropped bodies (models/link.xml) [m/s^2]
 
 _BEGINNING = 0.1  # part of the depth within which a fall is nearly uniform; chosen
-_NEAR_STOP = 0.75  # part of the depth beyond which a stop is looked for; chosen
-_USUAL = 0.6  # what it is of bodies that are slowed evenly
-_END = 0.1  # part of the rows that the final depth is the mean of; chosen
-_PLAUSIBLE = (0.02, 1.5)  # mean speed of the way down over that of a free fall; chosen, wide
-_TIMES = 200  # at which a stop is tried
+_NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
+_USUAL = 0.6  # ratio of `_PLAUSIBLE` for a body with constant deceleration
+_END = 0.1  # part of the rows over which the final depth is averaged; chosen
+_PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
+_TIMES = 200  # number of stopping times tried
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Arrest:
 
     Attributes:
         depth: final depth, the mean of the last rows [m].
-        time: at which the lowest point stops, after the touch [s]; None if it does not.
+        time: time after the touch at which the lowest point stops [s]; None if it does not.
     """
 
     depth: float
@@ -33,14 +33,15 @@ class Arrest:
 
 
 def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
-    """Time at which the lowest point touches the sand, by the rows around it [s].
+    """Return the time at which the lowest point touches the sand, from the rows around it [s].
 
-    Above the sand the body falls freely; in its first tenth of the way it loses speed evenly.
+    Above the sand the body falls freely; in the first tenth of its path the deceleration is
+    constant.
 
     Args:
         time: [s], shape (n,).
         depth: [m], shape (n,).
-        speed: at the touch, down [m/s].
+        speed: downward speed at the touch [m/s].
     """
     greatest = depth.max()
     beyond = np.flatnonzero(depth > 3 * _BEGINNING * greatest)[0]
@@ -50,7 +51,7 @@ def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
     rows = early if len(early) else np.array([0])
     t, d = time[rows], depth[rows]
     square = speed**2 + 2 * GRAVITY * np.minimum(d, 0.0)
-    falling = square > (0.05 * speed) ** 2  # before that it was held
+    falling = square > (0.05 * speed) ** 2  # before that the body was held
     if not falling.any():
         falling = np.ones(len(d), bool)
     above = (np.sqrt(np.maximum(square, 0.0)) - speed) / GRAVITY
@@ -60,11 +61,11 @@ def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
 
 
 def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
-    """Where a fall ends, alike for measurements with noise and for computed curves.
+    """Find where a fall ends, in the same way for measurements with noise and for computed curves.
 
-    A body that is slowed evenly at the end has `d = D - a (T - t)^2 / 2` before it stops: D, a and
-    T are those that fit the last quarter of the way best. Of a body that rolls over afterwards only
-    what comes before it rises again counts.
+    With constant deceleration at the end, `d = D - a (T - t)^2 / 2` before the body stops: D, a and
+    T are fitted to the last quarter of the path. If the body rolls over afterwards, only the part
+    before it rises again counts.
 
     Args:
         since: time since the touch [s], shape (n,).
@@ -95,17 +96,17 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
-    """Refuses depths and times that cannot be in metres and seconds; guesses what they are in.
+    """Check that depths and times are plausible in meters and seconds; guess the unit if not.
 
     Args:
         time: [s], shape (n,).
         depth: [m], shape (n,); some of it is in the sand.
-        speed: at the touch [m/s].
-        size: greatest extent of the body [m]; infinite if it is not known.
-        where: the run, for messages.
+        speed: speed at the touch [m/s].
+        size: largest extent of the body [m]; infinite if unknown.
+        where: name of the run, for messages.
 
     Raises:
-        InputError: names the unit that they look like.
+        InputError: they are not; names the likely unit.
     """
     greatest = float(depth.max())
     near = np.flatnonzero(depth >= 0.9 * greatest)[0]

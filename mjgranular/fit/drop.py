@@ -1,4 +1,4 @@
-"""Bodies that are dropped: depth, and perhaps pitch, over time."""
+"""Dropped bodies: depth, and optionally pitch, over time."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from mjgranular.scheme import Implicit
 from mjgranular.surface import Plane
 from mjgranular.surface.floors import WOULD_CARRY, describe_floors, find_floors
 
-_STEPS = 100  # of a simulated record, and twice as many; chosen by trying, see `simulate`
-_STEP_RANGE = (1e-5, 5e-4)  # of the time step [s]; chosen
-_AFTER = 1.5  # rows are used up to so many times the way to rest: what lies still says no more
-_BEFORE = 0.1  # and from so many times that before the touch: in the air it says nothing on sand
-_STAYS = 0.03  # parts of its range within which a curve is said to have come to its end; chosen
+_STEPS = 100  # steps of a simulated record, and twice that; chosen by trials, see `simulate`
+_STEP_RANGE = (1e-5, 5e-4)  # range of the time step [s]; chosen
+_AFTER = 1.5  # rows are used up to this many times the time to rest: later rows add nothing
+_BEFORE = 0.1  # and from this part of it before the touch: rows in the air do not depend on sand
+_STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
 _LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
 _TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
 
@@ -38,7 +38,7 @@ class Fall:
 
     Attributes:
         time: [s], shape (n,).
-        depth: of the lowest point [m], shape (n,).
+        depth: depth of the lowest point [m], shape (n,).
         pitch: [degrees], shape (n,).
     """
 
@@ -48,10 +48,10 @@ class Fall:
 
 
 class DropTrial(Trial):
-    """A body of simple shape, dropped.
+    """A drop of a body of simple shape.
 
     Raises:
-        InputError: times that go back, no contact, units that cannot be.
+        InputError: times that go back, no contact, or implausible units.
     """
 
     carries = 3
@@ -90,7 +90,7 @@ class DropTrial(Trial):
         return self.run.speed or 0.0
 
     def _first_rise(self) -> float:
-        """Time before the touch at which the body was at rest, at the latest [s]."""
+        """Return the latest time before the touch at which the body was at rest [s]."""
         return self._first_speed() / GRAVITY
 
     def _size(self) -> float:
@@ -147,7 +147,7 @@ class DropTrial(Trial):
         return Fall(time, depth, np.degrees(path[:, 2]))
 
     def _path(self, steps: int, parts: int) -> np.ndarray:
-        """Positions after each of so many steps, each made in so many parts."""
+        """Return positions after each of `steps` steps, each divided into `parts`."""
         timestep = self._timestep / parts
         self.bench.model.opt.timestep = timestep
         qvel = self._qvel.copy()
@@ -185,7 +185,7 @@ class DropTrial(Trial):
 
 
 class ModelTrial(DropTrial):
-    """A body of a user's model: it starts as its keyframe says at the first row of the record."""
+    """A body of a custom model: it starts from its keyframe at the first row of the record."""
 
     def _size(self) -> float:
         return math.inf
@@ -237,7 +237,7 @@ class ModelTrial(DropTrial):
 
 
 def settling(since: np.ndarray, values: np.ndarray) -> float:
-    """Time from which a curve stays where it ends, noise apart; of its last row if it does not.
+    """Return when a curve has settled to its end value but for noise, else its last time.
 
     Args:
         since: time since the touch [s], shape (n,).
@@ -251,10 +251,10 @@ def settling(since: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
-    """Refuses a record without enough rows, whose times go back, or without contact.
+    """Check that a record has enough rows, increasing times and contact.
 
     Raises:
-        InputError: says which.
+        InputError: it does not; says which is missing.
     """
     if len(time) < 4:
         raise InputError(f"{where}: {len(time)} rows are no trajectory: at least 4 are needed")

@@ -30,30 +30,29 @@ _TRIALS: dict[str, Callable[[Run], Trial]] = {
     "drag": DragTrial,
     "model": ModelTrial,
 }
-_SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried where there is none
+_SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried if none is given
 _MOST_ROUNDS = 40
-_NOTHING_KNOWN = 10.0  # half width in parts of the value from which no interval is told; chosen
-_ON_BOUND = 1e-3  # parts of its size within which a constant is on a bound; chosen
+_NOTHING_KNOWN = 10.0  # half width in parts of the value from which no interval is reported; chosen
+_ON_BOUND = 1e-3  # parts of its size within which a constant counts as on a bound; chosen
 
 Progress = Callable[[int, str], None]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What is to be fitted to what.
+    """Runs, medium, law and free constants of a fit.
 
     Attributes:
-        runs: the runs, each with a name of its own.
-        medium: what is known: a medium, its name, or a YAML file. Its constants are where a fit
-            starts.
-        law: a law, its name, perhaps with parameters; None for the medium's own.
-        free: names of the constants that are looked for.
-        hold_out: names of runs that are not fitted to, but predicted.
+        runs: the runs, with different names.
+        medium: a medium, its name, or a YAML file. Its constants are the start of the fit.
+        law: a law, or its name, optionally with parameters; None for the medium's default.
+        free: names of the constants to fit.
+        hold_out: names of runs that are predicted, not fitted.
 
     Raises:
-        UnknownNameError: a free constant that the law does not have, or a run to hold out that
-            there is not.
-        InputError: no run to fit to, two of one name, or a start that lies on a bound.
+        UnknownNameError: the law does not have a free constant, or a run to hold out does not
+            exist.
+        InputError: no run to fit, two of the same name, or a start that lies on a bound.
     """
 
     runs: tuple[Run, ...]
@@ -90,7 +89,7 @@ class Fit:
         return Material.of(get_medium(self.medium), self.law)
 
     def config(self) -> dict[str, Any]:
-        """The fit in plain values, resolved."""
+        """Return the fit in plain values, resolved."""
         material = self.material
         return {
             "law": material.law.name,
@@ -104,15 +103,15 @@ class Fit:
 
 
 def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
-    """Fits constants to runs, and predicts the others.
+    """Fit constants to runs, and predict the runs held out.
 
     Args:
-        fit: what is to be fitted to what.
-        progress: called with the number of simulated runs, and what is being done.
+        fit: the fit to run.
+        progress: called with the number of simulated runs, and the current task.
 
     Raises:
-        InputError: data that cannot be, or fewer of them than the free constants need.
-        UnstableError: the law, as it starts, makes a run leave reason.
+        InputError: implausible data, or too few data for the free constants.
+        UnstableError: a run diverges with the initial constants.
         MissingExtraError: SciPy is not installed.
     """
     check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
@@ -150,17 +149,17 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
 
 
 def _inside(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds drawn in a little where both are finite: a solver starts inside."""
+    """Return the bounds, moved inward a little where both are finite: a solver starts inside."""
     room = problem.high - problem.low
     margin = np.where(np.isfinite(room), 1e-6 * np.where(np.isfinite(room), room, 0.0), 0.0)
     return problem.low + margin, problem.high - margin
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
-    """Refuses more constants than the data carry.
+    """Check that the data suffice for the free constants.
 
     Raises:
-        InputError: says how many they are.
+        InputError: they do not; says for how many they do.
     """
     rows = sum(trial.rows for trial in trials)
     carried = sum(trial.carries + len(trial.series) - 1 for trial in trials)
@@ -173,10 +172,10 @@ def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
 
 
 def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
-    """The material to start from: where a default lies on a bound, the power of ten that fits best.
+    """Return the initial material; a default on a bound is replaced by the best power of ten.
 
     Raises:
-        InputError: a start that was given lies on a bound.
+        InputError: a given start lies on a bound.
     """
     material = fit.material
     for name in fit.free:
@@ -208,7 +207,7 @@ def _result(
     near = _ON_BOUND * sizes
     near[count:] = _ON_BOUND * (problem.high - problem.low)[count:]
     held = (x - problem.low < near) | (problem.high - x < near)
-    jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound does not give way
+    jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound cannot move
     scale = np.where(np.abs(x[:count]) > near[:count], np.abs(x[:count]), sizes[:count])
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
     whole = np.concatenate([scale, (problem.high - problem.low)[count:]])
@@ -260,14 +259,14 @@ def _result(
 
 
 def _steps(free: Sequence[str], scale: np.ndarray) -> np.ndarray:
-    """Sizes of relative changes from the fitted material: strength is a factor of one there."""
+    """Return the sizes of relative changes from the fitted material: strength is 1 there."""
     return np.array([1.0 if n == STRENGTH else s for n, s in zip(free, scale, strict=True)])
 
 
 def _interval(
     value: float, half: float, relative: float, low: float, high: float
 ) -> tuple[float | None, float | None]:
-    """Ends of an interval, within what the law accepts; None for no end."""
+    """Return an end of an interval, within the law's bounds; None for no end."""
     below, above = value - half, value + half
     if not relative < _NOTHING_KNOWN:
         below, above = -np.inf, np.inf

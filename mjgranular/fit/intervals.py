@@ -1,19 +1,20 @@
-"""Intervals that are honest about errors that hang together.
+"""Confidence intervals for correlated errors.
 
-Errors along one trajectory are not independent: a camera that is off stays off, a law that is wrong
-is wrong for a while. Of each series the integrated autocorrelation time of its residuals (the sum
-over lags up to the first pair that is not positive, C. J. Geyer, Statistical Science 7 (1992)) says
-how many rows count for one. Of few rows that comes out too small: where neighbours are alike beyond
-chance, that of a first-order process is taken if it is longer, its coefficient corrected for the
-bias of short series (M. G. Kendall, Biometrika 41 (1954)).
+Errors along one trajectory are not independent: a misaligned camera stays misaligned, and a law
+that is wrong is wrong for a while. For each series, the integrated autocorrelation time of its
+residuals (the sum over lags up to the first pair that is not positive, C. J. Geyer, Statistical
+Science 7 (1992)) is the number of rows that count as one. For few rows this estimate is too small:
+if the correlation of neighbors is significant, that of a first-order process is used if it is
+longer, its coefficient corrected for the bias of short series (M. G. Kendall, Biometrika 41
+(1954)).
 
-The covariance is that of the sandwich, with the weight of each series as it was taken and not as it
-should have been, and with errors as large as they were found in each row; what is larger, that or
-one size of error for the whole series, is taken. Few rows that count make Student's t wide.
+The covariance is the sandwich estimator, with the actual weight of each series, not the ideal one,
+and with the error found in each row or one error for the whole series, whichever is larger. Few
+effective rows make Student's t wide.
 
-What is off for a whole run, the height of the surface say, no statistic of that run can see. From
-four runs on each is left out in turn, to first order (the jackknife), and the interval is at least
-what runs differ by.
+No statistic of one run can reveal an error that is constant over it, in the height of the surface
+for example. With four runs or more, each is omitted in turn, to first order (the jackknife), and
+the interval is at least the spread between runs.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ from typing import Any
 
 import numpy as np
 
-_FLAT = 1e-4  # singular value, likewise: no measurement is as good as that; chosen
-_TAKES_PART = 0.05  # of a flat direction; chosen
-_RUNS = 4  # from which on runs are held against each other; chosen
-SMALLEST = 1e-7  # singular value, in parts of the greatest, below which nothing is told; chosen
+_FLAT = 1e-4  # singular value below which a direction is flat: no measurement is that good; chosen
+_TAKES_PART = 0.05  # least part of a flat direction; chosen
+_RUNS = 4  # least number of runs for the jackknife; chosen
+SMALLEST = 1e-7  # singular value, in parts of the largest, below which nothing is reported; chosen
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How uncertain the unknowns are.
+    """Uncertainty of the unknowns.
 
     Attributes:
         half: half widths of the 95 % intervals, shape (unknowns,).
-        correlation: of the estimates, shape (unknowns, unknowns).
-        freedom: degrees of freedom that are left.
+        correlation: correlation of the estimates, shape (unknowns, unknowns).
+        freedom: remaining degrees of freedom.
     """
 
     half: np.ndarray
@@ -45,7 +46,7 @@ class Spread:
 
 
 def correlation_time(errors: np.ndarray) -> float:
-    """Rows that count for one: 1 of errors that are independent."""
+    """Return the number of rows that count as one: 1 for independent errors."""
     n = len(errors)
     power = float(errors @ errors)
     if n < 4 or power == 0:
@@ -73,13 +74,13 @@ def spread_of(
     scale: np.ndarray,
     special: Any,
 ) -> Spread:
-    """How uncertain unknowns are at the least squares.
+    """Return the uncertainty of the unknowns at the least-squares solution.
 
     Args:
         jacobian: shape (rows, unknowns).
         residual: shape (rows,).
-        blocks: where each series stands.
-        runs: where each run stands.
+        blocks: rows of each series.
+        runs: rows of each run.
         scale: size of each unknown, shape (unknowns,).
         special: the module `scipy.special`.
     """
@@ -110,12 +111,12 @@ def spread_of(
 
 
 def _jackknife(J: np.ndarray, residual: np.ndarray, runs: list[slice]) -> np.ndarray:
-    """Variances by what changes where a run is left out, to first order, shape (unknowns,)."""
+    """Return jackknife variances from omitting runs, to first order, shape (unknowns,)."""
     changes = []
     for run in runs:
         others = np.ones(len(J), bool)
         others[run] = False
-        # What is left over without the run is brought to nothing again; its own touch stays.
+        # The remaining residual without the run is solved to zero again; the run's own touch stays.
         kept = np.flatnonzero(np.abs(J[others]).max(axis=0) > 0)
         change = np.zeros(J.shape[1])
         change[kept], *_ = np.linalg.lstsq(J[others][:, kept], -residual[others], rcond=SMALLEST)

@@ -1,4 +1,4 @@
-"""What is known of a medium before a fit, and the medium that comes out of it."""
+"""The medium before a fit, and the one that results from it."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 
 
 def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
-    """The medium of a file of runs: constants of the law by their names, perhaps upon another.
+    """Return the medium of a file of runs: constants by their names, optionally based on another.
 
     Args:
         entry: a mapping with `base` (a medium's name or file), `name`, `title`, `density`, `grain`
             and constants of the law; or the name of a medium.
         law: the law, or its name; None for that of the base.
-        path: of the file.
+        path: path of the file.
 
     Raises:
-        InputError: a key that the law does not know, one that it needs, or a value out of range.
+        InputError: a key that the law does not have, a missing key, or a value out of range.
         UnknownNameError: no such medium or law.
     """
     where = f"{place(path)}: medium"
@@ -89,10 +89,10 @@ def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
 
 
 def number(value: Any, key: str) -> float:
-    """A finite number that stands in a file.
+    """Return a finite number from a file.
 
     Raises:
-        InputError: it is none.
+        InputError: it is not a finite number.
     """
     try:
         found = float(value) if isinstance(value, str) else math.nan
@@ -104,7 +104,7 @@ def number(value: Any, key: str) -> float:
 
 
 def _base(name: str, path: Path) -> str | Path:
-    """A medium's name, or the path of its file beside that of the runs."""
+    """Return a medium's name, or the path of its file next to that of the runs."""
     return path.parent / name if name.endswith((".yaml", ".yml")) else name
 
 
@@ -119,7 +119,7 @@ def _law_class(law: str | Law | None, base: Medium | None, where: str) -> type[L
 
 
 def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> str:
-    """Name under which a medium has a law's constants: its own, or that of a law it shares with."""
+    """Return the law name of a medium's constants: the law's own, or that of one with the same."""
     if kind.name in constants:
         return kind.name
     dummy = {
@@ -138,7 +138,7 @@ def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> 
 
 
 def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
-    """A medium's constants of a law, with the values that they have in it."""
+    """Return a medium's constants of a law, with their values."""
     key = medium.key_for(kind.name)
     if key is None:
         return dict(medium.constants.get(_table(kind, medium.constants), {}))
@@ -152,13 +152,13 @@ def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
 def fitted_medium(
     result: FitResult, name: str, *, source: str = "", title: str | None = None
 ) -> Medium:
-    """The medium that a fit has found: what was free with its interval, what was known as it was.
+    """Return the fitted medium: free constants with intervals, the others unchanged.
 
     Args:
         result: the fit.
-        name: that it is to be known by.
-        source: what it was fitted to, in words.
-        title: what it is; None for that of the medium which the fit began with.
+        name: name of the medium.
+        source: describes what it was fitted to.
+        title: title; None for that of the initial medium.
     """
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
@@ -186,7 +186,7 @@ def fitted_medium(
 
 
 def _found(result: FitResult, constant: str, source: str) -> str:
-    """Where a constant comes from."""
+    """Return the source of a constant."""
     to = f"fitted by mjgranular fit to {source}" if source else "fitted by mjgranular fit"
     if constant in result.values:
         return f"{to}; {_interval(result, constant)}"
@@ -204,7 +204,7 @@ def _interval(result: FitResult, name: str) -> str:
 
 
 def medium_text(medium: Medium) -> str:
-    """A medium as the text of a YAML file that `read_medium` reads."""
+    """Return a medium as a YAML string that `read_medium` reads."""
     lines = [
         f"name: {_quoted(medium.name)}",
         f"title: {_quoted(medium.title)}",
@@ -225,5 +225,5 @@ def _entry(quantity: Quantity) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text in YAML's single quotes."""
+    """Return a string in YAML's single quotes."""
     return "'" + " ".join(text.split()).replace("'", "''") + "'"

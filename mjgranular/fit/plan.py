@@ -1,4 +1,4 @@
-"""Runs that were not made, as a law would have them come out."""
+"""Simulated runs for planning, as a law predicts them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from mjgranular.fit.drop import DropTrial
 from mjgranular.fit.push import DragTrial, PushTrial
 from mjgranular.fit.run import Run
 
-_ROWS = 60  # of a record
+_ROWS = 60  # rows of a record
 
 
 def planned_drop(
     body: Body, speed: float, angle: float, duration: float, material: Material
 ) -> DropTrial:
-    """A drop, followed for so long [s] or until it rests.
+    """Return a drop, followed for a time [s] or until it rests.
 
     Raises:
-        GranularError: the law has no such body, or it does not get into the sand.
+        GranularError: the law does not support the body, or it does not reach the sand.
     """
     time = np.linspace(0.0, duration, 4)
     free = speed * time + 0.1 * 9.81 * time**2
@@ -34,7 +34,7 @@ def planned_drop(
 
 
 def planned_push(body: Body, depth: float, material: Material) -> PushTrial:
-    """A slow push to a depth [m]."""
+    """Return a slow push to a depth [m]."""
     places = np.linspace(depth / _ROWS, depth, _ROWS)
     record = {"depth": places, "force": np.ones(_ROWS)}
     force = PushTrial(_run("intrude", body, record)).simulate(material)
@@ -42,7 +42,7 @@ def planned_push(body: Body, depth: float, material: Material) -> PushTrial:
 
 
 def planned_drag(body: Body, depth: float, material: Material) -> DragTrial:
-    """A drag at a depth [m], at speeds up to 1 m/s."""
+    """Return a drag at a depth [m], at speeds up to 1 m/s."""
     speed = np.linspace(0.01, 1.0, 15)
     record = {"speed": speed, "force": np.ones(len(speed))}
     force = DragTrial(_run("drag", body, record, depth=depth)).simulate(material)

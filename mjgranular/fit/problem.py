@@ -12,22 +12,20 @@ from mjgranular.errors import UnstableError
 from mjgranular.fit.constants import Material
 from mjgranular.fit.trial import Trial
 
-_FAR = 10.0  # residual of a run that left reason: ten times what was measured
-_FINE = (
-    1e-3  # step of a difference, in parts of the constant; chosen: central ones err by its square
-)
+_FAR = 10.0  # residual of a run that diverged: ten times what was measured
+_FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
 _KEPT = 64  # outcomes that are kept
 
 
 class Problem:
-    """Constants and touches that are looked for, and residuals of the runs.
+    """Unknown constants and touches, and residuals of the runs.
 
-    The unknowns are the free constants, then the time of the touch of each drop whose record does
-    not give it.
+    The unknowns are the free constants, then the touch time of each drop whose record does not have
+    it.
 
     Args:
-        trials: the runs to fit to.
-        material: to start from.
+        trials: the runs to fit.
+        material: initial material.
         free: names of the free constants.
         progress: called with the number of simulated runs.
     """
@@ -54,24 +52,24 @@ class Problem:
         return len(self.free)
 
     def start(self) -> np.ndarray:
-        """Unknowns to start from."""
+        """Return the initial unknowns."""
         constants = [self.material.value(name) for name in self.free]
         shifts = [self.trials[k].shift for k in self.shifted]
         return np.array([*constants, *shifts], float)
 
     def material_at(self, x: np.ndarray) -> Material:
-        """The material with those constants."""
+        """Return the material with those constants."""
         values = {name: float(value) for name, value in zip(self.free, x, strict=False)}
         return self.material.changed(values)
 
     def shift_of(self, x: np.ndarray, trial: int) -> float | None:
-        """The touch of a run."""
+        """Return the touch of a run."""
         if trial not in self.shifted:
             return None
         return float(x[self.count + self.shifted.index(trial)])
 
     def outcomes(self, x: np.ndarray) -> list[Any]:
-        """What each run comes to; None for one that left reason."""
+        """Return the outcome of each run; None for one that diverged."""
         key = tuple(x[: self.count])
         if key not in self._outcomes:
             material = self.material_at(x)
@@ -90,7 +88,7 @@ class Problem:
         return self._outcomes[key]
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Residuals of all runs, one after the other."""
+        """Return the residuals of all runs, one after the other."""
         parts = []
         for k, outcome in enumerate(self.outcomes(x)):
             trial = self.trials[k]
@@ -101,7 +99,7 @@ class Problem:
         return np.concatenate(parts)
 
     def blocks(self) -> list[slice]:
-        """Where each series of each run stands among the residuals."""
+        """Return the rows of each series of each run among the residuals."""
         found, first = [], 0
         for trial in self.trials:
             for series in trial.series:
@@ -110,12 +108,12 @@ class Problem:
         return found
 
     def runs(self) -> list[slice]:
-        """Where each run stands among the residuals."""
+        """Return the rows of each run among the residuals."""
         ends = np.cumsum([0, *(trial.rows for trial in self.trials)]).tolist()
         return [slice(a, b) for a, b in pairwise(ends)]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives of the residuals, by central differences where the bounds leave room."""
+        """Return the derivatives of the residuals, central differences if the bounds allow."""
         columns = []
         for k in range(len(x)):
             if k < self.count:

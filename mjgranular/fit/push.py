@@ -1,4 +1,4 @@
-"""Bodies that are moved: force against depth, and against speed."""
+"""Bodies with prescribed motion: force against depth, and against speed."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from mjgranular.fit.run import Run
 from mjgranular.fit.trial import Series, Trial, rms
 from mjgranular.scheme import Explicit
 
-_POINTS = 41  # at which the force of a smooth path is asked for; between them it is a line
+_POINTS = 41  # points at which the force of a smooth path is computed; linear in between
 _UNITS = (("mm", 1e-3), ("cm", 1e-2))
-_DEEPEST = 20.0  # times the body's greatest extent that a push goes; chosen, wide
+_DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
 
 
 class PushTrial(Trial):
     """A body pushed straight down: force against depth.
 
     Raises:
-        InputError: no contact, or units that cannot be.
+        InputError: no contact, or implausible units.
     """
 
     axis = "depth"
@@ -80,7 +80,7 @@ class PushTrial(Trial):
 
 
 class DragTrial(PushTrial):
-    """A body drawn along at one depth: force against speed."""
+    """A body dragged at constant depth: force against speed."""
 
     axis = "speed"
 

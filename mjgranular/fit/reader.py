@@ -25,7 +25,7 @@ runs:
   - {name: slow, kind: drop, speed: 1.0, data: slow.csv,
      body: {shape: sphere, diameter: 0.0254, mass: 0.0692}}
 """
-"""Form of such a file; docs/calibration.md has all keys."""
+"""An example of such a file; docs/calibration.md has all keys."""
 
 _GRAVITY = 9.81
 _NUMBERS = ("speed", "touch", "depth")
@@ -43,19 +43,19 @@ def read_fit(
     free: Sequence[str] = (),
     hold_out: Sequence[str] = (),
 ) -> Fit:
-    """Reads what is known of a medium, and runs, from a YAML file of the form of `EXAMPLE`.
+    """Read a medium and runs from a YAML file of the form of `EXAMPLE`.
 
-    Files of data are looked for beside it. Angles are in degrees there.
+    Data files are searched next to it. Angles are in degrees there.
 
     Args:
-        path: of the file.
-        law: a law, or its name; None for that of the medium that the file builds upon.
-        free: names of the constants that are looked for.
+        path: path of the file.
+        law: a law, or its name; None for that of the medium that the file is based on.
+        free: names of the constants to fit.
         hold_out: names of runs that are predicted only.
 
     Raises:
-        InputError: the file cannot be read, lacks a key, or has a value that cannot be; says which.
-        UnknownNameError: a law, medium, constant or run that there is not.
+        InputError: the file cannot be read, lacks a key, or has a bad value; says which.
+        UnknownNameError: a law, medium, constant or run does not exist.
     """
     path = Path(path)
     outline = read_outline_file(

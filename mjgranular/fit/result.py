@@ -1,4 +1,4 @@
-"""What a fit has found, in plain numbers."""
+"""Results of a fit, in plain numbers."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mjgranular.fit.constants import Material
 
 @dataclass(frozen=True)
 class RunErrors:
-    """Errors of a prediction; depth and stopping time in parts of those measured, with their sign.
+    """Errors of a prediction; of depth and stopping time relative to the measured ones, with sign.
 
     Attributes:
-        depth: of the final depth.
-        stopping_time: of the time from the touch until the lowest point stops.
-        trajectory: root of the mean square over all rows, in parts of the greatest depth or force.
-        force: of the mean force.
-        pitch: root of the mean square [degrees].
-        measured_depth: [m]; the next ones likewise, times in seconds.
-        predicted_depth: see above.
-        measured_stopping_time: see above.
-        predicted_stopping_time: see above.
+        depth: error of the final depth.
+        stopping_time: error of the time from the touch until the lowest point stops.
+        trajectory: RMS error over all rows, in parts of the largest depth or force.
+        force: error of the mean force.
+        pitch: RMS error [degrees].
+        measured_depth: final depth [m].
+        predicted_depth: final depth [m].
+        measured_stopping_time: stopping time [s].
+        predicted_stopping_time: stopping time [s].
     """
 
     trajectory: float
@@ -40,12 +40,12 @@ class RunErrors:
 
 @dataclass(frozen=True)
 class Curve:
-    """A measured quantity and what the fitted law makes of it.
+    """A measured quantity and the prediction of the fitted law.
 
     Attributes:
-        axis: what it is measured against: time [s], depth [m] or speed [m/s].
+        axis: independent variable: time [s], depth [m] or speed [m/s].
         quantity: depth [m], pitch [degrees] or force [N].
-        places: along the axis; times since the touch, shape (n,).
+        places: values on the axis; times are since the touch, shape (n,).
         measured: shape (n,).
         predicted: shape (n,).
         held_out: whether the run was held out.
@@ -61,12 +61,12 @@ class Curve:
 
 @dataclass(frozen=True)
 class FurtherTest:
-    """A test that was not made, and what it would add, by the law as it was fitted.
+    """A proposed test, and what it would add according to the fitted law.
 
     Attributes:
-        what: in words.
-        intervals: half widths of the intervals that it would leave, in parts of each value.
-        identifiable: whether all constants could be told apart then.
+        what: describes the test.
+        intervals: half widths of the resulting intervals, in parts of each value.
+        identifiable: whether all constants would be identifiable.
     """
 
     what: str
@@ -76,14 +76,13 @@ class FurtherTest:
 
 @dataclass(frozen=True)
 class Valley:
-    """Constants that trade off against each other: along it the curves hardly change.
+    """Null direction: constants that trade off against each other; along it curves hardly change.
 
     Attributes:
-        change: relative changes of the constants that go together; the greatest is 1.
-        effect: root of the mean square by which the curves differ at a change of 10 %, in parts of
-            their greatest values.
-        one_speed: whether all runs are of one speed: then a narrow interval rests on the law's
-            being right to the last, and says nothing on other speeds.
+        change: relative changes of the constants along it; the largest is 1.
+        effect: RMS difference of the curves at a change of 10 %, in parts of their largest values.
+        one_speed: whether all runs have the same speed: then a narrow interval assumes an exact
+            law, and does not hold at other speeds.
     """
 
     change: Mapping[str, float]
@@ -99,17 +98,18 @@ class FitResult:
         start: law and medium before the fit.
         material: law and medium with the fitted constants.
         free: names of the free constants.
-        values: of the free constants.
-        intervals: 95 % intervals; None where the data say nothing, or where the law has no bound.
-        correlations: of the estimates, name by name.
-        identifiable: whether the data tell the constant apart from the others.
+        values: fitted values of the free constants.
+        intervals: 95 % intervals; None where the data do not constrain the constant, or the law has
+            no bound.
+        correlations: correlations of the estimates, by names.
+        identifiable: whether the data determine the constant separately from the others.
         at_bound: names of the constants that ended on a bound of the law.
-        valleys: what trades off against what.
-        further: tests that would add most, the best first; none where all is identifiable.
-        runs: errors of the runs that were fitted to, by name.
-        held_out: those of the others, predicted.
-        curves: what was measured and predicted, by the names of runs.
-        residual: root of the mean square of all errors, in parts of the greatest values.
+        valleys: constants that trade off against each other.
+        further: the most useful further tests, the best first; empty if all is identifiable.
+        runs: errors of the fitted runs, by name.
+        held_out: errors of the predicted runs, by name.
+        curves: measured and predicted curves, by the names of runs.
+        residual: RMS of all errors, in parts of the largest values.
         evaluations: number of simulated runs.
     """
 
@@ -130,7 +130,7 @@ class FitResult:
     evaluations: int
 
     def summary(self) -> dict[str, Any]:
-        """The result in plain numbers, SI units."""
+        """Return the result in plain numbers, SI units."""
         return {
             "law": self.material.law.name,
             "medium": self.material.medium.name,

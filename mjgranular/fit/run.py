@@ -1,4 +1,4 @@
-"""One measured run: what was done, and what was read off."""
+"""One measured run: setup and data."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ COLUMNS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "drag": (("speed", "force"), ()),
     "model": (("time", "depth"), ()),
 }
-"""Columns of each kind of run: those that are needed, and those that are used if they are there."""
+"""Columns of each kind of run: required ones, and optional ones."""
 
-_PUSH_SPEED = 0.01  # of a push whose speed is not given [m/s]: slow
+_PUSH_SPEED = 0.01  # default speed of a push [m/s]: slow
 
 
 @dataclass(frozen=True)
@@ -33,26 +33,26 @@ class Run:
     """A run, SI units and radians; depths are those of the body's lowest point.
 
     Attributes:
-        name: that results and `hold_out` call it by.
-        kind: "drop": the body falls and is left to itself; columns time and depth, and the pitch
-            of its axis from the vertical [degrees] if it is there. "intrude": it is pushed straight
-            down at constant speed; depth and force. "drag": it is drawn along the surface at one
-            depth, at several speeds; speed and force. "model": a body of an MJCF model that is let
-            go; time and depth.
+        name: name in results and `hold_out`.
+        kind: "drop": the body falls freely; columns time and depth, and optionally the pitch of its
+            axis from the vertical [degrees]. "intrude": it is pushed straight down at constant
+            speed; depth and force. "drag": it is dragged along the surface at one depth, at several
+            speeds; speed and force. "model": a body of an MJCF model that is released; time and
+            depth.
         data: a CSV file, or the columns by their names, in SI units and degrees.
-        body: what meets the sand; not of a model.
+        body: the body that meets the sand; not for "model".
         speed: downward, when the lowest point touches the sand, or of a push [m/s].
-        angle: of the body's axis from the vertical at first [rad].
+        angle: initial angle of the body's axis from the vertical [rad].
         touch: time of the record at which the lowest point touches the sand [s]; None to find it.
-        depth: of a drag [m].
-        columns: headings of columns that are called otherwise in the file, by their names.
-        model: an MJCF file. Its joints move as the model has it, from its keyframe.
-        model_body: name of the body whose lowest point was watched.
+        depth: depth of a drag [m].
+        columns: headings in the file of columns with other names, by column name.
+        model: an MJCF file. It starts from its keyframe, with the model's joints.
+        model_body: name of the body whose lowest point was measured.
         keyframe: name of the keyframe to start from; None for the model's own state.
 
     Raises:
         UnknownNameError: no such kind.
-        InputError: something that this kind of run needs, or has not; a value out of range.
+        InputError: a missing or an unused argument for this kind of run; a value out of range.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Run:
         return self.speed or _PUSH_SPEED
 
     def measured(self) -> dict[str, np.ndarray]:
-        """The columns by their names, in SI units and degrees.
+        """Return the columns by their names, in SI units and degrees.
 
         Raises:
             InputError: a column is missing, is not of numbers, or not as long as the others.
@@ -131,7 +131,7 @@ class Run:
         return read_table(Path(self.data), needed, optional, self.columns)
 
     def config(self) -> dict[str, Any]:
-        """The run in plain values."""
+        """Return the run in plain values."""
         plain = {
             "name": self.name,
             "kind": self.kind,

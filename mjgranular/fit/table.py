@@ -1,4 +1,4 @@
-"""Tables of measurements: CSV columns found by name, with units brought to SI."""
+"""Tables of measurements: CSV columns found by name, converted to SI units."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ def read_table(
     optional: Iterable[str] = (),
     columns: Mapping[str, str] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Reads columns of a CSV file, in SI units and degrees.
+    """Read columns of a CSV file, in SI units and degrees.
 
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
-    SI. Columns of other names are passed over.
+    SI. Other columns are ignored.
 
     Args:
-        path: of the file.
-        needed: names of columns, of `time`, `depth`, `force`, `pitch`, `speed`.
-        optional: those that are taken if they are there.
-        columns: headings of columns that are called otherwise in the file, by those names.
+        path: path of the file.
+        needed: names of required columns, of `time`, `depth`, `force`, `pitch`, `speed`.
+        optional: names of optional columns.
+        columns: headings in the file of columns with other names, by column name.
 
     Raises:
-        InputError: the file cannot be read, a column is missing, or a cell is no number.
+        InputError: the file cannot be read, a column is missing, or a cell is not a number.
     """
     text = read_file(path, "the measurement", largest=LARGEST).decode("utf-8-sig", "replace")
     rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
@@ -84,7 +84,7 @@ def read_table(
 
 
 def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
-    """The index of a column; None if it is not there."""
+    """Return the index of a column; None if it is missing."""
     if called is not None:
         if called not in headings:
             raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
@@ -97,7 +97,7 @@ def _find(headings: list[str], column: str, called: str | None, name: str) -> in
 
 
 def _split(heading: str, column: str) -> tuple[str, str | None]:
-    """Name and unit of a heading, both in small letters; None for no unit."""
+    """Return the name and unit of a heading, both in lower case; None for no unit."""
     text = heading.lower()
     bracket = re.fullmatch(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]", text)
     if bracket:

@@ -1,4 +1,4 @@
-"""Which constants the data tell apart, and which further test would."""
+"""Identifiability: which constants the data determine, and which further test would."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ from mjgranular.fit.result import FurtherTest, Valley
 from mjgranular.fit.trial import Trial
 
 TANGLED = 0.96
-"""Multiple correlation of a constant with the others from which it is not told apart.
+"""Multiple correlation of a constant with the others above which it is not identifiable.
 
-Chosen: strength and inertia have 0.98 in drops of one sphere at one speed, whichever, and 0.94 in
-drops of two speeds of which one is twice the other.
+Chosen: strength and inertia have 0.98 in drops of one sphere at any one speed, and 0.94 in drops at
+two speeds with a ratio of two.
 """
 WIDE = 0.5
-"""Half width of an interval in parts of its value, above which a constant is not told; chosen."""
+"""Half width of an interval in parts of the value, above which it is not identifiable; chosen."""
 
-_OTHER_SPEED = 1.5  # times a speed that is another one; chosen
-_TAKES_PART = 0.15  # of a valley, in parts of its greatest; chosen
+_OTHER_SPEED = 1.5  # least ratio of two different speeds; chosen
+_TAKES_PART = 0.15  # least part in a valley, relative to its largest; chosen
 _FASTEST = 6.0  # a fall of 1.8 m [m/s]
-_OTHER = 3.0  # how many times faster, slower, heavier; chosen
+_OTHER = 3.0  # factor for faster, slower, heavier; chosen
 _SHOWN = 4
 
 
 def trades_off(trials: Sequence[Trial], material: Material, names: Sequence[str]) -> np.ndarray:
-    """Which constants trade off because all runs are of one speed, shape (constants,).
+    """Return which constants trade off because all runs have one speed, shape (constants,).
 
-    Static resistance and resistance by velocity are then told apart by the course of one kind of
-    curve alone: as sharply as the law is right, and no law is. Discrete elements say what comes of
-    it (docs/calibration.md): a sphere at 1 m/s is met within 0.3 % by constants that are 29 % wrong
-    at 3 m/s.
+    Static and rate-dependent resistance are then separated only by the shape of one kind of curve,
+    which assumes an exact law. A comparison with discrete elements (docs/calibration.md): constants
+    that fit a sphere at 1 m/s within 0.3 % are 29 % wrong at 3 m/s.
     """
     speeds = [speed for trial in trials for speed in trial.speeds]
     by_speed = np.array([material.by_speed(name) for name in names])
@@ -52,13 +51,13 @@ def trades_off(trials: Sequence[Trial], material: Material, names: Sequence[str]
 
 @dataclass(frozen=True)
 class Information:
-    """What runs say about constants: derivatives for relative changes, touches taken out."""
+    """Information of runs about constants: derivatives for relative changes, touches eliminated."""
 
     matrix: np.ndarray
 
     @classmethod
     def of(cls, jacobian: np.ndarray, scale: np.ndarray) -> Information:
-        """Of a problem's derivatives, whose first columns are those of the constants."""
+        """Return that of a problem's derivatives; the first columns are the constants."""
         constants = jacobian[:, : len(scale)] * scale
         touches = jacobian[:, len(scale) :]
         touches = touches[:, np.abs(touches).max(axis=0, initial=0.0) > 0]
@@ -68,25 +67,25 @@ class Information:
         return cls(constants.T @ constants)
 
     def plus(self, other: Information) -> Information:
-        """Of both together."""
+        """Return the sum of both."""
         return Information(self.matrix + other.matrix)
 
     @property
     def inverse(self) -> np.ndarray:
-        """Covariance of the constants but for a factor."""
+        """The covariance of the constants up to a factor."""
         values, vectors = np.linalg.eigh(self.matrix)
         least = max(values.max(), 1e-300) * SMALLEST**2
         return (vectors / np.maximum(values, least)) @ vectors.T
 
     def tangled(self) -> np.ndarray:
-        """Multiple correlation of each constant with the others, shape (constants,)."""
+        """Return the multiple correlation of each constant with the others, shape (constants,)."""
         own = np.diag(self.matrix)
         square = 1 - 1 / np.maximum(own * np.diag(self.inverse), 1.0)
         silent = own <= SMALLEST**2 * max(own.max(), 1e-300)
         return np.where(silent, 1.0, np.sqrt(np.maximum(square, 0.0)))
 
     def valleys(self, names: Sequence[str], one_speed: bool) -> tuple[Valley, ...]:
-        """What goes together: the flattest direction, and all that are flat altogether."""
+        """Return the null directions: the flattest direction, and all others that are flat."""
         values, vectors = np.linalg.eigh(self.matrix)
         found = []
         for k, value in enumerate(values):
@@ -106,26 +105,26 @@ def further_tests(
     half: np.ndarray,
     scale: np.ndarray,
 ) -> tuple[FurtherTest, ...]:
-    """Tests that were not made, simulated by the fitted law; those that add most first.
+    """Propose further tests, simulated with the fitted law; the most useful first.
 
     Args:
         problem: the fit.
-        material: with the fitted constants.
-        now: what the data say.
+        material: the material with the fitted constants.
+        now: information of the data.
         half: half widths of the intervals, in parts of each value.
-        scale: of the constants.
+        scale: scale of the constants.
     """
     names = problem.free
     before = np.sqrt(np.diag(now.inverse))
     unit = float(
         np.median(np.where(np.isfinite(half), half, 0.1) / before)
-    )  # from derivatives to intervals, as they came out
+    )  # from derivatives to intervals, as in the fit
     found = []
     for what, trial in _candidates(problem.trials, material):
         try:
             added = _information(trial, material, names, scale)
         except GranularError:
-            continue  # the law has no elements for that body, say
+            continue  # for example, the law has no elements for that body
         both = now.plus(added)
         apart = not trades_off((*problem.trials, trial), material, names).any()
         after = unit * np.sqrt(np.diag(both.inverse))
@@ -140,12 +139,12 @@ def _information(
     trial: Trial, material: Material, names: Sequence[str], scale: np.ndarray
 ) -> Information:
     problem = Problem([trial], material, names)
-    # Strength is a factor on what was fitted already.
+    # Strength is a factor on the fitted material.
     return Information.of(problem.jacobian(problem.start()), np.where(scale != 0, scale, 1.0))
 
 
 def _candidates(trials: Sequence[Trial], material: Material) -> Iterator[tuple[str, Trial]]:
-    """Tests with the bodies that there are, in words."""
+    """Yield tests with the available bodies, with descriptions."""
     drops = [t for t in trials if type(t) is DropTrial]
     pushes = [t for t in trials if isinstance(t, PushTrial)]
     bodies = [t.run.body for t in (*drops, *pushes) if t.run.body is not None]

@@ -1,4 +1,4 @@
-"""A run as the fit sees it: what was measured, and what a material would have made of it."""
+"""A run as the fit sees it: measured data, and the prediction for a material."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from mjgranular.fit.run import Run
 
 @dataclass(frozen=True)
 class Series:
-    """What was measured of one quantity.
+    """Measurements of one quantity.
 
     Attributes:
-        name: of the quantity.
+        name: name of the quantity.
         values: shape (n,).
-        scale: by which errors are divided: its greatest size, mostly.
+        scale: divisor of errors: mostly the largest absolute value.
     """
 
     name: str
@@ -33,12 +33,12 @@ class Trial(ABC):
 
     Attributes:
         run: the run.
-        carries: number of constants that such a curve can say something on at most; chosen.
-        series: what was measured.
-        axis: name of what it was measured against.
-        places: along that axis, shape (n,).
-        shift: time of the touch [s], where it is fitted with the constants; None where it is not.
-        shift_range: least and greatest of it.
+        carries: largest number of constants that such a curve can determine; chosen.
+        series: measured series.
+        axis: name of the independent variable.
+        places: values on that axis, shape (n,).
+        shift: time of the touch [s], if it is fitted with the constants; else None.
+        shift_range: lower and upper bound of `shift`.
     """
 
     carries: ClassVar[int] = 2
@@ -57,31 +57,31 @@ class Trial(ABC):
 
     @property
     def speeds(self) -> tuple[float, ...]:
-        """Speeds that it was made with [m/s]."""
+        """Speeds of the run [m/s]."""
         return (self.run.speed or 0.0,)
 
     @property
     def rows(self) -> int:
-        """Number of numbers that were measured."""
+        """Number of measured values."""
         return sum(len(series.values) for series in self.series)
 
     @abstractmethod
     def simulate(self, material: Material) -> Any:
-        """What a material makes of it, for `predicted`."""
+        """Simulate the run with a material, for `predicted`."""
 
     @abstractmethod
     def predicted(self, outcome: Any, shift: float | None) -> list[np.ndarray]:
-        """The series as they would have been measured."""
+        """Return the series as they would have been measured."""
 
     @abstractmethod
     def errors(self, outcome: Any, shift: float | None) -> RunErrors:
-        """Errors of a prediction in a few numbers."""
+        """Summarize the errors of a prediction."""
 
     def residual(self, outcome: Any, shift: float | None) -> np.ndarray:
-        """Prediction less measurement, in parts of each scale.
+        """Return prediction minus measurement, in parts of each scale.
 
-        Divided by the root of the number of rows: every series has the same weight, however often
-        somebody's camera took a picture.
+        Divided by the root of the number of rows: every series has the same weight at any frame
+        rate.
         """
         parts = [
             (found - series.values) / (series.scale * np.sqrt(len(series.values)))
@@ -91,5 +91,5 @@ class Trial(ABC):
 
 
 def rms(values: np.ndarray) -> float:
-    """Root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

@@ -1,4 +1,4 @@
-"""Agents: nobody, chance, a scripted gait, or a trained policy (`policies.Policy`)."""
+"""Agents: zero, random, a scripted gait, or a trained policy (`policies.Policy`)."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ class Agent(Protocol):
     """Chooses actions for several simulations."""
 
     def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Actions, shape (n, m).
+        """Return actions, shape (n, m).
 
         Args:
             observations: shape (n, k).
-            steps: since the episodes began, shape (n,).
+            steps: number of steps since the episodes began, shape (n,).
         """
         ...
 
 
 @dataclass(frozen=True)
 class Zero:
-    """Does nothing: the middle of the actions that there are, or the first of them.
+    """Does nothing: the middle of the action space, or the first of discrete actions.
 
     Attributes:
-        space: of one action.
+        space: space of one action.
     """
 
     space: Any
@@ -49,10 +49,10 @@ class Zero:
 
 @dataclass(frozen=True)
 class Random:
-    """Draws every action evenly from those that there are.
+    """Draws every action uniformly from the action space.
 
     Attributes:
-        space: of one action, seeded by whoever made it.
+        space: space of one action, seeded by the caller.
     """
 
     space: Any
@@ -63,10 +63,10 @@ class Random:
 
 @dataclass(frozen=True)
 class Gaits:
-    """Moves by the clock, whatever it observes.
+    """Acts as a function of time only.
 
     Attributes:
-        scripts: from times to actions: one for all simulations, or one for each.
+        scripts: functions from times to actions: one for all simulations, or one for each.
         dt: duration of a step [s].
     """
 
@@ -87,17 +87,17 @@ def make_baseline(
     seed: int = 0,
     gait: Mapping[str, float] | None = None,
 ) -> Agent:
-    """An agent that needs no training.
+    """Return an agent that needs no training.
 
     Args:
         name: zero, random or gait.
-        env_id: of the environment.
+        env_id: Gymnasium id of the environment.
         env: the environment itself, one or several.
-        seed: of the random agent.
-        gait: parameters of the gait, where they differ from its own.
+        seed: seed of the random agent.
+        gait: parameters of the gait that differ from its defaults.
 
     Raises:
-        InputError: there is no scripted gait for this environment.
+        InputError: the environment has no scripted gait.
     """
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "zero":
@@ -111,17 +111,17 @@ def make_baseline(
 def make_gait(
     env_id: str, env: Any, parameters: Mapping[str, float] | Sequence[Mapping[str, float]]
 ) -> Gaits:
-    """The scripted gait of an environment.
+    """Return the scripted gait of an environment.
 
     Args:
-        env_id: of the environment.
+        env_id: Gymnasium id of the environment.
         env: the environment itself, one or several.
-        parameters: of the gait, where they differ from its own; one for all simulations, or one
+        parameters: those of the gait that differ from its defaults; one for all simulations, or one
             for each.
 
     Raises:
-        InputError: the environment has no gait, or that has no such parameter; lists those there
-            are.
+        InputError: the environment has no gait, or the gait has no such parameter; lists its
+            parameters.
     """
     gaits = importlib.import_module("mjgranular.envs.gaits")
     task: Any = getattr(env.unwrapped, "task", None)

@@ -1,6 +1,6 @@
-"""Evaluations of many agents on many grounds, in blocks of episodes that workers take.
+"""Evaluations of many agents on many kinds of ground, in blocks of episodes for workers.
 
-A block is stepped together, and is the same wherever it is: so are the numbers, to the last bit.
+The episodes of a block are stepped together. Results are bit-identical wherever a block runs.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Actor:
     """Agent and environment; can be sent to other processes.
 
     Attributes:
-        name: for people.
+        name: display name.
         environment: Gymnasium's id.
-        arguments: of the environment.
+        arguments: arguments of the environment.
         who: a policy, or the name of a baseline.
-        gait: parameters of the baseline `gait`, where they differ from its own.
+        gait: parameters of the baseline `gait` that differ from its defaults.
     """
 
     name: str
@@ -40,13 +40,13 @@ class Actor:
     gait: Mapping[str, float] | None = None
 
     def make(self, env: Any) -> Agent:
-        """Who acts in an environment, or in several."""
+        """Return the agent for an environment, or for several."""
         if isinstance(self.who, str):
             return make_baseline(self.who, self.environment, env, gait=self.gait)
         return self.who.checked(self.environment, env)
 
     def config(self) -> dict[str, Any]:
-        """What its episodes follow from, in plain values."""
+        """Return what determines its episodes, in plain values."""
         who = self.who if isinstance(self.who, str) else _digest(self.who)
         gait = None if self.gait is None else dict(self.gait)
         return {**vars(self), "arguments": dict(self.arguments), "who": who, "gait": gait}
@@ -65,7 +65,7 @@ class Job(NamedTuple):
 
 
 class _Block(NamedTuple):
-    """Episodes that are stepped together: of which job, and their seeds."""
+    """Episodes that are stepped together: number of the job, and seeds."""
 
     job: int
     first_seed: int
@@ -74,12 +74,12 @@ class _Block(NamedTuple):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What is evaluated.
+    """Jobs and seeds of an evaluation.
 
     Attributes:
-        jobs: agents and where they act.
-        seeds: episodes of each, one a seed.
-        first_seed: the others follow it.
+        jobs: agents and their environments.
+        seeds: number of episodes of each job, one per seed.
+        first_seed: the first of consecutive seeds.
     """
 
     jobs: Sequence[Job]
@@ -90,7 +90,7 @@ class Evaluation:
         check_seeds(self.seeds, self.first_seed)
 
     def blocks(self) -> list[_Block]:
-        """The episodes, job by job."""
+        """Return the episodes, job by job."""
         return [
             _Block(job, self.first_seed + done, min(AT_ONCE, self.seeds - done))
             for job in range(len(self.jobs))
@@ -98,7 +98,7 @@ class Evaluation:
         ]
 
     def journal(self, folder: Path | None) -> Journal:
-        """The episodes that a folder keeps; None for a file that is soon gone."""
+        """Return the journal of episodes in a folder; None for a temporary file."""
         asked = {
             "jobs": [{**job.actor.config(), "variant": job.variant} for job in self.jobs],
             "seeds": self.seeds,
@@ -114,19 +114,19 @@ def run_evaluation(
     journal: Journal | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Score] | Mapped:
-    """Runs all episodes. Numbers are the same wherever that is.
+    """Run all episodes. The results do not depend on where they run.
 
     Args:
-        evaluation: what is evaluated.
-        on: where blocks of episodes are stepped; None for this process, on all cores.
-        journal: `evaluation.journal`, begun; None for one that is gone with the result.
+        evaluation: jobs and seeds.
+        on: pool that steps blocks of episodes; None for this process, on all cores.
+        journal: `evaluation.journal`, opened; None for a temporary one.
         progress: called with the number of episodes that are done.
 
     Returns:
-        A score for each job; where it was interrupted, what was done until then.
+        A score for each job; after an interruption, of the episodes that were finished.
 
     Raises:
-        InputError: a job that cannot be run; says which, and why.
+        InputError: a job cannot be run; says which, and why.
     """
     on = on or Workers(count=1)
     blocks = evaluation.blocks()
@@ -161,7 +161,7 @@ def run_evaluation(
 
 
 def _run_block(shared: tuple[Sequence[Job], int | None], block: _Block) -> dict[str, Any]:
-    """Episodes of one block as plain values, in whatever process."""
+    """Return the episodes of one block as plain values, in any process."""
     jobs, threads = shared
     actor, variant = jobs[block.job]
     found = run_episodes(
@@ -179,7 +179,7 @@ def _run_block(shared: tuple[Sequence[Job], int | None], block: _Block) -> dict[
 
 
 def _plain(values: np.ndarray) -> list[str]:
-    # As texts, which read back the same: JSON has no infinity.
+    # As strings, which read back the same: JSON has no infinity.
     return [repr(float(value)) for value in values]
 
 
@@ -203,7 +203,7 @@ def _is_block(row: Mapping[str, Any]) -> bool:
 
 
 def _digest(policy: Policy) -> str:
-    """Of all its numbers: one that was trained on is another."""
+    """Return a hash of all weights: more training gives another."""
     digest = hashlib.sha256()
     for name, value in policy.model.state_dict().items():
         digest.update(name.encode() + value.numpy().tobytes())

@@ -1,4 +1,4 @@
-"""Checkpoints: all that a training needs to go on, and the policy as it is evaluated."""
+"""Checkpoints: all that a training needs to resume, and the policy as it is evaluated."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ from mjgranular.learn.weights import (
     statistics_of,
 )
 
-_OF_THE_END = (POLICY, NORMALIZER, CURVE)  # what a finished run has in its folder itself
+_OF_THE_END = (POLICY, NORMALIZER, CURVE)  # files of a finished run in its folder itself
 
-# Of the episodes under way, which a checkpoint does not keep: see `train.begin_episodes`.
+# State of the running episodes, which a checkpoint does not keep: see `train.begin_episodes`.
 _OF_EPISODES = (
     "_last_obs",
     "_last_original_obs",
@@ -54,8 +54,8 @@ class Progress:
     """Progress of a training.
 
     Attributes:
-        steps: of all environments together.
-        seconds: spent in training, all sittings together [s].
+        steps: steps of all environments together.
+        seconds: time spent in training, in all processes together [s].
         curve: rows of `run.CURVE_COLUMNS`.
     """
 
@@ -65,12 +65,12 @@ class Progress:
 
 
 def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
-    """Writes a checkpoint whole or not at all, and removes all but the newest two.
+    """Write a checkpoint atomically, and remove all but the newest two.
 
     Args:
-        run: whose folder it goes to.
+        run: the run, to whose folder it is written.
         model: an algorithm of Stable-Baselines3 on a `VecNormalize`.
-        progress: how far it has come.
+        progress: progress so far.
 
     Returns:
         The checkpoint's folder.
@@ -98,19 +98,19 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
 def load_checkpoint(
     folder: Path, run: Run, env: Any, make_model: Callable[[], Any]
 ) -> tuple[Any, Progress]:
-    """The model and progress of a checkpoint.
+    """Return the model and progress of a checkpoint.
 
     Nothing in it is executed.
 
     Args:
-        folder: of the checkpoint, without a fault.
-        run: that it belongs to.
+        folder: folder of the checkpoint, without a fault.
+        run: the run that it belongs to.
         env: a fresh `VecNormalize`, which gets the saved state.
-        make_model: makes a fresh model of the run's settings in it.
+        make_model: makes a fresh model with the run's settings in it.
 
     Raises:
-        OutputError: it is damaged, another run's, or the installed packages cannot read it; says
-            which versions wrote it.
+        OutputError: it is damaged, belongs to another run, or the installed packages cannot read
+            it; says which versions wrote it.
     """
     check_belongs(folder, run)
     state = read_statistics(
@@ -127,7 +127,7 @@ def load_checkpoint(
         entropy = weights.variables.get("log_ent_coef")
         if entropy is not None:
             model.log_ent_coef.data = entropy.data.reshape(model.log_ent_coef.shape)
-    except Exception as error:  # what other versions wrote fails in many ways
+    except Exception as error:  # files of other versions fail in many ways
         raise OutputError(
             f"{folder} cannot be read by the packages installed here ({brief(error)}); it was "
             f"written with {_versions(run)}"
@@ -139,13 +139,13 @@ def load_checkpoint(
     steps, seconds = read_state(folder)
     if steps != model.num_timesteps:
         raise OutputError(f"{folder} is damaged: {STATE} and {POLICY} differ in the steps")
-    # Into the environment last: it is as it was if anything was wrong.
+    # Into the environment last: it is unchanged if anything was wrong.
     restore_statistics(env, state)
     return model, Progress(steps, seconds, read_curve(folder / CURVE))
 
 
 def check_belongs(checkpoint: Path, run: Run) -> None:
-    """Refuses a checkpoint of another run, whose files were mixed with this one's."""
+    """Raise if a checkpoint is of another run, whose files were mixed with this one's."""
     whose = open_run(checkpoint)
     mine, theirs = (replace(each.settings, total_steps=1) for each in (run, whose))
     if (run.environment, run.seed, mine) != (whose.environment, whose.seed, theirs):
@@ -155,7 +155,7 @@ def check_belongs(checkpoint: Path, run: Run) -> None:
 
 
 def check_spaces(weights: Weights, env: Any, folder: Path, run: Run) -> None:
-    """Refuses weights for an environment that observes or moves something else."""
+    """Raise if weights are for an environment with other observations or actions."""
     for what in ("observation_space", "action_space"):
         mine, there = getattr(weights, what), getattr(env, what)
         if type(mine) is not type(there) or mine.shape != there.shape:
@@ -166,14 +166,14 @@ def check_spaces(weights: Weights, env: Any, folder: Path, run: Run) -> None:
 
 
 def write_policy(run: Run, checkpoint: Path) -> None:
-    """Puts what evaluation needs from a checkpoint into the run's folder itself, at once."""
+    """Copy what evaluation needs from a checkpoint to the run's folder, atomically."""
     with files.published(run.path) as waiting:
         for name in _OF_THE_END:
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
 
 
 def write_replay(file: Path, buffer: Any) -> None:
-    """Writes the part of a `ReplayBuffer` that is in use, as arrays."""
+    """Write the part of a `ReplayBuffer` that is in use, as arrays."""
     used = len(buffer.rewards) if buffer.full or buffer.optimize_memory_usage else buffer.pos
     arrays = {name: getattr(buffer, name)[:used] for name in _arrays_of(buffer)}
     with file.open("wb") as stream:
@@ -181,10 +181,10 @@ def write_replay(file: Path, buffer: Any) -> None:
 
 
 def read_replay(file: Path, buffer: Any) -> None:
-    """Puts what `write_replay` wrote into a fresh buffer.
+    """Put what `write_replay` wrote into a fresh buffer.
 
     Raises:
-        OutputError: it is damaged, or of another buffer.
+        OutputError: it is damaged, or from a buffer of other spaces or size.
     """
     names = _arrays_of(buffer)
     arrays = read_arrays(file, [*names, "pos", "full"], most=None)

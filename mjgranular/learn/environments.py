@@ -1,4 +1,4 @@
-"""Environments by their ids: one, several at once, or as Stable-Baselines3 wants them."""
+"""Environments by their ids: one, several at once, or for Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _PURPOSE = "Training and evaluating policies"
 
 
 def find_spec(env_id: str) -> Any:
-    """Facts that Gymnasium knows of an environment.
+    """Return Gymnasium's specification of an environment.
 
     Raises:
-        UnknownNameError: there is none of that id, or of a module before its colon.
+        UnknownNameError: no environment has that id, or no module has the name before its colon.
         InputError: that module cannot be imported.
         MissingExtraError: Gymnasium is not installed.
     """
@@ -31,7 +31,7 @@ def find_spec(env_id: str) -> Any:
 
 
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
-    """One environment, a `gymnasium.Env`."""
+    """Return one environment, a `gymnasium.Env`."""
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     find_spec(env_id)
     return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
@@ -40,10 +40,10 @@ def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
 def several(
     env_id: str, arguments: Mapping[str, Any], *, num_envs: int, threads: int | None = None
 ) -> Any:
-    """Several environments stepped together, a `gymnasium.vector.VectorEnv`.
+    """Return several environments stepped together, a `gymnasium.vector.VectorEnv`.
 
-    Those that have a vector form run in it, on so many threads (None: one a core); others one after
-    another.
+    Those that have a vector form run in it, on `threads` threads (None: one per core); others run
+    one after another.
     """
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
@@ -66,19 +66,19 @@ def for_training(
     threads: int | None = None,
     warp: str | None = None,
 ) -> Any:
-    """Several environments as a `VecEnv` of Stable-Baselines3, which reports finished episodes.
+    """Return environments as a `VecEnv` of Stable-Baselines3 that reports finished episodes.
 
     Args:
-        env_id: Gymnasium's.
-        arguments: of the environment.
-        num_envs: how many.
-        processes: whether each is stepped in a process of its own.
-        threads: of those that step in one batch; None for one a core.
+        env_id: Gymnasium id.
+        arguments: arguments of the environment.
+        num_envs: number of environments.
+        processes: whether each is stepped in a separate process.
+        threads: threads that step a batch; None for one per core.
         warp: device of MuJoCo Warp that steps the batch; None for MuJoCo on this machine's cores.
 
     Raises:
-        InputError: the arguments are not the environment's, processes are asked for where
-            environments step in one batch, or MuJoCo Warp where they do not.
+        InputError: the environment does not take the arguments, `processes` is set for environments
+            that step in one batch, or `warp` for others.
     """
     need("stable_baselines3", extra="train", purpose="Training a policy")
     if warp is not None and (processes or not _has_vector_form(env_id)):
@@ -108,34 +108,34 @@ def for_training(
 
 
 def _in_processes(env_id: str, arguments: Mapping[str, Any], num_envs: int) -> Any:
-    """A process for each environment; they are given names and make all that they need anew."""
+    """Return environments in one process each, which import all that they need."""
     from stable_baselines3.common.vec_env import SubprocVecEnv
 
     if _has_vector_form(env_id):
         raise InputError(f"{env_id} steps in a batch on all cores: leave processes away")
-    # Started anew rather than forked: MuJoCo and numba may hold threads and locks.
+    # Spawned rather than forked: MuJoCo and numba may hold threads and locks.
     make = partial(_monitored, env_id, dict(arguments))
     return SubprocVecEnv([make] * num_envs, start_method="spawn")
 
 
 def _monitored(env_id: str, arguments: Mapping[str, Any]) -> Any:
-    """One environment of a process of its own, which reports finished episodes."""
+    """Return the environment of a worker process, which reports finished episodes."""
     from stable_baselines3.common.monitor import Monitor
 
-    # Ctrl-C reaches all processes: the one that trains says when to end.
+    # Ctrl-C reaches all processes: the training process decides when to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", GranularWarning)  # said once, by the one that trains
+    warnings.simplefilter("ignore", GranularWarning)  # given once, by the training process
     return Monitor(one(env_id, arguments))
 
 
 def for_filming(
     env_id: str, arguments: Mapping[str, Any], *, width: int, height: int, camera: str | None
 ) -> Any:
-    """One environment that draws itself.
+    """Return one environment that renders itself.
 
     Raises:
-        RenderError: it cannot, on this machine.
-        InputError: it has no cameras, and one was asked for.
+        RenderError: rendering fails on this machine.
+        InputError: it has no cameras, and one was requested.
     """
     spec = find_spec(env_id)
     wanted: dict[str, Any] = {"width": width, "height": height}
@@ -168,7 +168,7 @@ def _has_vector_form(env_id: str) -> bool:
 
 
 def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments as environments take them: a table of ranges of sand becomes `SandRanges`."""
+    """Return arguments for environments: a table of ranges of sand becomes `SandRanges`."""
     resolved = dict(arguments)
     table = resolved.get("randomise")
     if isinstance(table, Mapping):
@@ -184,11 +184,11 @@ def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
-    """Calls `make`; turns an environment's own complaints into one sentence.
+    """Call `make`; turn an environment's own errors into one sentence.
 
-    The argument `refine` makes the substeps of an environment of MuJoCo's so many times shorter,
-    with so many more of them between two actions: a policy that does otherwise then has learned the
-    time step and not the robot.
+    The argument `refine` divides the substeps of a MuJoCo environment by that factor, and
+    multiplies their number between two actions by it: a policy that behaves differently then has
+    learned the time step and not the robot.
     """
     gym = need("gymnasium", extra="train", purpose=_PURPOSE)
     given = _resolved(arguments)
@@ -211,7 +211,7 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
         raise RenderError(f"{env_id}: {' '.join(str(error).split())}") from None
     except (gym.error.Error, TypeError, ValueError) as error:
         raise InputError(f"{env_id} cannot be made: {' '.join(str(error).split())}") from None
-    except Exception as error:  # its arguments may be a stranger's, and it anybody's
+    except Exception as error:  # neither the arguments nor the environment are trusted
         raise InputError(
             f"{env_id} cannot be made: {type(error).__name__}: {' '.join(str(error).split())}"
         ) from error
@@ -221,7 +221,7 @@ def _frame_skip_of(env: Any) -> int:
     """Return the number of substeps between two actions.
 
     Raises:
-        InputError: not an environment of MuJoCo's.
+        InputError: not a MuJoCo environment.
     """
     inner = getattr(env.unwrapped, "task", env.unwrapped)
     if not hasattr(inner, "frame_skip") or not hasattr(inner, "model"):
@@ -237,7 +237,7 @@ def _shorten_steps(env: Any, times: int) -> None:
     for one in getattr(env, "envs", None) or [env]:
         inner = getattr(one.unwrapped, "task", one.unwrapped)
         inner.model.opt.timestep /= times
-        # A task notes its duration of a step the first time that it is asked.
+        # A task caches the duration of a step at the first access.
         inner.__dict__.pop("dt", None)
         batch = getattr(one, "batch", None)
         if batch is not None:  # which has copied the model

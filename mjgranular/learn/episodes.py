@@ -1,4 +1,4 @@
-"""Episodes from beginning to end, one for each seed, several at once."""
+"""Complete episodes, one for each seed, several at once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mjgranular.learn.agents import Agent
 AT_ONCE = 64
 """Episodes that are stepped together."""
 LONGEST = 10_000
-"""Steps after which an episode is ended that has no limit of its own."""
+"""Steps after which an episode without a limit is ended."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Episodes:
     Attributes:
         seeds: shape (n,).
         returns: sums of rewards, shape (n,).
-        lengths: in steps, shape (n,).
+        lengths: numbers of steps, shape (n,).
         figures: means over each episode of the numbers in `info`, by name, shape (n,).
     """
 
@@ -44,15 +44,15 @@ def run_episodes(
     progress: Callable[[int], None] | None = None,
     threads: int | None = None,
 ) -> Episodes:
-    """Runs one episode for each seed.
+    """Run one episode for each seed.
 
     Args:
-        env_id: Gymnasium's.
-        arguments: of the environment.
-        make_agent: is given the environments and gives who acts in them.
-        seeds: of the environments' resets.
+        env_id: Gymnasium id.
+        arguments: arguments of the environment.
+        make_agent: returns the agent for given environments.
+        seeds: seeds of the environments' resets.
         progress: called with the number of episodes done.
-        threads: of a batch of ours; None for one a core.
+        threads: threads of a batch of mjgranular's; None for one per core.
     """
     if not seeds:
         raise InputError("at least one seed is needed")
@@ -70,7 +70,7 @@ def run_episodes(
 
 
 def joined(parts: Sequence[Episodes]) -> Episodes:
-    """Episodes one after the other, with the figures that all have."""
+    """Concatenate episodes, with the figures that all have."""
     names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
     return Episodes(
         np.concatenate([part.seeds for part in parts]),
@@ -87,13 +87,13 @@ def _run(env: Any, agent: Agent, seeds: list[int], progress: Callable[[int], obj
     sums: dict[str, np.ndarray] = {}
     observations, _ = env.reset(seed=seeds)
     while running.any():
-        # Environments that have ended go on until the last has: their steps are not counted.
+        # Environments that have ended continue until the last has: their steps are not counted.
         actions = agent.act(observations, lengths)
         observations, rewards, ended, cut, info = env.step(actions)
         returns[running] += rewards[running]
         lengths[running] += 1
         for name, values in info.items():
-            # Names with a dash before say which simulations have the entry.
+            # Names with a leading underscore say which simulations have the entry.
             if not name.startswith("_") and _is_number_each(values, count):
                 total = sums.setdefault(name, np.zeros(count))
                 total[running] += values[running]
@@ -104,7 +104,7 @@ def _run(env: Any, agent: Agent, seeds: list[int], progress: Callable[[int], obj
 
 
 def _is_number_each(values: object, count: int) -> bool:
-    """Tells whether an entry of `info` is one number, or yes or no, for each simulation."""
+    """Return True if an entry of `info` is one number, or one boolean, for each simulation."""
     return (
         isinstance(values, np.ndarray)
         and values.shape == (count,)

@@ -16,17 +16,17 @@ from mjgranular.learn.episodes import Episodes, run_episodes
 from mjgranular.learn.settings import toml_value
 
 FIRST_SEED = 10_000
-"""Far from the seeds that people train with: no episode of the training comes again."""
+"""Far from the usual training seeds: no episode of the training is repeated."""
 LEAST_SEEDS = 2
 CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean with its confidence interval, of Student's t distribution.
+    """A mean with its confidence interval, from Student's t distribution.
 
     Attributes:
-        mean: of the values.
+        mean: mean of the values.
         low: lower end of the 95 % interval.
         high: upper end.
         values: one for each seed.
@@ -42,7 +42,7 @@ class Mean:
 
 
 def mean_of(values: Sequence[float] | np.ndarray) -> Mean:
-    """The mean of at least two values and its 95 % confidence interval."""
+    """Return the mean of at least two values and its 95 % confidence interval."""
     stats = need("scipy.stats", extra="train", purpose="Evaluating policies")
     array = np.asarray(values, dtype=float)
     if array.size < LEAST_SEEDS:
@@ -58,10 +58,10 @@ class Score:
     """Evaluation of one agent in one environment.
 
     Attributes:
-        agent: who acted, for people.
+        agent: display name of the agent.
         environment: its id.
-        variant: how it differs from the one that the agent was trained in; empty if it does not.
-        episodes: what came of each.
+        variant: how it differs from the training environment; empty if it does not.
+        episodes: outcome of the episodes.
     """
 
     agent: str
@@ -80,12 +80,12 @@ class Score:
         return mean_of(self.episodes.lengths)
 
     def figure(self, name: str) -> Mean | None:
-        """The mean over episodes of a number in `info`; None if the environment has none."""
+        """Return the mean over episodes of a number in `info`; None if the environment has none."""
         values = self.episodes.figures.get(name)
         return None if values is None else mean_of(values)
 
     def as_json(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values."""
 
         def plain(mean: Mean) -> dict[str, Any]:
             return {"mean": mean.mean, "low": mean.low, "high": mean.high, "values": mean.values}
@@ -115,16 +115,16 @@ def evaluate(
     first_seed: int = FIRST_SEED,
     progress: Callable[[int], None] | None = None,
 ) -> Score:
-    """Runs an agent for one episode a seed.
+    """Run an agent for one episode per seed.
 
     Args:
-        agent: for people.
-        make_agent: is given the environments and gives who acts in them.
-        env_id: Gymnasium's.
-        arguments: of the environment, those of the variant not included.
+        agent: display name of the agent.
+        make_agent: returns the agent for given environments.
+        env_id: Gymnasium id.
+        arguments: arguments of the environment, without those of the variant.
         variant: `name=value,...`, changes of the arguments; "" for none.
-        seeds: how many.
-        first_seed: the others follow it.
+        seeds: number of seeds.
+        first_seed: the first of consecutive seeds.
         progress: called with the number of episodes done.
 
     Raises:
@@ -147,10 +147,10 @@ def evaluate(
 
 
 def check_seeds(seeds: int, first_seed: int = FIRST_SEED) -> None:
-    """Refuses seeds that make no evaluation.
+    """Check that seeds suffice for an evaluation.
 
     Raises:
-        InputError: says what would.
+        InputError: they do not; says what would.
     """
     check_count("seeds", seeds)
     check_count("first_seed", first_seed, least=0)
@@ -159,7 +159,7 @@ def check_seeds(seeds: int, first_seed: int = FIRST_SEED) -> None:
 
 
 def parse_variant(text: str) -> dict[str, Any]:
-    """Arguments of an environment from `name=value,name=value`; values as in TOML.
+    """Return the arguments of an environment from `name=value,name=value`; values as in TOML.
 
     Raises:
         InputError: not of this form.
@@ -177,7 +177,7 @@ def parse_variant(text: str) -> dict[str, Any]:
 
 
 def split_values(text: str) -> list[str]:
-    """Parts of a text between commas, but for those within brackets."""
+    """Split a string at commas that are not within brackets."""
     parts, depth = [""], 0
     for character in text:
         depth += (character in "[{") - (character in "]}")

@@ -13,9 +13,9 @@ def draw_curve(path: Path, curve: Sequence[tuple[float, ...]], title: str) -> No
     """Draw mean return against steps.
 
     Args:
-        path: of the picture.
+        path: path of the picture.
         curve: rows of `run.CURVE_COLUMNS`.
-        title: above the figure.
+        title: title of the figure.
     """
     figure, context = figure_of_size(6.4, 4.0)
     axis = figure.subplots()

@@ -1,4 +1,4 @@
-"""Films of an agent at work, MP4 or GIF."""
+"""Films of an agent, MP4 or GIF."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ def film_episode(
     camera: str | None,
     progress: Callable[[int], object] | None = None,
 ) -> float:
-    """Films one episode at the speed of life, from its beginning, for `film.seconds` at most.
+    """Film one episode in real time, from its beginning, for `film.seconds` at most.
 
     Args:
-        path: of the file; .mp4 or .gif.
-        env_id: Gymnasium's.
-        arguments: of the environment.
-        make_agent: is given the environment and gives who acts in it.
-        film: size, pictures a second, length.
-        seed: of the environment's reset.
-        camera: of the model; None for the environment's own view.
-        progress: called with the number of pictures taken.
+        path: path of the file; .mp4 or .gif.
+        env_id: Gymnasium id.
+        arguments: arguments of the environment.
+        make_agent: returns the agent for a given environment.
+        film: size, frames per second, length.
+        seed: seed of the environment's reset.
+        camera: camera of the model; None for the environment's default view.
+        progress: called with the number of frames rendered.
 
     Returns:
         The return up to the film's end.
 
     Raises:
-        InputError: another ending, or no such camera.
+        InputError: another file extension, or no such camera.
         RenderError: the environment cannot be drawn on this machine.
     """
     if path.suffix not in ENDINGS:
@@ -62,7 +62,7 @@ def film_episode(
         agent = make_agent(env)
         step_time = getattr(env.unwrapped, "dt", None)
         rate = 1 / step_time if step_time else env.metadata.get("render_fps") or film.fps
-        every = max(1, math.ceil(rate / film.fps))  # steps from one picture to the next
+        every = max(1, math.ceil(rate / film.fps))  # steps from one frame to the next
         observation, _ = env.reset(seed=seed)
         pictures, total, step, over = [_picture(env)], 0.0, 0, False
         while not over and step < film.seconds * rate:
@@ -91,7 +91,7 @@ def _picture(env: Any) -> np.ndarray:
         raise
     except gym.error.DependencyNotInstalled as error:
         raise RenderError(f"the environment cannot be drawn: {error}") from None
-    except Exception as error:  # every platform's GL fails in a way of its own
+    except Exception as error:  # each platform's GL fails differently
         raise RenderError(
             f"the environment cannot be drawn on this machine ({type(error).__name__}: {error}); "
             "on Linux without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), "

@@ -35,10 +35,10 @@ class Policy:
     """A trained policy.
 
     Attributes:
-        run: what it was trained as.
-        folder: with its files.
+        run: the run that trained it.
+        folder: folder with its files.
         model: a policy of Stable-Baselines3, `BasePolicy`.
-        normalizer: of its observations; None if they are taken as they are.
+        normalizer: scales its observations; None if they are not scaled.
     """
 
     run: Run
@@ -47,25 +47,25 @@ class Policy:
     normalizer: Normalizer | None
 
     def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Its actions, without noise.
+        """Return the actions, without noise.
 
         Args:
             observations: shape (n, ...).
-            steps: since the episodes began, shape (n,); not used.
+            steps: number of steps since the episodes began, shape (n,); not used.
         """
         if self.normalizer is not None:
             observations = self.normalizer(observations)
         return self.model.predict(observations, deterministic=True)[0]
 
     def checked(self, env_id: str, env: Any) -> Policy:
-        """Itself, unless an environment observes or moves something else.
+        """Return the policy; raise if an environment has other observations or actions.
 
         Args:
-            env_id: its id.
+            env_id: Gymnasium id of the environment.
             env: a `gymnasium.vector.VectorEnv`, or a `gymnasium.Env`.
 
         Raises:
-            InputError: says what differs.
+            InputError: they differ; says how.
         """
         for what in ("observation", "action"):
             mine = getattr(self.model, f"{what}_space")
@@ -79,14 +79,14 @@ class Policy:
 
 
 def load_policy(where: Path | str) -> Policy:
-    """Loads a policy, as data: nothing in its files is executed.
+    """Load a policy as data: nothing in its files is executed.
 
     Args:
         where: a run's folder (its newest checkpoint is taken), a checkpoint's, a policy's folder or
-            its `policy.zip`; or the name of one that comes with the package.
+            its `policy.zip`; or the name of a policy that comes with the package.
 
     Raises:
-        OutputError: there is none, or the installed packages cannot read it.
+        OutputError: it has no policy, or the installed packages cannot read it.
         UnknownNameError: neither a folder nor a name; lists the names.
     """
     folder = _folder(where)
@@ -99,7 +99,7 @@ def load_policy(where: Path | str) -> Policy:
         try:
             policy = files.consistently(holder, POLICY, lambda run=run, at=holder: _load(run, at))
         except OutputError:
-            # A training that is at work may have removed the checkpoint for a newer one.
+            # A running training may have removed the checkpoint for a newer one.
             if not tries or newest is None or newest.exists():
                 raise
         else:
@@ -108,7 +108,7 @@ def load_policy(where: Path | str) -> Policy:
 
 
 def _load(run: Run, holder: Path) -> Policy:
-    """The policy in the folder of a run or of one of its checkpoints."""
+    """Return the policy in the folder of a run or of one of its checkpoints."""
     file = files.current(holder, POLICY)
     if not file.exists():
         raise OutputError(
@@ -134,16 +134,16 @@ def _load(run: Run, holder: Path) -> Policy:
 
 
 def shipped_policies() -> dict[str, Run]:
-    """The policies that come with the package, by name."""
+    """Return the policies that come with the package, by name."""
     found = sorted(SHIPPED.rglob(POLICY)) if SHIPPED.is_dir() else []
     folders = [file.parent for file in found]
     return {folder.relative_to(SHIPPED).as_posix(): open_run(folder) for folder in folders}
 
 
 def last_return(run: Run) -> float | None:
-    """Mean return of the episodes in the last fifth of a run's learning curve; None without one.
+    """Return the mean return over the last fifth of a run's learning curve; None without one.
 
-    Of more than its last row, in which after a checkpoint there are the few episodes that ended
+    The last row alone would not do: after a checkpoint it has only the few episodes that ended
     early.
     """
     try:
@@ -171,7 +171,7 @@ def _folder(where: Path | str) -> Path:
 
 
 def _warn_of_version(run: Run) -> None:
-    """Says so where physics may have changed since the training."""
+    """Warn if physics may have changed since the training."""
     there = str(run.versions.get("mujoco"))
     if there.partition(".")[0] != mujoco.__version__.partition(".")[0]:
         warn_user(f"{run.path} was trained with MuJoCo {there}, this is {mujoco.__version__}")

@@ -1,4 +1,4 @@
-"""The folder of a run: what was asked for, checkpoints, the curve; one process at a time."""
+"""The folder of a run: settings, checkpoints, the curve; one process at a time."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ REPLAY = "replay.npz"
 CURVE_COLUMNS = ("steps", "seconds", "episodes", "mean_return", "mean_length")
 _PACKAGES = ("gymnasium", "stable-baselines3", "torch")
 _IN_A_CHECKPOINT = (CONFIG, POLICY, NORMALIZER, CURVE, STATE)
-_KEPT = 2  # checkpoints; the older one is for the case that the newer gets damaged
+_KEPT = 2  # checkpoints; the older one in case the newer is damaged
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class Run:
         environment: Gymnasium's id.
         settings: resolved.
         seed: all random numbers follow from it.
-        versions: of the packages that it was begun with.
-        sand: of its environment when the run began; None if unknown, as for environments
-            without a model of MuJoCo.
-        trusted: whether the user vouches for it, so that what it names may be executed.
-        restored: arguments that give the environment the sand that it had when the run was begun.
+        versions: versions of the packages that it was started with.
+        sand: sand of its environment when the run started; None if unknown, as for environments
+            without a MuJoCo model.
+        trusted: whether the user trusts it, so that modules that it names may be imported.
+        restored: arguments that give the environment the sand that it had when the run started.
     """
 
     path: Path
@@ -69,16 +69,16 @@ class Run:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Of the environment, as it is made to be trained in."""
+        """Arguments of the environment in training."""
         return {**self.settings.environment, **self.restored}
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Display name."""
         return f"{self.environment} {self.settings.algorithm} seed {self.seed}"
 
     def config(self) -> dict[str, Any]:
-        """Content of `config.json`."""
+        """Return the content of `config.json`."""
         return {
             "command": TRAINING,
             "environment": self.environment,
@@ -90,37 +90,37 @@ class Run:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keeps other processes out. The system lets go of the lock when this process ends.
+        """Keep other processes out. The system releases the lock when this process ends.
 
         Raises:
-            OutputError: another process is at work in the folder.
+            OutputError: another process is using the folder.
         """
         with files.locked(self.path):
             yield
 
     def checkpoints(self) -> list[Path]:
-        """Folders of the checkpoints, the newest first; unchecked."""
+        """Return the folders of the checkpoints, the newest first; unchecked."""
         return sorted((self.path / CHECKPOINTS).glob("step-*"), reverse=True)
 
     def newest_checkpoint(self) -> Path | None:
-        """The newest checkpoint that is whole; a damaged one is skipped with a warning."""
+        """Return the newest complete checkpoint; a damaged one is skipped with a warning."""
         for folder in self.checkpoints():
             wrong = files.fault(folder, _IN_A_CHECKPOINT)
             if wrong is None:
                 return folder
-            if folder.exists():  # else a training at work has removed it: there is a newer one
+            if folder.exists():  # else a running training has removed it: there is a newer one
                 warn_user(f"the checkpoint {folder} is damaged ({wrong}) and was skipped")
         return None
 
     def checkpoint_folder(self, steps: int) -> Path:
-        """Path of the checkpoint after so many steps."""
+        """Return the path of the checkpoint after `steps` steps."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
     def remove_old_checkpoints(self, written: Path | None = None) -> None:
-        """Keeps the newest two that are whole, and damaged ones among them to be looked at.
+        """Keep the newest two complete checkpoints, and damaged ones among them for inspection.
 
         Args:
-            written: a checkpoint that was written just now, and need not be looked through.
+            written: a checkpoint that was just written, and need not be checked.
         """
         whole = 0
         for folder in self.checkpoints():
@@ -130,7 +130,7 @@ class Run:
                 whole += 1
 
     def extended(self, total_steps: int) -> Run:
-        """The run with another number of steps to go to, noted in its folder."""
+        """Return the run with another total of steps, and write that to its folder."""
         longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
         file = self.path / CONFIG
         content = {**read_json(file), **longer.config()}
@@ -138,25 +138,25 @@ class Run:
         return longer
 
     def discard(self) -> None:
-        """Removes the folder of a run that came to nothing: one without a checkpoint."""
+        """Remove the folder of a run without a checkpoint."""
         if not self.checkpoints():
             shutil.rmtree(self.path, ignore_errors=True)
 
     def steps(self) -> int:
-        """Steps that the newest checkpoint has behind it; 0 without one."""
+        """Return the number of steps of the newest checkpoint; 0 without one."""
         folder = self.newest_checkpoint()
         return 0 if folder is None else read_state(folder)[0]
 
     def other_sand(self, now: Sands | None, settled: Iterable[str] = ()) -> str | None:
-        """Describe how sand differs from that which the run was begun on.
+        """Describe how sand differs from that of the run's start.
 
         Args:
             now: the sand of an environment; None if unknown.
             settled: names of arguments that the user has changed.
 
         Returns:
-            The end of a sentence that begins with the run; None where nothing differs or where the
-            sand is unknown.
+            The end of a sentence whose subject is the run; None if nothing differs or the sand is
+            unknown.
         """
         if now is None or self.sand is None:
             return None
@@ -164,16 +164,16 @@ class Run:
         return f"was begun on other sand: {', '.join(found)}" if found else None
 
     def check_environment(self) -> None:
-        """Makes sure that nothing is imported only because a stranger's file names it.
+        """Check that no module is imported only because an untrusted file names it.
 
-        An environment `module:Name-v0` executes its module. It may if the user vouches for the run,
-        or has imported the module himself.
+        An environment `module:Name-v0` executes its module. This is allowed if the user trusts the
+        run, or has already imported the module.
 
         Raises:
-            OutputError: it may not.
+            OutputError: it is not allowed.
         """
         module, colon, name = self.environment.rpartition(":")
-        # These of Gymnasium's make an environment of whatever module their arguments name.
+        # These of Gymnasium's make an environment of any module that their arguments name.
         gate = name.startswith("GymV2")
         if self.trusted or not (colon or gate) or (module in sys.modules and not gate):
             return
@@ -185,9 +185,9 @@ class Run:
 
 
 def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: int) -> Run:
-    """Makes the folder of a new run. Of two processes that try at once one is refused.
+    """Make the folder of a new run. If two processes try at once, one of them fails.
 
-    The environment is made once, for its sand to be noted.
+    The environment is made once, to record its sand.
 
     Args:
         path: the folder.
@@ -196,7 +196,7 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
         seed: all random numbers follow from it.
 
     Raises:
-        OutputError: the folder has something in it, or cannot be written to.
+        OutputError: the folder is not empty, or cannot be written to.
         GranularError: the environment cannot be made; says why.
     """
     path = Path(path)
@@ -207,7 +207,7 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
     started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
     if path.exists() and not path.is_dir():
         raise OutputError(f"cannot write to {path}: it is not a folder")
-    if (path / CONFIG).exists():  # a run at work is locked, and told of as a run all the same
+    if (path / CONFIG).exists():  # a running one is locked, and is reported as a run too
         raise _held(path)
     sand = sands_made(environment, settings.environment)
     run = Run(path, environment, settings, seed, current_versions(), sand, trusted=True)
@@ -233,16 +233,16 @@ def current_versions() -> dict[str, Any]:
 
 
 def open_run(path: Path, *, trust: bool = False) -> Run:
-    """The run whose `config.json` is in a folder: a run, one of its checkpoints, a policy.
+    """Return the run whose `config.json` is in a folder: a run, one of its checkpoints, a policy.
 
-    Nothing of it is executed.
+    Nothing in it is executed.
 
     Args:
         path: the folder.
-        trust: whether the user vouches for the run; see `Run.trusted`.
+        trust: whether the user trusts the run; see `Run.trusted`.
 
     Raises:
-        OutputError: the folder holds none.
+        OutputError: the folder holds no run.
     """
     try:
         content = read_json(path / CONFIG)
@@ -272,7 +272,7 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
 
 
 def read_state(checkpoint: Path) -> tuple[int, float]:
-    """Steps and seconds behind a checkpoint.
+    """Return the steps and the seconds up to a checkpoint.
 
     Raises:
         OutputError: its file is damaged.
@@ -286,7 +286,7 @@ def read_state(checkpoint: Path) -> tuple[int, float]:
 
 
 def curve_text(rows: Sequence[Sequence[float]]) -> str:
-    """A learning curve as CSV."""
+    """Return a learning curve as CSV."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CURVE_COLUMNS)
@@ -295,10 +295,10 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
 
 
 def read_curve(file: Path) -> list[tuple[float, ...]]:
-    """Reads a learning curve; rows of `CURVE_COLUMNS`.
+    """Read a learning curve; rows of `CURVE_COLUMNS`.
 
     Raises:
-        OutputError: it cannot be read, or is no curve.
+        OutputError: it cannot be read, or is not a curve.
     """
     text = read_text(file)
     try:

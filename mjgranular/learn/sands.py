@@ -1,7 +1,7 @@
-"""The sand of an environment: noted when a training begins, compared wherever the run is used.
+"""The sand of an environment: recorded when a training starts, compared when the run is used.
 
-What an environment leaves to defaults may change with the next version, a file of the user with the
-next day. Without a note a policy would act on other sand than it was trained on, unnoticed.
+Defaults may change with the next version, and a user's file at any time. Without a record a policy
+would act on other sand than it was trained on, unnoticed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Sands = list[dict[str, Any]]
 
 _SAME = 1e-6  # relative; chosen: far more than rounding, far less than a change
 _SHOWN = 4  # changes in a sentence; chosen
-# What a user who gives an argument has decided.
+# What a given argument determines.
 _MATERIAL = ("medium", "law", "constants")
 _SETTLED = {
     "medium": _MATERIAL,
@@ -52,8 +52,8 @@ def sands_of(env: Any) -> Sands | None:
         env: a `gymnasium.Env`.
 
     Returns:
-        Plain values, empty where there is no sand; None if unknown, where the environment has no
-        attribute `model` of MuJoCo's.
+        Plain values, empty without sand; None if unknown, where the environment has no MuJoCo model
+        as attribute `model`.
     """
     inner = env.unwrapped
     model = getattr(inner, "model", None)
@@ -73,7 +73,7 @@ def sands_made(env_id: str, arguments: Mapping[str, Any]) -> Sands | None:
         GranularError: it cannot be made.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GranularWarning)  # given where it is made to be used
+        warnings.simplefilter("ignore", GranularWarning)  # given again when it is used
         env = environments.one(env_id, arguments)
     with closing(env):
         return sands_of(env)
@@ -85,7 +85,7 @@ def read_sands(content: Any, where: object) -> Sands | None:
     A constant that a law did not have when they were written is 0: it had no effect.
 
     Raises:
-        OutputError: they are not as `Sands` says.
+        OutputError: they do not have the form of `Sands`.
     """
     if content is None:
         return None
@@ -108,7 +108,7 @@ def changes(before: Sands, now: Sands, settled: Iterable[str] = ()) -> list[str]
     Args:
         before: sands of a run.
         now: sands of an environment.
-        settled: names of arguments that the user has given; what follows from them is no change.
+        settled: names of arguments that the user has given; what follows from them is not counted.
     """
     known = {name for argument in settled for name in _SETTLED.get(argument, ())}
     if len(before) != len(now):
@@ -131,12 +131,12 @@ def changes(before: Sands, now: Sands, settled: Iterable[str] = ()) -> list[str]
 
 
 def arguments_for(sands: Sands, env_id: str, arguments: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return further arguments with which an environment has such sands; None if none do.
+    """Return further arguments that give an environment these sands; None if none do.
 
     Args:
-        sands: that the environment is to have.
+        sands: the wanted sands.
         env_id: Gymnasium id.
-        arguments: of the environment, with which it has other sands.
+        arguments: current arguments, with which it has other sands.
     """
     if len(sands) != 1 or sands[0]["medium"] not in media or sands[0]["law"] not in laws:
         return None
@@ -172,7 +172,7 @@ def _plain(medium: Medium, law: Law, surface: Surface, memory: Memory | None) ->
 
 
 def _in_mjcf(name: str, part: Any) -> str:
-    """Return a surface or a memory as MJCF has it, a custom one by the name of its class."""
+    """Return a surface or a memory as written in MJCF, a custom one by the name of its class."""
     try:
         return write_config(SandSpec(**{name: part}))[name]
     except InputError:

@@ -43,8 +43,8 @@ def search_gaits(
     """Try a grid of at least `count` gaits, each for one episode from the same start.
 
     Args:
-        env_id: of an environment that has a scripted gait.
-        arguments: of the environment.
+        env_id: Gymnasium id of an environment with a scripted gait.
+        arguments: arguments of the environment.
         count: least number of gaits; each parameter takes the same number of values.
         ranges: (low, high) of parameters that differ from the gait's own ranges.
         by: value to maximize: "return", or a number in `info` such as "x_velocity".

@@ -34,10 +34,10 @@ _GIVEN_BY_US = (
     "_init_setup_model",
 )
 _TABLES = ("arguments", "policy", "environment")
-_MOST = 10**12  # of steps and environments; chosen: weeks of the fastest simulation
+_MOST = 10**12  # limit of steps and environments; chosen: weeks of the fastest simulation
 _LINEAR = "linear_"
-_MOST_ENVS = 2**16  # far more than anyone steps together; chosen
-_FAR = 100_000  # divisors of the steps are looked for so far from the batch size
+_MOST_ENVS = 2**16  # more than anyone steps together; chosen
+_FAR = 100_000  # divisors of the steps are searched this far from the batch size
 _SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during the training
 
 
@@ -49,15 +49,15 @@ class Settings:
         algorithm: ppo, sac or td3, those of Stable-Baselines3.
         total_steps: steps of all environments together.
         num_envs: environments that are stepped together.
-        processes: whether each of them is stepped in a process of its own; for environments that
-            have no batch of mjgranular's.
-        net: widths of the hidden layers, of the policy and of what judges it.
+        processes: whether each of them is stepped in a separate process; for environments that
+            mjgranular does not step in one batch.
+        net: widths of the hidden layers, of the policy and of the critic.
         activation: between layers: tanh, relu or elu.
         normalize_observations: by their running mean and variance, which are saved with the policy.
         normalize_rewards: by the running variance of the return, in training only.
         checkpoint_every: steps from one checkpoint to the next.
-        arguments: of the algorithm's class. A learning rate or clip range "linear_3e-4" falls from
-            there to zero; `action_noise` is the standard deviation of normal noise.
+        arguments: arguments of the algorithm's class. A learning rate or clip range "linear_3e-4"
+            falls from there to zero; `action_noise` is the standard deviation of normal noise.
         policy: further arguments of the algorithm's policy, such as `log_std_init`.
         environment: arguments of `gymnasium.make`.
     """
@@ -120,15 +120,15 @@ class Settings:
             )
 
     def as_json(self) -> dict[str, Any]:
-        """As plain values."""
+        """Return plain values."""
         return {**asdict(self), "net": list(self.net)}
 
     @classmethod
     def from_json(cls, content: object) -> Settings:
-        """The settings of which `as_json` made `content`.
+        """Return the settings of which `as_json` made `content`.
 
         Raises:
-            InputError: it made no such thing; says what is wrong.
+            InputError: `content` is not of that form; says what is wrong.
         """
         if not isinstance(content, Mapping):
             raise InputError("settings must be an object")
@@ -143,22 +143,22 @@ class Settings:
 def find_settings(
     env_id: str, *, algorithm: str | None = None, file: Path | None = None
 ) -> Settings:
-    """The settings for an environment.
+    """Return the settings for an environment.
 
     Args:
-        env_id: Gymnasium's, such as `mjgranular/ChainSwim-v0`.
+        env_id: Gymnasium id, such as `mjgranular/ChainSwim-v0`.
         algorithm: None for the one that the file names.
-        file: to read; None for the environment's own file, or where there is none the one for all.
+        file: file to read; None for that of the environment or, where there is none, the default.
 
     Raises:
-        InputError: a file that cannot be read, or with a wrong key or value in it; says which.
-        UnknownNameError: there is no such algorithm, or nothing in the file on it.
+        InputError: the file cannot be read, or has a wrong key or value in it; says which.
+        UnknownNameError: no such algorithm, or the file has no table for it.
     """
     return read_settings(file or settings_file(env_id), algorithm=algorithm)
 
 
 def settings_file(env_id: str) -> Path:
-    """The file with the settings that come with the package for an environment."""
+    """Return the file with the settings that come with the package for an environment."""
     # `module:namespace/Name-v0` is Gymnasium's way to name an environment of a module.
     identity = env_id.rpartition(":")[2]
     own = FOLDER / f"{identity}.toml"
@@ -166,11 +166,11 @@ def settings_file(env_id: str) -> Path:
 
 
 def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
-    """Reads settings: `algorithm`, a table `[environment]`, and a table for each algorithm.
+    """Read settings: `algorithm`, a table `[environment]`, and a table for each algorithm.
 
     Raises:
         InputError: the file cannot be read, or has a wrong key or value in it; says which.
-        UnknownNameError: there is no such algorithm, or nothing in the file on it.
+        UnknownNameError: no such algorithm, or the file has no table for it.
     """
     content = _read_toml(file)
     where = place(file)
@@ -218,13 +218,13 @@ def _read_toml(file: Path) -> dict[str, Any]:
 
 
 def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
-    """Settings with some values changed.
+    """Return settings with some values changed.
 
     Args:
-        settings: to start from.
+        settings: the initial settings.
         changes: one or several `name=value`, where name is a field of the settings (`num_envs=8`),
             an argument of the algorithm (`gamma=0.98`), `policy.name` or `environment.name`; values
-            as in TOML, where texts may go without quotes.
+            as in TOML, where strings need no quotes.
 
     Raises:
         InputError: not of this form, an unknown name or a wrong type.
@@ -248,7 +248,7 @@ def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
 
 
 def toml_value(text: str) -> Any:
-    """A value as TOML writes it; a bare word is a text."""
+    """Parse a TOML value; a bare word is a string."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
@@ -256,17 +256,17 @@ def toml_value(text: str) -> Any:
 
 
 def algorithm_class(name: str) -> Any:
-    """The class of an algorithm in Stable-Baselines3.
+    """Return the class of an algorithm in Stable-Baselines3.
 
     Raises:
-        MissingExtraError: that is not installed.
+        MissingExtraError: Stable-Baselines3 is not installed.
     """
     module = need("stable_baselines3", extra="train", purpose="Training a policy")
     return getattr(module, name.upper())
 
 
 def linear_start(value: object) -> float | None:
-    """First value of one that falls to zero: 3e-4 of "linear_3e-4"; None for other values."""
+    """Return the start of a value that falls to zero: 3e-4 of "linear_3e-4"; None for others."""
     if isinstance(value, str) and value.startswith(_LINEAR):
         try:
             return float(value.removeprefix(_LINEAR))
@@ -282,7 +282,7 @@ def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> N
 
 
 def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:
-    """Refuses what the algorithm's class does not take, by name and by type."""
+    """Check arguments against the algorithm's class, by name and by type."""
     signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
     names = [name for name in signature if name not in _GIVEN_BY_US]
     for name, value in arguments.items():

@@ -41,9 +41,9 @@ class Training:
     """Outcome of a training.
 
     Attributes:
-        progress: how far it came.
+        progress: progress at the end.
         stopped_by: the signal that ended it early; None if it is finished.
-        began: steps of the checkpoint that it went on from; 0 for a new one.
+        began: steps of the checkpoint that it resumed from; 0 for a new run.
     """
 
     progress: Progress
@@ -52,7 +52,8 @@ class Training:
 
 
 Report = Callable[[int, float | None], None]
-"""Told the steps done and the mean return of the newest episodes (None before the first ends)."""
+"""Called with the steps done and the mean return of the newest episodes (None before the first
+ends)."""
 
 
 def train(
@@ -62,35 +63,35 @@ def train(
     threads: int | None = None,
     warp: str | None = None,
 ) -> Training:
-    """Trains until `total_steps`, from the newest checkpoint if there is one.
+    """Train until `total_steps`, from the newest checkpoint if there is one.
 
-    SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one at
-    once. The run must be locked by the caller.
+    SIGTERM or Ctrl-C end it early, with a checkpoint of what was learned so far; a second one ends
+    it at once. The caller must lock the run.
 
-    At each checkpoint the environments begin new episodes and all random numbers begin anew from
-    the run's seed and the number of steps, whether the process goes on or another one does. So a
-    run that was killed and resumed gives the same policy, to the last bit, as one that was not.
+    At each checkpoint the environments begin new episodes and all random numbers start over from
+    the run's seed and the number of steps, in the same process as in a new one. So a run that was
+    killed and resumed gives the same policy, bit for bit, as one that was not.
 
-    Where the environment has other sand by now than the run was begun on, as when a default has
-    changed, it goes on upon that which it was begun on.
+    If the environment has other sand now than at the start of the run, because a default has
+    changed for example, training continues on the sand of the start.
 
     Args:
-        run: what to train.
+        run: the run to train.
         report: called at every step of the environments.
-        threads: of a batch of environments; None for one a core. Results are the same.
+        threads: threads of a batch of environments; None for one per core. Results are the same.
         warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
-            here. A run may change that with any checkpoint.
+            here. A run may change this at any checkpoint.
 
     Raises:
-        InputError: the environment, the algorithm or its arguments do not go together.
-        OutputError: the environment's module would be executed only because a file names it; it
-            cannot have the sand any more that the run was begun on; or a checkpoint cannot be
-            written or read; those before it are whole.
-        UnstableError: the policy's numbers are not finite any more.
+        InputError: the environment, the algorithm and its arguments do not match.
+        OutputError: the environment's module would be executed only because a file names it; the
+            sand of the run's start cannot be restored; or a checkpoint cannot be written or read;
+            those before it are intact.
+        UnstableError: the policy's weights are not finite any more.
     """
     torch = need("torch", extra="train", purpose="Training a policy")
     need("tensorboard", extra="train", purpose="Training a policy")
-    # Networks of this size are quicker on one thread; the other cores step environments.
+    # Networks of this size are faster on one thread; the other cores step environments.
     torch.set_num_threads(1)
     run.check_environment()
     run = _on_its_sand(run)
@@ -110,7 +111,7 @@ def train(
                 return Training(progress, None, progress.steps)
         with collected_signals() as received:
             saved = _learn(run, model, progress, report, received)
-        # Of a signal after the last step nothing is left to be stopped.
+        # After the last step a signal has nothing left to stop.
         finished = saved.steps >= run.settings.total_steps
         stopped_by = received[0] if received and not finished else None
         if stopped_by is None:
@@ -121,7 +122,7 @@ def train(
 
 
 def begin_episodes(model: Any, seed: int) -> None:
-    """Begins new episodes, with all random numbers following from the seed and the steps done."""
+    """Begin new episodes, with random numbers that follow from the seed and the steps done."""
     torch = need("torch", extra="train", purpose="Training a policy")
     word = int(np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)[0]) % 2**31
     random.seed(word)
@@ -135,7 +136,7 @@ def begin_episodes(model: Any, seed: int) -> None:
 
 
 def _warn_of_versions(run: Run) -> None:
-    """Says so where a run goes on with other packages than it was begun with."""
+    """Warn if a run resumes with other package versions than it was started with."""
     now = current_versions()
     changed = [
         f"{name} {then} (now {now[name]})"
@@ -149,10 +150,10 @@ def _warn_of_versions(run: Run) -> None:
 
 
 def _on_its_sand(run: Run) -> Run:
-    """The run, with arguments that restore the sand that it was begun on, if need be.
+    """Return the run, with arguments that restore the sand of its start, if needed.
 
     Raises:
-        OutputError: none do.
+        OutputError: no arguments do.
     """
     now = sands_made(run.environment, run.arguments)
     other = run.other_sand(now)
@@ -169,7 +170,7 @@ def _on_its_sand(run: Run) -> Run:
 
 
 def environments_of(run: Run, *, threads: int | None = None, warp: str | None = None) -> Any:
-    """The environments of a run as a `VecNormalize`."""
+    """Return the environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -203,7 +204,7 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
 
 
 def new_model(run: Run, env: Any) -> Any:
-    """An algorithm of Stable-Baselines3 that has learned nothing yet."""
+    """Return an algorithm of Stable-Baselines3 that has learned nothing yet."""
     settings = run.settings
     try:
         return algorithm_class(settings.algorithm)(
@@ -214,12 +215,12 @@ def new_model(run: Run, env: Any) -> Any:
             policy_kwargs=policy_arguments(settings),
             **_arguments(settings, env),
         )
-    except Exception as error:  # it checks its arguments in many ways, some of them not at all
+    except Exception as error:  # its checks of arguments differ, and some are missing
         raise InputError(f"{settings.algorithm}: {' '.join(str(error).split())}") from None
 
 
 def _arguments(settings: Settings, env: Any) -> dict[str, Any]:
-    """Arguments for the algorithm's class: schedules and noise made of their numbers."""
+    """Return arguments for the algorithm's class: schedules and noise made from their numbers."""
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.utils import LinearSchedule
 
@@ -237,7 +238,7 @@ def _arguments(settings: Settings, env: Any) -> dict[str, Any]:
 
 
 class _StoppedError(Exception):
-    """Leaves the algorithm's loop."""
+    """Raised to leave the algorithm's loop."""
 
 
 def _learn(
@@ -265,8 +266,8 @@ def _learn(
 
 
 def _keeper(run: Run, progress: Progress, report: Report | None, received: Sequence[int]) -> Any:
-    """The callback that writes the curve and the checkpoints, each when it is due."""
-    # Its base class comes with an optional package: hence a class within a function.
+    """Return the callback that writes the curve and the checkpoints when they are due."""
+    # Its base class is in an optional package: hence a class within a function.
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Keeper(BaseCallback):
@@ -317,7 +318,7 @@ def _keeper(run: Run, progress: Progress, report: Report | None, received: Seque
             self.next_row = (steps // row_every + 1) * row_every
 
         def seconds(self) -> float:
-            """Time spent in training, in all processes [s]."""
+            """Return the time spent in training, in all processes [s]."""
             return progress.seconds + time.monotonic() - self.began
 
         def add_row(self) -> None:
@@ -343,7 +344,7 @@ def _keeper(run: Run, progress: Progress, report: Report | None, received: Seque
 
 
 def _check_finite(model: Any, run: Run) -> None:
-    """Raise `UnstableError` if a number of the policy is not finite."""
+    """Raise `UnstableError` if a weight of the policy is not finite."""
     torch = need("torch", extra="train", purpose="Training a policy")
     if not all(bool(torch.isfinite(p).all()) for p in model.policy.parameters()):
         raise UnstableError(
@@ -354,7 +355,7 @@ def _check_finite(model: Any, run: Run) -> None:
 
 @contextmanager
 def collected_signals() -> Iterator[list[int]]:
-    """Collects SIGTERM and SIGINT; the second one acts at once, as ever."""
+    """Collect SIGTERM and SIGINT; the second one acts at once, as usual."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield received  # signals belong to the main thread

@@ -1,8 +1,8 @@
 """Files of a policy, read as data: weights and statistics of observations, nothing unpickled.
 
 A file of Stable-Baselines3 is a zip with tensors, which PyTorch can read without executing
-anything, and an entry `data`, half of which are pickles. What is in these follows from the settings
-of the run, except the spaces, which we add to the file as JSON.
+anything, and an entry `data`, half of which are pickles. Their content follows from the settings of
+the run, except the spaces, which we add to the file as JSON.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _VARIABLES = "pytorch_variables"
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num")
 _PURPOSE = "Reading a policy"
 _SMALL = 64 * 2**20  # bytes; an entry may unpack to this much, or to
-_RATIO = 8  # as many times its size in the file; both chosen
+_RATIO = 8  # this many times its size in the file; both chosen
 _BOUNDS = ("low", "high")
 _TYPES = ("float32", "float64", "float16", "int8", "int16", "int32", "int64", "uint8", "uint16")
 
@@ -44,8 +44,8 @@ class Weights:
     """Content of a file of Stable-Baselines3.
 
     Attributes:
-        observation_space: of Gymnasium.
-        action_space: of Gymnasium.
+        observation_space: Gymnasium space of the observations.
+        action_space: Gymnasium space of the actions.
         parameters: state dictionaries: "policy", "policy.optimizer", ...
         variables: further tensors, by name.
         counters: integers of the algorithm, by name.
@@ -62,7 +62,7 @@ def read_weights(file: Path) -> Weights:
     """Read a file that `Algorithm.save` and `add_spaces` wrote; execute nothing in it.
 
     Raises:
-        OutputError: it cannot be read, or is no such file; says what is wrong.
+        OutputError: it cannot be read, or is not such a file; says what is wrong.
     """
     if not file.is_file():
         raise OutputError(f"{file} cannot be read: there is no such file")
@@ -91,7 +91,7 @@ def read_weights(file: Path) -> Weights:
     for name in ("observation_space", "action_space"):
         try:
             spaces[name] = _space(described[name], most)
-        except Exception as error:  # whatever there is in place of a space
+        except Exception as error:  # there may be anything in place of a space
             raise OutputError(f"{file} is damaged: {name}: {brief(error)}") from None
     variables = variables if isinstance(variables, dict) else {}
     return Weights(**spaces, parameters=tensors, variables=variables, counters=counters)
@@ -116,12 +116,12 @@ def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
     """Build the policy that the settings describe, with these weights: a `BasePolicy`.
 
     Args:
-        settings: of the run.
+        settings: settings of the run.
         weights: read from a file.
         file: named in the message.
 
     Raises:
-        OutputError: weights and settings do not go together.
+        OutputError: weights and settings do not match.
     """
     check_size(settings, weights, file)
     sb3 = need("stable_baselines3", extra="train", purpose=_PURPOSE)
@@ -143,7 +143,7 @@ def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
 
 
 def check_size(settings: Settings, weights: Weights, file: Path) -> None:
-    """Refuses settings of a net that is larger than the weights before it is made.
+    """Raise if settings describe a net larger than the weights, before it is made.
 
     Raises:
         OutputError: it is.
@@ -169,18 +169,18 @@ def _entry(archive: zipfile.ZipFile, name: str, file: Path) -> bytes:
 
 
 def _tensors(content: bytes) -> Any:
-    """Reads what PyTorch saved, if that is tensors and plain values."""
+    """Read a file of PyTorch, if it has only tensors and plain values."""
     torch = need("torch", extra="train", purpose=_PURPOSE)
     # Its older kinds of files are not zips, and were not safe to read in older versions.
     if not content.startswith(b"PK"):
         raise pickle.UnpicklingError
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what a stranger's file may have in it
+        warnings.simplefilter("ignore")  # about the content of an untrusted file
         return torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
 
 
 def _state(state: object, file: Path) -> dict[str, Any]:
-    """A policy's weights, if that is what they are: finite numbers by name."""
+    """Return a policy's weights after checking that they are finite numbers by name."""
     torch = need("torch", extra="train", purpose=_PURPOSE)
     if not isinstance(state, dict) or not state:
         raise OutputError(f"{file} is damaged: it holds no weights of a policy")
@@ -195,7 +195,7 @@ def _state(state: object, file: Path) -> dict[str, Any]:
 
 
 def _lists(value: object) -> list[list[int]]:
-    """Lists of whole numbers within a value."""
+    """Return the lists of integers within a value."""
     if isinstance(value, Mapping):
         return [found for item in value.values() for found in _lists(item)]
     if isinstance(value, (list, tuple)):
@@ -222,7 +222,7 @@ def _as_json(space: Any) -> dict[str, Any]:
 
 
 def _space(described: Mapping[str, Any], most: int) -> Any:
-    """Return a space of Gymnasium; one of more than `most` numbers is not that of a policy."""
+    """Return a Gymnasium space; one of more than `most` numbers cannot be that of a policy."""
     spaces = need("gymnasium.spaces", extra="train", purpose=_PURPOSE)
     kind = described["type"]
     if kind == "Discrete":
@@ -269,7 +269,7 @@ class Normalizer:
     Attributes:
         mean: shape of one observation.
         variance: shape of one observation.
-        clip: greatest size of a scaled number.
+        clip: largest absolute value of a scaled number.
         epsilon: added to the variance.
     """
 
@@ -298,12 +298,12 @@ def read_statistics(file: Path, *, normalized: bool, shape: tuple[int, ...]) -> 
     """Read and check what `statistics_of` returned.
 
     Args:
-        file: to read.
+        file: the file.
         normalized: whether the policy was trained on normalized observations.
-        shape: of one observation.
+        shape: shape of one observation.
 
     Raises:
-        OutputError: it is missing, damaged, or that of another policy.
+        OutputError: it is missing, damaged, or from another policy.
     """
     content = read_json(file)
     if content.get("observations") is not normalized:

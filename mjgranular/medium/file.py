@@ -1,4 +1,4 @@
-"""A medium of one's own, from a YAML file."""
+"""A custom medium, from a YAML file."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ constants:
     eta_v: {value: 22, source: guessed}
     exponent: {value: 1.1, source: guessed}
 """
-"""Form of such a file. `grain: {value: ..., unit: m, source: ...}` is optional."""
+"""An example of such a file. `grain: {value: ..., unit: m, source: ...}` is optional."""
 
 _REQUIRED = ("name", "title", "density", "default_law", "constants")
 
 
 def read_medium(path: str | Path) -> Medium:
-    """Reads a medium from a YAML file of the form of `EXAMPLE`.
+    """Read a medium from a YAML file of the form of `EXAMPLE`.
 
-    The file may be anybody's: nothing in it is executed, and no more is read than a medium needs
+    The file may be untrusted: nothing in it is executed, and no more is read than a medium needs
     (`LARGEST`, `medium.outline`).
 
     Raises:
-        InputError: the file cannot be read, is none, or is too large, lacks a key, or a value is
-            not a number or outside its range; says which.
+        InputError: the path cannot be read, is not a file, or is too large; a key is missing; or a
+            value is not a number or out of range; says which.
     """
     if not isinstance(path, (str, Path)):
         raise InputError(f"a medium is read from a file, not from {kind_of(path)}")
@@ -103,7 +103,7 @@ def _quantity(key: str, entry: Any) -> Quantity:
 
 
 def _number(key: str, value: Any) -> float:
-    """A number as Python writes it, or .inf or .nan, which are YAML's."""
+    """Parse a number in Python's notation, or YAML's .inf or .nan."""
     if isinstance(value, str):
         plain = value.lower().replace(".inf", "inf").replace(".nan", "nan")
         try:

@@ -1,4 +1,4 @@
-"""Media by their names, and those that are found by a path."""
+"""Registry of media, and media from files."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _WORDS = re.compile(r"(.*?\S)((?:\s+\w+=\S*)+)\s*")
 
 
 def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
-    """Makes a medium known by its name, everywhere a name of a medium is taken.
+    """Register a medium by its name, for use wherever a medium's name is accepted.
 
     Raises:
-        InputError: another medium has that name and `replace` is false, or it is no medium.
+        InputError: another medium has that name and `replace` is false, or it is not a medium.
     """
     if not isinstance(medium, Medium):
         raise InputError(
@@ -34,14 +34,14 @@ def register_medium(medium: Medium, *, replace: bool = False) -> Medium:
 
 
 def get_medium(medium: str | Path | Medium) -> Medium:
-    """The medium of that name, or `medium` itself if it is one.
+    """Return the medium of a name, or `medium` itself if it is one.
 
-    A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`). With
-    `density=1500` behind a name the medium has another bulk density [kg/m^3].
+    A path, or a name that ends in .yaml or .yml, is that of a file (`medium.file`). `density=1500`
+    after a name changes the bulk density [kg/m^3].
 
     Raises:
         UnknownNameError: no such name; lists those that exist.
-        InputError: a file that does not describe a medium.
+        InputError: the file does not describe a medium.
     """
     if isinstance(medium, Medium):
         return medium
@@ -57,7 +57,7 @@ def get_medium(medium: str | Path | Medium) -> Medium:
 
 
 def _with_options(medium: Medium, options: list[str], name: str) -> Medium:
-    """A medium of another density: what else a medium has are constants of a law, and go there."""
+    """Return a medium of another density, the only option: constants are options of laws."""
     given = dict(option.split("=", 1) for option in options)
     others = given.keys() - {"density"}
     if others or len(given) < len(options):

@@ -1,4 +1,4 @@
-"""A medium: numbers, each with where it comes from."""
+"""A medium: numbers with their sources."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from mjgranular._util.checks import kind_of
 from mjgranular._util.tables import html_table
 from mjgranular.errors import InputError, UnknownNameError, listed, one_line, shown
 
-# From snow to tungsten powder, from dust to gravel: what lies outside is a slip of units.
+# From snow to tungsten powder, from dust to gravel: a value outside has a wrong unit.
 _DENSITIES = (10.0, 25000.0)
 _GRAINS = (1e-6, 0.1)
 
 DYNAMIC = "_dynamic"
-"""End of the names of laws for fast motion: that of `rft3d` is `rft3d_dynamic`."""
+"""Suffix of the names of laws for fast motion: for `rft3d` there is `rft3d_dynamic`."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,16 @@ class Medium:
     """A granular medium.
 
     Attributes:
-        name: the name it is known by.
+        name: the registered name.
         title: what it is, in a few words.
         density: bulk density [kg/m^3].
-        default_law: the law to use when none is asked for.
-        constants: for each law by its name, that law's constants by their names.
-        grain: diameter of a grain [m], None if it is not known.
+        default_law: the law to use when none is given.
+        constants: for each law's name, its constants by their names.
+        grain: diameter of a grain [m], None if unknown.
 
     Raises:
-        InputError: a density or grain size outside its range, a constant that is not finite, or a
-            default law without constants.
+        InputError: a density or grain size is out of range, a constant is not finite, or the
+            default law has no constants.
     """
 
     name: str
@@ -114,14 +114,14 @@ class Medium:
             )
 
     def __repr__(self) -> str:
-        """Short; `_repr_html_` and `mjgranular list media NAME` have numbers and sources."""
+        """Return a short form; `_repr_html_` and `mjgranular list media NAME` have the numbers."""
         return (
             f"Medium({shown(self.name)}: {one_line(self.title)}, {self.density.value:g} kg/m^3, "
             f"laws {listed(self.laws)})"
         )
 
     def _repr_html_(self) -> str:
-        """All numbers with their sources, for notebooks."""
+        """Return all numbers with their sources, for notebooks."""
         general = {"density": self.density, **({"grain": self.grain} if self.grain else {})}
         rows = [
             (law, key, quantity.value, quantity.unit, quantity.source)
@@ -133,21 +133,21 @@ class Medium:
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """The law that is used when none is asked for, and others that it has constants of."""
+        """The default law, and others that it has constants for."""
         others = (law for law in self.constants if law != self.default_law)
         return (self.default_law, *others)
 
     def key_for(self, law: str) -> str | None:
-        """Finds the law under whose name this medium has constants for a law; None if it has none.
+        """Return the name of the law whose constants in this medium serve a law; None if none do.
 
-        Constants of a quasi-static law serve that for fast motion, whose name is longer by
-        `DYNAMIC`, where it has none of its own.
+        Constants of a quasi-static law serve that for fast motion, whose name has the suffix
+        `DYNAMIC`, if it has no constants itself.
         """
         slow = law.removesuffix(DYNAMIC) if isinstance(law, str) else law
         return next((name for name in (law, slow) if name in self.constants), None)
 
     def constants_for(self, law: str) -> dict[str, float]:
-        """The values of this medium's constants for a law, under the name that `key_for` finds.
+        """Return the values of this medium's constants for a law, found by `key_for`.
 
         Raises:
             UnknownNameError: the medium has no constants for that law; lists those it has.

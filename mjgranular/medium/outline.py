@@ -1,7 +1,7 @@
-"""YAML read as mappings, lists and texts, and as nothing else.
+"""YAML restricted to mappings, lists and strings.
 
 Only the parser of PyYAML runs, with its safe loader's grammar, and none of its constructors: no
-object, date or number is made of what a file says, and the work grows with its size alone.
+object, date or number is made from a file, and the work is proportional to its size.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mjgranular._util.extras import need
 from mjgranular._util.reading import place, read_file
 from mjgranular.errors import InputError, shown
 
-# Chosen: a medium needs a depth of 4, and its longest text is a citation.
+# Chosen: a medium needs a depth of 4, and its longest string is a citation.
 _DEEPEST = 8
 _LONGEST_TEXT = 2000
 
@@ -22,25 +22,25 @@ _WORDS = {"": None, "~": None, "null": None, "true": True, "false": False}
 
 
 class OutlineError(InputError):
-    """Error in a text, with its line."""
+    """Error in a YAML document, with its line."""
 
 
 def read_outline_file(
     path: Path, what: str, needed: str, *, largest: int, extra: str, purpose: str
 ) -> Any:
-    """Reads a YAML file as `read_outline` does.
+    """Read a YAML file as `read_outline` does.
 
     Args:
-        path: of the file.
-        what: it is to be, in messages: "the medium".
-        needed: by whom: "a medium needs".
-        largest: size of the file [bytes].
-        extra: that brings PyYAML.
-        purpose: of reading, for the message where it is missing.
+        path: path of the file.
+        what: expected content, for messages: "the medium".
+        needed: what needs PyYAML: "a medium needs".
+        largest: largest accepted size of the file [bytes].
+        extra: the extra that installs PyYAML.
+        purpose: purpose of reading, for the message if PyYAML is missing.
 
     Raises:
-        InputError: the file cannot be read, is too large, or is no such YAML; says which.
-        MissingExtraError: there is no PyYAML.
+        InputError: the file cannot be read, is too large, or is not such YAML; says which.
+        MissingExtraError: PyYAML is not installed.
     """
     yaml = need("yaml", extra=extra, purpose=purpose)
     content = read_file(path, what, largest=largest)
@@ -53,15 +53,15 @@ def read_outline_file(
 
 
 def read_outline(text: str, yaml: Any) -> Any:
-    """Reads YAML: dicts, lists, texts, and None, True and False where they stand without quotes.
+    """Read YAML: dicts, lists, strings, and unquoted None, True and False.
 
     Args:
         text: one document.
-        yaml: the module.
+        yaml: the module `yaml`.
 
     Raises:
-        OutlineError: it is not YAML, or has what an outline does not: tags, several documents, a
-            key twice, an alias for more than a text, deep nesting, endless texts.
+        OutlineError: it is not YAML, or has unsupported content: tags, several documents, a
+            duplicate key, an alias of something else than a string, deep nesting, long strings.
     """
     try:
         return _Reader(yaml, yaml.parse(text, Loader=yaml.SafeLoader)).document()
@@ -73,12 +73,12 @@ def read_outline(text: str, yaml: Any) -> Any:
 
 
 class _Reader:
-    """Goes through the parser's events once."""
+    """Reads the parser's events once."""
 
     def __init__(self, yaml: Any, events: Iterator[Any]) -> None:
         self._yaml = yaml
         self._events = events
-        self._texts: dict[str, Any] = {}  # by their anchors
+        self._texts: dict[str, Any] = {}  # strings by their anchors
 
     def document(self) -> Any:
         next(self._events)  # of the stream
@@ -119,7 +119,7 @@ class _Reader:
         return content
 
     def _inner(self) -> Iterator[Any]:
-        """The events up to the end of a list or mapping."""
+        """Yield the events up to the end of a list or mapping."""
         for event in self._events:
             if isinstance(event, self._yaml.CollectionEndEvent):
                 return

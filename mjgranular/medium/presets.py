@@ -32,8 +32,8 @@ play_sand = register_medium(
     Medium(
         name="play_sand",
         title="Play sand (Quikrete 1113-51)",
-        # The value the paper uses is that of quartz grains rather than of a bed with air between
-        # them. The coefficients belong to it, so it is kept.
+        # The paper uses the density of quartz grains, not of a bed with air between them. Its
+        # coefficients assume that value, so it is kept.
         density=Quantity(2500.0, "kg/m^3", f"{_LINK_PAPER}, section 4"),
         default_law="link",
         constants={
@@ -95,8 +95,8 @@ glass_beads = register_medium(
     )
 )
 
-# Their own law is the one that was confirmed on fast motion (docs/validity.md), though the table
-# for plates is what was measured of them.
+# Their default law is the one that was validated for fast motion (docs/validity.md), although the
+# measurements are the table for plates.
 
 
 def _measured(
@@ -114,14 +114,14 @@ def _measured(
 
     Args:
         name: its name.
-        title: its title; with a small first letter, the name it has in their tables.
-        density: of the grains [kg/m^3] and the share of the bed that they fill.
+        title: its title; with a lower-case first letter, its name in their tables.
+        density: density of the grains [kg/m^3] and volume fraction of the bed.
         repose: angle of repose [degrees].
-        plate: alpha_z of a level plate that is pushed straight down [N/cm^3], as measured. The
-            Fourier series is 5 to 28 % softer there.
+        plate: measured alpha_z of a level plate pushed straight down [N/cm^3]. The Fourier series
+            is 5 to 28 % softer there.
         fourier: coefficients of the series [N/cm^3].
         grain: diameter of a grain [m].
-        surface_friction: of a body on the grains.
+        surface_friction: friction coefficient of a body on the grains.
     """
     bulk = Quantity(
         density[0] * density[1],
@@ -184,7 +184,7 @@ poppy_seed_close = register_medium(
 )
 
 _ON_GLASS = Quantity(0.4, "", _CHOSEN)
-# Of grains: the table gives 2500 to 2600 for both sizes of beads; the middle is taken.
+# Density of grains: the table gives 2500 to 2600 for both sizes of beads; this is the mean.
 _GLASS = 2550.0
 
 glass_beads_loose = register_medium(
@@ -228,7 +228,7 @@ glass_beads_3mm_close = register_medium(
 
 
 def _natural(name: str, title: str, plate: float) -> Medium:
-    """Make a medium of which one number was measured: a level plate pushed down [N/cm^3]."""
+    """Make a medium from one measurement: a level plate pushed down [N/cm^3]."""
     return Medium(
         name=name,
         title=title,

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 
 TILTS, ATTACKS = 7, 13
-"""Tilts from -90 to 90 degrees, a sixth of a half turn apart; attacks from -90 to 90 degrees, at
-tangents or cotangents of 0, 1/3, 2/3 and 1."""
+"""Tilts from -90 to 90 degrees in steps of 30; attacks from -90 to 90 degrees, at tangents or
+cotangents of 0, 1/3, 2/3 and 1."""
 
 
 @cache
 def measured_stresses() -> dict[str, np.ndarray]:
-    """Return the stresses by the names of their media [N/cm^3].
+    """Return the stresses by the names of the media [N/cm^3].
 
     Returns:
-        alpha_z and alpha_x, shape (2, TILTS, ATTACKS), both angles rising.
+        alpha_z and alpha_x, shape (2, TILTS, ATTACKS), both angles ascending.
     """
     with Path(__file__).with_name("stresses.csv").open(encoding="utf-8") as file:
         head, *rows = csv.reader(file)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["FORMATS", "add_elements", "check_file", "count", "draw_elements", "kind_of"]
 
 FORMATS = (".png", ".svg", ".pdf")
-"""Endings of the files that a figure can be written to."""
+"""File extensions that a figure can be written to."""
 
 _SAND = "#D9BC85"
 _STYLE = {
@@ -36,21 +36,21 @@ _STYLE = {
     "legend.frameon": False,
 }
 _MOST_NAMED = 10  # entries of a legend
-_LEAST_SIDE = 0.25  # of a figure's box, as a share of its longest side
-_LIGHT = np.array([0.35, -0.60, 0.72])  # towards the light of a figure
+_LEAST_SIDE = 0.25  # least side of a figure's box, relative to its longest side
+_LIGHT = np.array([0.35, -0.60, 0.72])  # toward the light of a figure
 
 
 def count(number: int, things: str) -> str:
-    """A number of things in words: "1 facet", "184 facets", "2 bodies"."""
+    """Return a count of things: "1 facet", "184 facets", "2 bodies"."""
     one = "body" if things == "bodies" else things.removesuffix("s")
     return f"{number} {one if number == 1 else things}"
 
 
 def check_file(file: Path) -> None:
-    """Refuses a file that no figure can be written to.
+    """Check that a figure can be written to a file.
 
     Raises:
-        InputError: its ending is none of `FORMATS`.
+        InputError: its extension is not in `FORMATS`.
     """
     if file.suffix.lower() not in FORMATS:
         raise InputError(
@@ -70,21 +70,21 @@ def draw_elements(
     title: str | None = None,
     file: str | Path | None = None,
 ) -> Figure:
-    """Draws the elements as they lie on the bodies, in space, all axes to the same scale.
+    """Draw the elements on the bodies in 3D, all axes to the same scale.
 
-    Rods have their length and width. A facet is a parallelogram, or a disc where it has no edges,
-    as a mesh's triangle; its area is the true one. Blobs are drawn as the outlines that their
-    support functions describe. Where a plane of sand passes through the picture, it is drawn too.
+    Rods have their length and width. A facet is a parallelogram with its true area, or a disc if it
+    has no edges, like a triangle of a mesh. Blobs are drawn as the outlines that their support
+    functions describe. A plane of sand is drawn where it passes through the picture.
 
     Args:
-        sand: whose elements.
-        qpos: where the bodies are; None for the model's `qpos0`.
-        qvel: how they move; None for not at all. Matters to `forces` only.
-        color: what colours stand for: "body", "geom", or "depth" below the surface.
-        normals: whether facets have their normals drawn.
+        sand: the sand whose elements are drawn.
+        qpos: positions of the bodies; None for the model's `qpos0`.
+        qvel: their velocities; None for zero. Only affects `forces`.
+        color: meaning of the colors: "body", "geom", or "depth" below the surface.
+        normals: whether normals of facets are drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
-        title: first line above the picture, over the counts.
-        file: to save the picture in, .png, .svg or .pdf; None for none.
+        title: first line above the picture, above the counts.
+        file: file for the picture, .png, .svg or .pdf; None to save nothing.
 
     Returns:
         The figure, made without pyplot.
@@ -92,7 +92,7 @@ def draw_elements(
     Raises:
         InputError: a state of the wrong length or not finite, or a kind of file that cannot be
             written.
-        UnknownNameError: nothing can be coloured so; lists the ways.
+        UnknownNameError: no such coloring; lists the valid ones.
         MissingExtraError: matplotlib is not installed; gives the install line.
         OutputError: the file cannot be written.
     """
@@ -137,7 +137,7 @@ def _save(figure: Figure, file: Path) -> None:
 
 
 def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: bool) -> None:
-    """Draws the elements, the sand and what the colours mean into an empty figure."""
+    """Draw the elements, the sand and a legend into an empty figure."""
     art = need("mpl_toolkits.mplot3d.art3d", extra="figures", purpose="Drawing elements")
     axes = figure.add_axes((0.0, 0.06, 0.88, 0.86), projection="3d", computed_zorder=False)
     polygons, owners = polygons_of(shown)
@@ -178,7 +178,7 @@ def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: boo
 
 
 def _shaded(polygons: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """Colours of polygons under a light, whichever side is seen."""
+    """Return the colors of polygons under a light, from either side."""
     normals = area_vectors(polygons)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     light = np.abs(normals @ (_LIGHT / np.linalg.norm(_LIGHT)))
@@ -186,7 +186,7 @@ def _shaded(polygons: np.ndarray, colors: np.ndarray) -> np.ndarray:
 
 
 def _box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box that is shown: around all points, no side much shorter than another."""
+    """Return the corners of a box around all points, no side much shorter than another."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half = (low + high) / 2, 1.04 * (high - low) / 2
     half = np.maximum(half, _LEAST_SIDE * half.max())
@@ -206,7 +206,7 @@ def _set_axes(axes: Any, low: np.ndarray, high: np.ndarray) -> None:
 
 
 def _draw_plane(axes: Any, art: Any, plane: Plane, low: np.ndarray, high: np.ndarray) -> None:
-    """Draws the sand's surface where it passes through the box."""
+    """Draw the sand's surface where it passes through the box."""
     cut = _cut_box(plane, low, high)
     if len(cut) < 3:
         return
@@ -218,7 +218,7 @@ def _draw_plane(axes: Any, art: Any, plane: Plane, low: np.ndarray, high: np.nda
 
 
 def _cut_box(plane: Plane, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Corners, in order, of what a box cuts out of a plane, shape (k, 3), k at most 6."""
+    """Return the corners, in order, of the part of a plane in a box, shape (k, 3), k at most 6."""
     sides = np.array(list(itertools.product((0, 1), repeat=3)))
     corners = low + sides * (high - low)
     above = (corners - [0, 0, plane.height]) @ plane.normal
@@ -246,7 +246,7 @@ def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
 
 
 def _draw_scale(figure: Any, depth: np.ndarray) -> None:
-    """Scale of the colours of depth."""
+    """Draw the scale of the colors of depth."""
     cm = need("matplotlib.cm", extra="figures", purpose="Drawing elements")
     colors = need("matplotlib.colors", extra="figures", purpose="Drawing elements")
     low, high = float(depth.min()), float(depth.max())

@@ -1,4 +1,4 @@
-"""Figures of runs, in the kind of the paper's."""
+"""Figures of runs, in the style of the paper."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STYLE = {
 
 
 def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
-    """An empty figure of that size in inches, made without pyplot's global state."""
+    """Return an empty figure of a size in inches, made without pyplot's global state."""
     matplotlib = need("matplotlib", extra="figures", purpose="Drawing figures")
     need("matplotlib.figure", extra="figures", purpose="Drawing figures")
     context = matplotlib.rc_context(_STYLE)
@@ -39,7 +39,7 @@ def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
 
 
 def save_figure(figure: Any, context: Any, path: Path) -> None:
-    """Writes a figure of `figure_of_size`."""
+    """Write a figure of `figure_of_size`."""
     try:
         with whole(path) as part:
             figure.savefig(part)
@@ -48,13 +48,13 @@ def save_figure(figure: Any, context: Any, path: Path) -> None:
 
 
 def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
-    """Depth and velocity of T and the link's angle against time, as in Figs. 2-4 and 6-8.
+    """Draw depth and velocity of T and the link's angle against time, as in Figs. 2-4 and 6-8.
 
     Args:
-        path: of the picture.
+        path: path of the picture.
         trajectory: the run.
-        stop: time of the stop since release [s], marked if there was one.
-        title: above the figure.
+        stop: time from release to the stop [s], drawn if there was one.
+        title: title of the figure.
     """
     figure, context = figure_of_size(6.4, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
@@ -74,7 +74,7 @@ def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title
 
 
 def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
-    """Force, moment and power of the sand, and the link's energy, against time.
+    """Draw force, moment and power of the sand, and the link's energy, against time.
 
     Args: as for `draw_motion`.
     """
@@ -115,13 +115,13 @@ def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
 
 
 def draw_prints(path: Path, x: np.ndarray, height: np.ndarray, *, title: str = "") -> None:
-    """The surface of sand that remembers, cut along the plane of motion.
+    """Draw the surface of sand with memory, cut along the plane of motion.
 
     Args:
-        path: of the picture.
-        x: along the surface [m], shape (n,).
-        height: of the sand over the surface as it was [m], shape (n,).
-        title: above the figure.
+        path: path of the picture.
+        x: position along the surface [m], shape (n,).
+        height: height of the sand over the undisturbed surface [m], shape (n,).
+        title: title of the figure.
     """
     figure, context = figure_of_size(6.4, 3.2)
     axes = figure.subplots()
@@ -143,18 +143,18 @@ def draw_drop(
     *,
     title: str = "",
 ) -> None:
-    """Depth, force and power of the bodies that met the sand, against time.
+    """Draw depth, force and power of the bodies that met the sand, against time.
 
-    Of many those with the largest forces are drawn.
+    If there are many, those with the largest forces are drawn.
 
     Args:
-        path: of the picture.
+        path: path of the picture.
         t: times [s], shape (n,).
-        names: of the bodies.
+        names: names of the bodies.
         depth: [m], shape (n, bodies).
         force: [N], shape (n, bodies, 3).
-        power: of the sand [W], shape (n, bodies).
-        title: above the figure.
+        power: power of the sand [W], shape (n, bodies).
+        title: title of the figure.
     """
     figure, context = figure_of_size(6.8, 7.2)
     axes = figure.subplots(3, 1, sharex=True)
@@ -181,14 +181,14 @@ def draw_drop(
 def draw_intrusion(
     path: Path, depth: np.ndarray, force: np.ndarray, moment: np.ndarray, *, title: str = ""
 ) -> None:
-    """Force and moment against depth.
+    """Draw force and moment against depth.
 
     Args:
-        path: of the picture.
-        depth: of the intruder's deepest point [m], shape (n,).
-        force: along the path, across it and sideways [N], shape (n, 3).
-        moment: about the intruder's centre [N m], shape (n, 3).
-        title: above the figure.
+        path: path of the picture.
+        depth: depth of the intruder's deepest point [m], shape (n,).
+        force: force along the path, across it and sideways [N], shape (n, 3).
+        moment: moment about the intruder's center [N m], shape (n, 3).
+        title: title of the figure.
     """
     figure, context = figure_of_size(6.4, 6.4)
     axes = figure.subplots(2, 1, sharex=True)
@@ -200,7 +200,7 @@ def draw_intrusion(
     for k, (label, colour) in enumerate(zip("xyz", (_OCHRE, _BLUE, _GREY), strict=True)):
         axes[1].plot(depth * 1e3, moment[:, k], color=colour, label=f"about {label}")
     if np.abs(moment).max() < 1e-9 * max(np.abs(force).max(), 1e-300):
-        axes[1].set_ylim(-1, 1)  # nothing but rounding
+        axes[1].set_ylim(-1, 1)  # only rounding errors
     axes[1].set_ylabel("moment about the centre [N m]")
     axes[1].set_xlabel("depth of the deepest point [mm]")
     axes[1].legend()

@@ -1,4 +1,4 @@
-"""Figure of a fit: every run's curve, measured and as the fitted law has it."""
+"""Figure of a fit: every run's curve, measured and predicted by the fitted law."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _MOST = 24  # curves in a figure
 
 
 def draw_fit(path: Path, result: FitResult, *, title: str = "") -> None:
-    """Every run's curves: what was measured as dots, what the fitted law makes of it as a line.
+    """Draw every run's curves: measurements as dots, predictions of the fitted law as lines.
 
     Args:
-        path: of the picture.
+        path: path of the picture.
         result: the fit.
-        title: above the figure; "" for the constants that were found.
+        title: title of the figure; "" for the fitted constants.
     """
     curves = [(name, curve) for name, found in result.curves.items() for curve in found][:_MOST]
     columns = min(3, len(curves))
@@ -58,6 +58,6 @@ def draw_fit(path: Path, result: FitResult, *, title: str = "") -> None:
 
 
 def _constants(result: FitResult) -> str:
-    """The constants that were found, in a line."""
+    """Return the fitted constants, in one line."""
     values = (f"{name} = {value:.3g}" for name, value in result.values.items())
     return f"{result.material.law.name}: {', '.join(values)}"

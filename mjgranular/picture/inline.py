@@ -1,4 +1,4 @@
-"""Films that notebooks show."""
+"""Films in notebooks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PURPOSE = "Showing a film"
 
 
 def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
-    """Plays a film; see `mjgranular.show`."""
+    """Play a film; see `mjgranular.show`."""
     if not isinstance(fps, int) or not 1 <= fps <= 240:
         raise InputError(f"a film has 1 to 240 frames a second, a whole number, not {kind_of(fps)}")
     mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
@@ -27,7 +27,7 @@ def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
 
 
 def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[np.ndarray]:
-    """The pictures of a film, or of a result."""
+    """Return the pictures of a film, or of a result."""
     if isinstance(film, DropResult):
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
         model, _ = load(film.drop)
@@ -44,7 +44,7 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         return list(drawn[1])
     try:
         pictures = [np.asarray(picture) for picture in film]
-    except (TypeError, ValueError, UnknownNameError):  # nothing of which there are several
+    except (TypeError, ValueError, UnknownNameError):  # not a sequence, nor a known result
         pictures = []
     if not pictures or any(p.ndim != 3 or p.shape != pictures[0].shape for p in pictures):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Outlines of elements: the polygons that a figure of them is made of."""
+"""Outlines of elements: the polygons of a figure."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from mjgranular.picture.shown import Shown
 
 AROUND = 24
-"""Corners of what is drawn for a circle."""
-_LEAST_SHARE = 0.25  # of a facet's area has the parallelogram of its edges, or it is a disc
+"""Number of corners of a drawn circle."""
+_LEAST_SHARE = 0.25  # least area of the edges' parallelogram, relative to the facet's; else a disc
 
 
 def polygons_of(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
-    """Polygons of elements in the world frame, and the element that each belongs to."""
+    """Return polygons of elements in the world frame, and the element that each belongs to."""
     e, n = shown.elements, np.arange(len(shown.elements))
     if shown.kind == "facets":
         return shown.place(facet_corners(e)), n
@@ -30,20 +30,20 @@ def polygons_of(shown: Shown) -> tuple[np.ndarray, np.ndarray]:
     sides = padded(quads.reshape(-1, 4, 3), AROUND)
     polygons = np.concatenate([sides, grids[:, 0], grids[:, -1]])
     owners = np.concatenate([n.repeat(len(sides) // len(e)), n, n])
-    # Directions that share their outermost points, as at a corner, leave nothing between them.
+    # Directions with the same outermost point, as at a corner, have empty polygons between them.
     area = np.linalg.norm(area_vectors(polygons), axis=1)
     seen = area > 1e-6 * shown.sizes[owners] ** 2
     return polygons[seen], owners[seen]
 
 
 def padded(polygons: np.ndarray, corners: int) -> np.ndarray:
-    """Polygons with their last corners repeated until they have so many."""
+    """Repeat the last corners of polygons until each has `corners` corners."""
     last = np.repeat(polygons[:, -1:], corners - polygons.shape[1], axis=1)
     return np.concatenate([polygons, last], axis=1)
 
 
 def facet_corners(facets: np.ndarray) -> np.ndarray:
-    """Corners of facets in their bodies' frames, shape (n, k, 3): of their true area."""
+    """Return the corners of facets in body frames, shape (n, k, 3), with the true area."""
     wide, edges = half_edges(facets)
     around = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ edges
     if not wide.all():
@@ -54,10 +54,10 @@ def facet_corners(facets: np.ndarray) -> np.ndarray:
 
 
 def half_edges(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Facets that are drawn as parallelograms, shape (n,), and their half edges, shape (m, 2, 3).
+    """Return which facets are parallelograms, shape (n,), and their half edges, shape (m, 2, 3).
 
-    The edges are scaled to the facets' areas. A triangle by itself has none, a patch that is hidden
-    but for a strip hardly any: those are drawn as discs.
+    The edges are scaled to the facets' areas. A single triangle has no edges, and those of a patch
+    hidden except for a strip are tiny: both are drawn as discs.
     """
     if "edges" not in (facets.dtype.names or ()):
         return np.zeros(len(facets), bool), np.zeros((0, 2, 3))
@@ -68,20 +68,20 @@ def half_edges(facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rod_rims(rods: np.ndarray) -> np.ndarray:
-    """Corners of the two ends of rods in their bodies' frames, shape (n, 2 * AROUND, 3)."""
+    """Return the corners of the two ends of rods in body frames, shape (n, 2 * AROUND, 3)."""
     ring = (rods["width"] / 2)[:, None, None] * _circles(rods["axis"])
     along = (rods["half_length"][:, None] * rods["axis"])[:, None]
     return rods["center"][:, None] + np.concatenate([ring - along, ring + along], axis=1)
 
 
 def _circles(axes: np.ndarray) -> np.ndarray:
-    """Points on circles of radius 1 about axes, shape (n, AROUND, 3)."""
+    """Return points on circles of radius 1 about axes, shape (n, AROUND, 3)."""
     turn = 2 * math.pi * np.arange(AROUND) / AROUND
     return np.stack([np.cos(turn), np.sin(turn)], axis=1) @ frames_of(axes)[:, :, :2].mT
 
 
 def _blob_points(blobs: np.ndarray) -> np.ndarray:
-    """Points of blobs in their bodies' frames, shape (n, (AROUND / 2) * AROUND, 3).
+    """Return points of blobs in body frames, shape (n, (AROUND / 2) * AROUND, 3).
 
     They are the outermost points in directions of a grid of latitude and longitude, none of which
     lies in a plane of symmetry, where a box would have more than one.
@@ -102,18 +102,18 @@ def _blob_points(blobs: np.ndarray) -> np.ndarray:
 
 
 def frames_of(axes: np.ndarray) -> np.ndarray:
-    """Right-handed frames in columns whose z is a given unit vector, shape (n, 3, 3)."""
+    """Return right-handed frames in columns with given unit vectors as z, shape (n, 3, 3)."""
     first = np.cross(axes, np.eye(3)[np.argmin(np.abs(axes), axis=1)])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([first, np.cross(axes, first), axes], axis=2)
 
 
 def _disc_radius(area: np.ndarray) -> np.ndarray:
-    """Radius of the regular polygon with as many corners as a circle is drawn with [m]."""
+    """Return the radius of the polygon with `AROUND` corners and a given area [m]."""
     return np.sqrt(2 * area / (AROUND * math.sin(2 * math.pi / AROUND)))
 
 
 def area_vectors(polygons: np.ndarray) -> np.ndarray:
-    """Area times normal of polygons of equally many corners, shape (n, 3)."""
+    """Return area times normal of polygons with the same number of corners, shape (n, 3)."""
     arms = polygons - polygons[:, :1]
     return np.cross(arms[:, 1:-1], arms[:, 2:]).sum(axis=1) / 2

@@ -1,4 +1,4 @@
-"""Names in figures: anybody's, and not to be taken for formulas."""
+"""Names in figures: arbitrary strings, which must not be read as formulas."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from mjgranular.errors import one_line
 
 
 def plain(text: str) -> str:
-    """A text that matplotlib draws as it is: no formula between dollars, nothing left out.
+    """Return a string that matplotlib draws literally: no formula between dollars, no omission.
 
     Labels that begin with an underscore would be missing from a legend.
     """

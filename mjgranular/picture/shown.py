@@ -1,4 +1,4 @@
-"""Elements at one instant: what figures and scenes of them are drawn from."""
+"""Elements at one instant: the data of figures and scenes."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from mjgranular.sand import Report, Sand
 Kind = Literal["rods", "facets", "blobs"]
 Color = Literal["body", "geom", "depth"]
 
-# A field that the elements of one kind have and those of the others have not.
+# A field that only the elements of this kind have.
 _MARKS: dict[str, Kind] = {"half_length": "rods", "normal": "facets", "halves": "blobs"}
 
-# Okabe and Ito's colours, which stay apart for colour-blind readers.
+# Okabe and Ito's colors, which color-blind readers can distinguish.
 _PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8A8A8A", "#F0E442")
 DEPTHS = ("#F7E3B5", "#E0A85E", "#B0653B", "#6B3A3A", "#2B1B33")
-"""Colours from shallow to deep."""
+"""Colors from shallow to deep."""
 RED, INK = "#C0281C", "#303030"
-"""Colours of forces, and of lines."""
+"""Colors of forces, and of lines."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class Shown:
     """Elements at one instant, in the world frame.
 
     Attributes:
-        kind: what they are.
-        elements: as the law has them.
-        origin: of each element's body [m], shape (n, 3).
-        turn: axes of each element's body in columns, shape (n, 3, 3).
-        report: what the sand does to them.
+        kind: their kind.
+        elements: the law's structured array.
+        origin: origin of each element's body [m], shape (n, 3).
+        turn: rotation matrix of each element's body, axes in columns, shape (n, 3, 3).
+        report: the sand's action on them.
         colors: red, green and blue, 0 to 1, shape (n, 3).
-        names: what the colours stand for, in the order of the model; empty for depths.
+        names: meaning of the colors, in the order of the model; empty for depths.
     """
 
     kind: Kind
@@ -49,7 +49,7 @@ class Shown:
 
     @classmethod
     def at(cls, sand: Sand, data: mujoco.MjData, color: str) -> Shown:
-        """The elements where the bodies in `data` are."""
+        """Return the elements at the state in `data`."""
         kind, elements, report = kind_of(sand), sand.elements, sand.report(data)
         if color == "depth":
             names, colors = {}, _depth_colors(report.table.depth)
@@ -59,7 +59,7 @@ class Shown:
             tints = np.array([rgb(_PALETTE[k % len(_PALETTE)]) for k in range(len(ids))])
             names = {words[int(i)]: tint for i, tint in zip(ids, tints, strict=True)}
             colors = tints[rank]
-            if kind == "rods":  # every other piece of a geom darker, lest they look like one
+            if kind == "rods":  # every other piece of a geom darker, to tell them apart
                 _, first, geom = np.unique(elements["geom"], return_index=True, return_inverse=True)
                 colors[(np.arange(len(elements)) - first[geom]) % 2 == 1] *= 0.75
         else:
@@ -69,18 +69,18 @@ class Shown:
         return cls(kind, elements, data.xpos[body], turn, report, colors, names)
 
     def place(self, local: np.ndarray) -> np.ndarray:
-        """World positions of points given in the frames of the bodies, shape (n, k, 3)."""
+        """Return world positions of points given in body frames, shape (n, k, 3)."""
         return self.origin[:, None] + np.einsum("nij,nkj->nki", self.turn, local)
 
     @property
     def middles(self) -> np.ndarray:
-        """World positions of the elements' middles [m], shape (n, 3)."""
+        """The world positions of the elements' centers [m], shape (n, 3)."""
         name = "point" if self.kind == "facets" else "center"
         return self.place(self.elements[name][:, None])[:, 0]
 
     @property
     def sizes(self) -> np.ndarray:
-        """Size of each element [m], shape (n,)."""
+        """The size of each element [m], shape (n,)."""
         e = self.elements
         if self.kind == "facets":
             return np.sqrt(e["area"])
@@ -90,12 +90,12 @@ class Shown:
 
     @property
     def reach(self) -> float:
-        """Size of all of them together [m]."""
+        """The size of all of them together [m]."""
         middles, half = self.middles, self.sizes[:, None] / 2
         return float(((middles + half).max(axis=0) - (middles - half).min(axis=0)).max())
 
     def normals(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of short normals of the facets [m], each of shape (n, 3)."""
+        """Return both ends of short normals of the facets [m], each of shape (n, 3)."""
         if self.kind != "facets":
             return np.zeros((0, 3)), np.zeros((0, 3))
         length = np.minimum(0.5 * self.sizes, 0.06 * self.reach)
@@ -103,12 +103,12 @@ class Shown:
         return self.middles, self.place(ends[:, None])[:, 0]
 
     def forces(self, scale: float | None) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of arrows of the forces [m], each of shape (m, 3), m at most n.
+        """Return both ends of arrows of the forces [m], each of shape (m, 3), m at most n.
 
-        Facets are pushed from outside: their arrows end where the force acts. Others begin there.
+        Forces push facets from outside: their arrows end where the force acts. Others start there.
 
         Args:
-            scale: length of one newton [m]; None to make the greatest force 0.3 of the reach.
+            scale: length of one newton [m]; None to make the largest force 0.3 of the reach.
         """
         table = self.report.table
         size = np.linalg.norm(table.force, axis=1)
@@ -120,10 +120,10 @@ class Shown:
 
 
 def kind_of(sand: Sand) -> Kind:
-    """Finds the kind of elements that a law has cut the geoms into.
+    """Find the kind of elements that a law has cut the geoms into.
 
     Raises:
-        InputError: a law of one's own with elements of another kind.
+        InputError: a custom law has elements of another kind.
     """
     fields = sand.elements.dtype.names or ()
     for mark, kind in _MARKS.items():
@@ -136,17 +136,17 @@ def kind_of(sand: Sand) -> Kind:
 
 
 def rgb(color: str) -> np.ndarray:
-    """Red, green and blue, 0 to 1, of a colour as #RRGGBB."""
+    """Return red, green and blue, 0 to 1, of a color #RRGGBB."""
     return np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)]) / 255
 
 
 def with_alpha(colors: np.ndarray, alpha: float) -> np.ndarray:
-    """Colours with an opacity, shape (n, 4)."""
+    """Add an opacity to colors, shape (n, 4)."""
     return np.column_stack([colors, np.full(len(colors), alpha)])
 
 
 def _depth_colors(depth: np.ndarray) -> np.ndarray:
-    """Colours between the shallowest and the deepest of some depths, shape (n, 3)."""
+    """Return the colors of depths, from the shallowest to the deepest, shape (n, 3)."""
     stops = np.array([rgb(color) for color in DEPTHS])
     share = (depth - depth.min()) / max(float(np.ptp(depth)), 1e-300)
     at = np.linspace(0, 1, len(stops))

@@ -1,4 +1,4 @@
-"""Elements as solids in a scene of MuJoCo's."""
+"""Elements as solids in a MuJoCo scene."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjgranular.picture.shown import INK, RED, Color, Shown, rgb, with_alpha
 from mjgranular.sand import Sand
 
 GAP = 0.97
-"""Part of their size that solids have, so that neighbours can be told apart."""
+"""Relative size of solids, less than one so that neighbors can be distinguished."""
 
 
 def add_elements(
@@ -27,32 +27,32 @@ def add_elements(
     force_scale: float | None = None,
     fade: float = 0.25,
 ) -> int:
-    """Adds the elements to a scene, as decoration: to the scene of a renderer or of a viewer.
+    """Add the elements to a scene, as decoration: to the scene of a renderer or of a viewer.
 
     Call it after `renderer.update_scene(data)`, or for a passive viewer with `viewer.user_scn`,
-    whose `ngeom` is set to 0 first. Positions are those in `data`, as the scene's own are. Facets
-    are thin slabs (discs where they have no edges), rods cylinders, blobs solids.
+    whose `ngeom` is set to 0 first. Positions are those in `data`, as for the scene itself. Facets
+    are thin slabs (discs if they have no edges), rods are cylinders, blobs are solids.
 
     Args:
-        scene: to be added to.
-        sand: whose elements.
+        scene: the scene to add to.
+        sand: the sand whose elements are drawn.
         data: the simulation.
-        color: what colours stand for: "body", "geom", or "depth" below the surface.
-        normals: whether facets have their normals drawn.
+        color: meaning of the colors: "body", "geom", or "depth" below the surface.
+        normals: whether normals of facets are drawn.
         forces: whether the sand's force on each element is drawn, as an arrow.
-        force_scale: length of an arrow of one newton [m]; None to make the greatest of the instant
+        force_scale: length of an arrow of one newton [m]; None to make the largest of the instant
             0.3 of the size of all elements.
-        fade: opacity that is left to the geoms that the elements are made from, and to a bed or
-            height field of sand, where the scene holds them. A viewer's `user_scn` does not:
-            there, press T to see through them.
+        fade: opacity of the geoms that the elements are made from, and of a bed or height field of
+            sand, if the scene has them. A viewer's `user_scn` does not: there, press T to see
+            through them.
 
     Returns:
-        How many geoms were added.
+        The number of geoms added.
 
     Raises:
-        InputError: the scene has too little room, and then nothing is added; or `data` belongs to
-            another model.
-        UnknownNameError: nothing can be coloured so; lists the ways.
+        InputError: the scene has too few free geoms, and then nothing is added; or `data` belongs
+            to another model.
+        UnknownNameError: no such coloring; lists the valid ones.
     """
     shown = Shown.at(sand, data, color)
     tails, tips = shown.normals() if normals else (np.zeros((0, 3)),) * 2
@@ -79,7 +79,7 @@ def add_elements(
 
 
 def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
-    """Adds what stands for the elements themselves."""
+    """Add the solids of the elements."""
     place = {"facets": facet_bodies, "rods": _rod_bodies, "blobs": _blob_bodies}[shown.kind]
     kinds, sizes, frames = place(shown.elements)
     frames = shown.turn @ frames
@@ -91,18 +91,18 @@ def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
         scene.ngeom += 1
 
 
-# Of each element: the type of geom, its size as a model has it (n, 3), its axes in the body's frame
+# For each element: the type of geom, its size as in a model (n, 3), its axes in the body's frame,
 # in columns (n, 3, 3).
 _Bodies = tuple[list[mujoco.mjtGeom], np.ndarray, np.ndarray]
 
 
 def facet_bodies(facets: np.ndarray) -> _Bodies:
-    """Slabs, slanted as the edges are; discs for facets without edges."""
+    """Return slabs, slanted like the edges; discs for facets without edges."""
     thin = 0.01 * np.sqrt(facets["area"])
     sizes = np.column_stack([np.sqrt(facets["area"] / math.pi), thin, thin])
     frames = frames_of(facets["normal"])
     wide, edges = half_edges(facets)
-    # A scene takes axes that are not square to each other: the slab becomes a slanted one.
+    # A scene accepts axes that are not orthogonal: the slab is sheared.
     lengths = np.linalg.norm(edges, axis=2)
     axes = np.concatenate([edges / lengths[..., None], facets["normal"][wide, None]], axis=1)
     sizes[wide] = np.column_stack([GAP * lengths, thin[wide]])

@@ -1,4 +1,4 @@
-"""Figures of studies: what came out against one varied field, or over two."""
+"""Figures of studies: outcomes against one varied field, or over two."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
 from mjgranular.picture.plain import plain
 
 _BLUE, _, _RED = PALETTE
-_MOST_MARKERS = 60  # of a line; of more the line says it all. Chosen
-_MOST_TICKS = 8  # of a grid, each at a value of it; chosen
+_MOST_MARKERS = 60  # of a line; with more, the line suffices. Chosen
+_MOST_TICKS = 8  # of a grid, one per value; chosen
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A column of the table, as it is drawn.
+    """A column of the table with its label and unit.
 
     Attributes:
         column: its name.
-        label: with the unit that it is drawn in.
-        scale: of that unit in the table's.
+        label: label with the unit of the figure.
+        scale: that unit in units of the table.
     """
 
     column: str
@@ -46,7 +46,7 @@ OUTCOMES: dict[str, tuple[Axis, Axis]] = {
         Axis("work", "work done on the sand [J]"),
     ),
 }
-"""For each experiment the two columns that are drawn."""
+"""The two columns to draw for each experiment."""
 
 _UNITS = {
     **dict.fromkeys(("speed", "tangential_speed", "velocity"), "m/s"),
@@ -59,7 +59,7 @@ _UNITS = {
 
 
 def axis_of(column: str) -> Axis:
-    """The axis of a varied field, by the name of its column."""
+    """Return the axis of a varied field, by the name of its column."""
     name = column.removesuffix("_deg")
     unit = _UNITS.get(column) if name == column else "deg"
     words = name if name.startswith("law.") else name.replace("_", " ")
@@ -79,13 +79,13 @@ def draw_study(
     """Draw two outcomes against one varied field, or over two.
 
     Args:
-        path: of the picture.
-        columns: of the table; None where there is no value.
-        varied: names of the one or two columns that were varied.
-        outcomes: what is drawn.
-        joined: whether they lie on a grid.
+        path: path of the picture.
+        columns: columns of the table; None for missing values.
+        varied: names of the one or two varied columns.
+        outcomes: columns to draw.
+        joined: whether the values form a grid.
         printed: the same columns with values of the paper, for one varied field.
-        title: above the figure.
+        title: title of the figure.
     """
     inputs = [axis_of(name) for name in varied]
     if len(inputs) == 1:
@@ -134,7 +134,7 @@ def _draw_over(
     *,
     joined: bool,
 ) -> Any:
-    """Colours over the plane of two fields; gives what a bar of colours is made for."""
+    """Draw colors over the plane of two fields; return the mappable for a color bar."""
     (x, x_names), (y, y_names) = (_places(columns[one.column]) for one in inputs)
     values = _numbers(columns[outcome.column]) * outcome.scale
     if joined:
@@ -156,7 +156,7 @@ def _draw_over(
 
 
 def _places(values: Sequence[Any]) -> tuple[np.ndarray, list[str] | None]:
-    """Where values lie along an axis; of names their order, and the names."""
+    """Return positions of values on an axis; for names their order, and the names."""
     if not any(isinstance(value, str) for value in values):
         return _numbers(values), None
     names = list(dict.fromkeys(str(value) for value in values))

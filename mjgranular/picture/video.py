@@ -29,12 +29,12 @@ from mjgranular.surface import Plane, Surface
 _ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
 _PURPOSE = "Writing a video"
 _LONGEST = 3600.0  # film [s]
-# Chosen by looking and by the clock: software draws at a rate of so many samples a second.
-_SAMPLES = 2  # of a pixel
-_STILL = 5e-4  # of what is in view: a motion that no picture shows
-_INSTANTS = 16  # at which it is looked where the model is
-_MARGIN = 1.1  # around what is in view
-_ARROWS = 0.5  # of what is in view is the longest arrow
+# Chosen by appearance and speed: the time of software rendering is proportional to the samples.
+_SAMPLES = 2  # per pixel
+_STILL = 5e-4  # in parts of the view: a motion too small to see
+_INSTANTS = 16  # number of instants at which the extent of the model is sampled
+_MARGIN = 1.1  # around the view
+_ARROWS = 0.5  # length of the longest arrow, in parts of the view
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ class Film:
 
     Attributes:
         camera: name of a camera of the model.
-        width: of the picture [pixels]; even.
-        height: of the picture [pixels]; even.
-        fps: frames a second.
-        seconds: how long the film of the impact lasts, from release to the stop [s]; what follows
-            it, if the run goes on, takes as long again.
-        hold: how long the last frame stands [s].
+        width: width of the picture [pixels]; even.
+        height: height of the picture [pixels]; even.
+        fps: frames per second.
+        seconds: duration of the film of the impact, from release to the stop [s]; the rest of the
+            run, if any, takes as long again.
+        hold: duration of the last frame [s].
     """
 
     camera: str = "side"
@@ -74,10 +74,10 @@ class Film:
             raise InputError(f"the last frame can stand for 0 to 60 seconds, not {self.hold}")
 
     def check(self, link: Link) -> None:
-        """Refuses a camera that the model does not have, and a machine without the packages.
+        """Check that the model has the camera and that the packages are installed.
 
         Raises:
-            UnknownNameError: lists the model's cameras.
+            UnknownNameError: it does not; lists the model's cameras.
             MissingExtraError: gives the install line.
         """
         known = [camera.name for camera in link.spec().cameras]
@@ -88,11 +88,11 @@ class Film:
 @dataclass(frozen=True)
 class _Frame:
     time: float
-    slower: float  # how many times slower than life
+    slower: float  # slow-motion factor; 1 for real time
 
 
 def _frames(film: Film, end: float, stop: float | None) -> list[_Frame]:
-    """The instants that are shown."""
+    """Return the instants of the frames."""
     goes_on = stop is not None and end > 1.05 * stop
     phases = [(0.0, stop), (stop, end)] if stop is not None and goes_on else [(0.0, end)]
     frames: list[_Frame] = []
@@ -113,21 +113,21 @@ def frames_of_run(
     prints: Prints | None = None,
     sand: SandSpec | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
-    """The pictures of a run, one by one.
+    """Return the pictures of a run, one by one.
 
     Args:
-        film: how it is filmed.
+        film: options of the film.
         link: the link.
         trajectory: the run.
-        stop: time of the stop since release [s], None if there was none.
-        prints: what the sand remembered; None for sand that does not.
-        sand: that did.
+        stop: time from release to the stop [s], None if there was none.
+        prints: history of the sand's memory; None for sand without memory.
+        sand: the sand with memory.
 
     Returns:
-        Their number, and the pictures, shape (height, width, 3), uint8.
+        Number of pictures, and the pictures, shape (height, width, 3), uint8.
 
     Raises:
-        RenderError: MuJoCo cannot draw on this machine, says what to install.
+        RenderError: MuJoCo cannot render on this machine; says what to install.
         UnknownNameError: no such camera.
     """
     film.check(link)
@@ -152,7 +152,7 @@ def _draw(
     ground = _Ground(model, None, View(np.zeros(3), link.reach), covered)
     data = mujoco.MjData(model)
     force = np.hypot(trajectory.F_x, trajectory.F_y)
-    # The greatest force is an arrow of seven tenths of a link's length.
+    # The largest force is an arrow of seven tenths of a link's length.
     scale = 0.7 * link.length / max(float(force.max()), 1e-300)
     caption = _Captions(film)
     renderer = _renderer(model, film)
@@ -170,7 +170,7 @@ def _draw(
                 ground.lay(frame.time, data.body("link").xpos)
                 renderer.update_scene(data, camera=film.camera)
                 ground.show(renderer.scene)
-                # Before the link, towards the viewer, lest the link hide it.
+                # In front of the link, so that the link does not hide it.
                 tail = np.array([at["x_E"], -0.8 * link.diameter, -at["y_E"]])
                 tip = tail + scale * np.array([at["F_x"], 0.0, -at["F_y"]])
                 if at["y_T"] > 0 and np.linalg.norm(tip - tail) > 1e-3 * link.length:
@@ -183,12 +183,12 @@ def _draw(
 
 @dataclass(frozen=True)
 class Motion:
-    """A run of any model as a film needs it.
+    """Data of a run of any model for a film.
 
     Attributes:
         t: times [s], shape (n,).
         qpos: shape (n, nq).
-        point: where forces act [m], shape (n, bodies, 3).
+        point: points where forces act [m], shape (n, bodies, 3).
         force: [N], shape (n, bodies, 3).
     """
 
@@ -199,10 +199,10 @@ class Motion:
 
 
 def check_camera(model: mujoco.MjModel, camera: str) -> None:
-    """Refuses a camera that a model does not have.
+    """Check that a model has a camera.
 
     Raises:
-        UnknownNameError: lists the cameras there are.
+        UnknownNameError: it does not; lists its cameras.
     """
     known = [model.camera(c).name for c in range(model.ncam)]
     if camera not in ("free", *known):
@@ -217,23 +217,23 @@ def frames_of_model(
     prints: Prints | None = None,
     memory: Memory | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
-    """The pictures of a run of any model, at the speed of life or slower to fill the film.
+    """Return the pictures of a run of any model, in real time or slower to fill the film.
 
     Args:
-        film: how it is filmed; `camera` may be "free", which has the whole run in view.
+        film: options of the film; `camera` may be "free", which shows the whole run.
         model: the model.
         motion: the run.
-        surface: of the sand; a plane is drawn, others are geoms. None for none to be drawn.
-        prints: what the sand remembered; None for sand that does not.
-        memory: how it did.
+        surface: surface of the sand; a plane is drawn, others are geoms. None to draw none.
+        prints: history of the sand's memory; None for sand without memory.
+        memory: options of the memory.
 
     Returns:
-        Their number, and the pictures, shape (height, width, 3), uint8.
+        Number of pictures, and the pictures, shape (height, width, 3), uint8.
 
     Raises:
         InputError: the run is longer than an hour.
         UnknownNameError: no such camera.
-        RenderError: MuJoCo cannot draw on this machine, says what to install.
+        RenderError: MuJoCo cannot render on this machine; says what to install.
     """
     check_camera(model, film.camera)
     span = float(motion.t[-1] - motion.t[0])
@@ -276,7 +276,7 @@ def _draw_model(
             seen = np.linalg.norm(arrows, axis=1) > 0.02 * view.radius
             tips = motion.point[k] + arrows * seen[:, None]
             now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), tips])
-            # What stands still is drawn once.
+            # A scene at rest is rendered once.
             moved = not shown.size or np.abs(now - shown).max() > _STILL * view.radius
             if moved or ground.moves(float(time)):
                 ground.lay(float(time), data.geom_xpos[moving].mean(axis=0))
@@ -297,7 +297,7 @@ def _draw_model(
 
 
 def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.ndarray:
-    """`qpos` at a time after sample k, turned and moved evenly towards the next."""
+    """Interpolate `qpos` between sample k and the next."""
     qpos = motion.qpos[k].copy()
     if k + 1 < len(motion.t):
         span = motion.t[k + 1] - motion.t[k]
@@ -309,10 +309,10 @@ def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.n
 
 @dataclass(frozen=True)
 class View:
-    """A ball around all that moves and is seen, over a whole run.
+    """A sphere around all visible moving parts, over a whole run.
 
     Attributes:
-        middle: [m], shape (3,).
+        middle: center [m], shape (3,).
         radius: [m].
     """
 
@@ -321,7 +321,7 @@ class View:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> View:
-        """Of a run through these positions, shape (n, nq); `data` is changed."""
+        """Return the view of a run through these positions, shape (n, nq); `data` is changed."""
         geoms = moving_geoms(model)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for row in qpos[:: max(1, len(qpos) // _INSTANTS)]:
@@ -333,7 +333,7 @@ class View:
         return cls((low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6))
 
     def camera(self, model: mujoco.MjModel, film: Film) -> mujoco.MjvCamera:
-        """A free camera that has it in view, a little from above."""
+        """Return a free camera that shows it, from slightly above."""
         angle = math.radians(model.vis.global_.fovy) / 2
         angle = min(angle, math.atan(math.tan(angle) * film.width / film.height))
         camera = mujoco.MjvCamera()
@@ -370,16 +370,16 @@ class _Ground:
             self._geoms = surface.geoms(model)
 
     def moves(self, time: float) -> bool:
-        """Tells whether sand has flowed between the last picture and a time [s]."""
+        """Return True if sand has flowed between the last picture and a time [s]."""
         return self._cover is not None and self._prints.change(self._replay.time, time)
 
     def lay(self, time: float, middle: np.ndarray) -> None:
-        """Brings prints to a time [s], around a place [m]: before a scene is made."""
+        """Update the prints to a time [s], around a place [m]. Call this before a scene is made."""
         if self._cover is not None:
             self._cover.lay(self._replay.to(time), middle)
 
     def show(self, scene: mujoco.MjvScene) -> None:
-        """Adds a plane; keeps a geom that is sand from casting shadows, which would speckle it."""
+        """Add a plane; stop geoms of sand from casting shadows, which would speckle them."""
         if self._cover is not None:
             self._cover.show(scene)
         if self._look is not None and self._plane is not None:
@@ -391,25 +391,25 @@ class _Ground:
 
 
 def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
-    """The box of sand behind a link or a chain, which is drawn with prints in its place.
+    """Return the box of sand behind a link or a chain, which is drawn with prints in its place.
 
     Returns:
-        The box, and the edge of the picture of grains on it [m].
+        The box, and the edge length of its texture of grains [m].
     """
     bed = model.geom("bed")
     bed.group = NOT_SHOWN
     low, high = bed.pos - bed.size, bed.pos + bed.size
-    grains = 2 / float(model.mat_texrepeat[bed.matid.item(), 0])  # of a box MuJoCo counts halves
+    grains = 2 / float(model.mat_texrepeat[bed.matid.item(), 0])  # of a box MuJoCo has half sizes
     return Region((low[0], low[1]), (high[0], high[1]), low[2]), grains
 
 
 def _renderer(model: mujoco.MjModel, film: Film) -> Any:
-    # As large as the picture and no larger: MuJoCo's buffer is worked through as a whole.
+    # Exactly the size of the picture: MuJoCo processes its whole buffer.
     model.vis.global_.offwidth, model.vis.global_.offheight = film.width, film.height
     model.vis.quality.offsamples = min(model.vis.quality.offsamples, _SAMPLES)
     try:
         return mujoco.Renderer(model, film.height, film.width)
-    except Exception as error:  # every platform's GL fails in a way of its own
+    except Exception as error:  # each platform's GL fails differently
         raise RenderError(
             f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
             "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri) and import "
@@ -419,7 +419,7 @@ def _renderer(model: mujoco.MjModel, film: Film) -> Any:
 
 
 def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> None:
-    """Adds an arrow to a scene."""
+    """Add an arrow to a scene."""
     if scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
@@ -441,7 +441,7 @@ class _Captions:
         self._font = font.load_default(size=self._size)
 
     def write(self, picture: np.ndarray, frame: _Frame, at: dict[str, float]) -> np.ndarray:
-        """A copy of the picture with the figures of a link's impact."""
+        """Return a copy of the picture with the numbers of a link's impact."""
         lines = (
             f"t = {frame.time * 1e3:.2f} ms",
             f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
@@ -451,7 +451,7 @@ class _Captions:
         return self.put(picture, lines)
 
     def put(self, picture: np.ndarray, lines: tuple[str, ...]) -> np.ndarray:
-        """A copy of the picture with these lines in a corner."""
+        """Return a copy of the picture with these lines in a corner."""
         image = self._image.fromarray(picture)
         pen = self._draw.Draw(image)
         pen.multiline_text(
@@ -479,23 +479,23 @@ def write_video(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Writes pictures as an MP4 (H.264).
+    """Write pictures as an MP4 (H.264).
 
     Args:
-        path: of the file.
-        film: how it is filmed.
+        path: path of the file.
+        film: options of the film.
         count: number of pictures.
         pictures: from `frames_of_run` or `frames_of_model`.
-        progress: called with the number of frames written, and that of all.
+        progress: called with the number of frames written, and the total.
 
     Raises:
         MissingExtraError: a package for video is not installed; gives the install line.
-        RenderError: MuJoCo cannot draw on this machine.
+        RenderError: MuJoCo cannot render on this machine.
     """
     mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
     ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
-    first = next(pictures)  # a machine that cannot draw is found out before a file is begun
+    first = next(pictures)  # fails on a machine that cannot render, before a file is opened
     shape = (film.height, film.width)
     with (
         whole(path) as part,

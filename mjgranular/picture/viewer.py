@@ -1,4 +1,4 @@
-"""MuJoCo's interactive viewer: whether it can open, and a loop that steps as the clock goes."""
+"""MuJoCo's interactive viewer: a check that it can open, and a real-time loop."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ import mujoco
 from mjgranular.errors import RenderError
 
 FRAME = 1 / 60
-"""From one picture to the next [s]."""
+"""Time from one frame to the next [s]."""
 
-_WORK = 0.8 * FRAME  # of it at most for steps [s]; chosen, not measured
-_LATE = 0.1  # so far behind the clock, a simulation is not asked to catch up [s]; chosen
+_WORK = 0.8 * FRAME  # at most this much of it for steps [s]; chosen, not measured
+_LATE = 0.1  # a simulation this far behind the clock does not catch up [s]; chosen
 _SPACE = 32  # GLFW's number of the key
 _FILM = "`mjgranular drop MODEL.xml --out DIR --video` films a run without one"
 
 
 class Switch:
-    """Tells whether the simulation is held; turned by a key."""
+    """Pause switch of the simulation, toggled by a key."""
 
     def __init__(self) -> None:
         self.held = False
 
     def press(self, key: int) -> None:
-        """Reacts to a key."""
+        """React to a key."""
         if key == _SPACE:
             self.held = not self.held
 
 
 def check_display() -> None:
-    """Makes sure that a window can be opened: without one MuJoCo's viewer waits for ever.
+    """Check that a window can be opened: without one MuJoCo's viewer waits forever.
 
     Raises:
         RenderError: it cannot.
@@ -75,7 +75,7 @@ def _opens_a_window() -> bool:
 
 @contextmanager
 def opened(model: mujoco.MjModel, data: mujoco.MjData, switch: Switch) -> Iterator[Any]:
-    """MuJoCo's viewer, closed at the end.
+    """Open MuJoCo's viewer, and close it at the end.
 
     Raises:
         RenderError: it does not open.
@@ -89,7 +89,7 @@ def opened(model: mujoco.MjModel, data: mujoco.MjData, switch: Switch) -> Iterat
     try:
         with handle:
             yield handle
-    finally:  # its thread still clears up, and must be through before the process ends
+    finally:  # its thread still cleans up, and must finish before the process ends
         for thread in set(threading.enumerate()) - others:
             thread.join(timeout=5.0)
 
@@ -103,17 +103,17 @@ def follow(
     speed: float = 1.0,
     duration: float | None = None,
 ) -> None:
-    """Steps a simulation as the clock goes, and shows it, until the viewer is closed.
+    """Step a simulation in real time, and show it, until the viewer is closed.
 
-    Where steps cost more than they simulate, it runs slower than the clock, and stays responsive.
+    If steps are slower than real time, the simulation slows down, and stays responsive.
 
     Args:
-        viewer: as `mujoco.viewer.launch_passive` returns it.
+        viewer: a handle from `mujoco.viewer.launch_passive`.
         model: the model.
         data: its data.
-        switch: whether it is held.
-        speed: simulated time over time.
-        duration: time after which to end [s]; None for never.
+        switch: pauses the simulation.
+        speed: simulated time over real time.
+        duration: simulated time after which to end [s]; None for never.
     """
     opening = start = time.perf_counter()
     begin = last = data.time
@@ -123,10 +123,10 @@ def follow(
             return
         with viewer.lock():
             late = begin + speed * (now - start) - data.time > speed * _LATE
-            if switch.held or late or data.time < last:  # the last: it has begun anew
+            if switch.held or late or data.time < last:  # the last: it was reset
                 start, begin = now, data.time
             if switch.held:
-                mujoco.mj_forward(model, data)  # what is pulled at while it stands is shown
+                mujoco.mj_forward(model, data)  # shows perturbations while paused
             else:
                 goal = begin + speed * (now - start)
                 while data.time <= goal and time.perf_counter() - now < _WORK:

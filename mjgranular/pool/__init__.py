@@ -1,8 +1,8 @@
 """Independent tasks in chunks, on processes of this machine or on Ray.
 
-`map_tasks` is all that callers need. Results come back whatever ends the run: each is written to a
-`Journal` as soon as its chunk is finished, so that memory does not grow with them and a later run,
-on either engine, goes on from there.
+Callers need only `map_tasks`. Results survive any end of the run: each is written to a `Journal` as
+soon as its chunk is finished, so that memory does not grow with them and a later run, on either
+engine, resumes from there.
 """
 
 from mjgranular.pool.journal import UNFINISHED as UNFINISHED

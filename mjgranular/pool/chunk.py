@@ -1,4 +1,4 @@
-"""One chunk, where it is worked on: in this process, another, or on another machine."""
+"""Execution of one chunk, in this process, another, or on another machine."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from mjgranular.errors import GranularError, GranularWarning, one_line
 from mjgranular.pool.workers import Answer, Chunk
 
 Function = Callable[[Any, Any], Any]
-"""Is given what all tasks share and one task, and gives a result; found by its name elsewhere."""
+"""Takes the shared data and one task, and returns a result; workers import it by its name."""
 
-_LONGEST = 500  # characters of what an error says of itself; chosen
+_LONGEST = 500  # characters of an error's message; chosen
 
 
 def run_chunk(function: Function, shared: Any, chunk: Chunk) -> tuple[list[Answer], float]:
-    """Answers to all tasks, and the seconds that it took. A task that raises spoils no other."""
+    """Return the answers to all tasks and the time [s]. A task that raises affects no other."""
     begin = time.perf_counter()
     answers = [_answer(function, shared, index, task) for index, task in chunk]
     return answers, time.perf_counter() - begin
@@ -26,9 +26,9 @@ def run_chunk(function: Function, shared: Any, chunk: Chunk) -> tuple[list[Answe
 def _answer(function: Function, shared: Any, index: int, task: Any) -> Answer:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", GranularWarning)  # of as many as there are tasks
+            warnings.simplefilter("ignore", GranularWarning)  # there may be one per task
             return Answer(index, function(shared, task), None)
     except GranularError as error:
         return Answer(index, None, str(error))
-    except Exception as error:  # anybody's code, such as a law of a user's own
+    except Exception as error:  # any code, such as a custom law
         return Answer(index, None, one_line(f"{type(error).__name__}: {error}")[:_LONGEST])

@@ -1,4 +1,4 @@
-"""Results that are kept as soon as they are there, so that a killed run goes on."""
+"""Results that are saved as soon as they exist, so that a killed run can resume."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from mjgranular.errors import OutputError
 from mjgranular.pool.versions import versions
 
 UNFINISHED = "unfinished.jsonl"
-"""The file: what was asked for, then a line of JSON for each result. A folder with it in it holds a
-run that is not finished."""
+"""The file: the request, then a line of JSON for each result. A folder that contains it has an
+unfinished run."""
 
-_FLUSH_EVERY = 1.0  # [s]; a killed process loses nothing, a lost machine this much
+_FLUSH_EVERY = 1.0  # [s]; a killed process loses nothing, a crashed machine this much
 _LONGEST = 1 << 20  # bytes of a line; far beyond what is written. Chosen, not measured
 _NONE = -1
 
 
 class Journal:
-    """Results of numbered tasks, on disk; in memory only where each of them lies.
+    """Results of numbered tasks, on disk; only their positions are in memory.
 
     Args:
-        folder: where the result goes; None for a file that is gone with this object.
-        asked: what is asked for, in plain values; results of anything else are not gone on from.
-        size: how many tasks there are.
-        is_result: tells whether something that was read can be a result.
+        folder: folder for the result; None for a temporary file, deleted with this object.
+        asked: the request, in plain values; a run only resumes from results of the same request.
+        size: number of tasks.
+        is_result: returns True if a parsed value can be a result.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Journal:
         self._flushed = 0.0
         self._end = 0
         self.count = 0
-        """Results that are there."""
+        """Number of results."""
 
     def __del__(self) -> None:
         self.close()
@@ -61,7 +61,7 @@ class Journal:
         return len(self._places)
 
     def __bool__(self) -> bool:
-        return True  # also one of no tasks
+        return True  # also without tasks
 
     def __contains__(self, index: int) -> bool:
         return self._places[index] != _NONE
@@ -72,23 +72,23 @@ class Journal:
         return json.loads(self._file.readline())["row"]
 
     def results(self) -> Iterator[dict[str, Any]]:
-        """The results that are there, in the order of their tasks."""
+        """Yield the existing results, in the order of their tasks."""
         return (self[index] for index in range(len(self._places)) if index in self)
 
     def missing(self) -> Iterator[int]:
-        """Numbers of the tasks without a result, looked for as they are asked for."""
+        """Yield the numbers of the tasks without a result, searched lazily."""
         return (index for index in range(len(self._places)) if index not in self)
 
     def goes_on(self) -> bool:
-        """Tells whether the folder holds results, or a beginning, of what is asked for."""
+        """Return True if the folder has results, or a start, of the same request."""
         return self._path is not None and self._path.exists() and self.fault() is None
 
     def fault(self) -> str | None:
-        """Finds why the file in the folder cannot be gone on from; None if it can be."""
+        """Return why a run cannot resume from the file in the folder; None if it can."""
         return self._read()[0]
 
     def begin(self) -> None:
-        """Opens the file: results of what is asked for stay, anything else in it is gone then.
+        """Open the file: results of the same request stay, all else in it is deleted.
 
         Raises:
             OutputError: it cannot be written.
@@ -100,7 +100,7 @@ class Journal:
         try:
             self._file = self._path.open("r+b" if fault is None and end else "w+b")
             self._end = end if fault is None else 0
-            self._file.truncate(self._end)  # half a line, in which the process was killed
+            self._file.truncate(self._end)  # a partial line, where the process was killed
         except OSError as error:
             raise self._said(error) from None
         if fault is None and places is not None:
@@ -108,7 +108,7 @@ class Journal:
             self.count = sum(place != _NONE for place in places)
 
     def keep(self, results: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
-        """Adds results, all of them in one go.
+        """Add results, all in one write.
 
         Raises:
             OutputError: they cannot be written.
@@ -142,14 +142,14 @@ class Journal:
         self.count += len(places)
 
     def close(self) -> None:
-        """Lets go of the file."""
+        """Close the file."""
         if self._file is not None:
             with suppress(OSError):
                 self._file.close()
             self._file = None
 
     def _read(self) -> tuple[str | None, array[int] | None, int]:
-        """What is wrong with the file if anything is, where its results lie, and their end."""
+        """Return any fault of the file, the positions of its results, and their end."""
         assert self._path is not None
         if not self._path.exists():
             return "there is none", None, 0
@@ -170,7 +170,7 @@ class Journal:
         return None, places, end
 
     def _place(self, line: bytes, at: int, places: array[int]) -> str | None:
-        """Enters a line of the file; returns what is wrong with it."""
+        """Record a line of the file; return its fault, if any."""
         try:
             content = parse_json(line.decode(), UNFINISHED)
         except (OutputError, UnicodeDecodeError):
@@ -191,7 +191,7 @@ class Journal:
 
 
 def _difference(there: Mapping[str, Any], asked: Mapping[str, Any]) -> str | None:
-    """Names the first thing in which two runs differ; None if they do not."""
+    """Return the first difference of two requests; None if there is none."""
     if there == asked:
         return None
     for part in ("asked", "versions"):

@@ -1,4 +1,4 @@
-"""The engine `local`: processes of this machine, which end with this one however it ends."""
+"""The engine `local`: processes on this machine, which end with this one in any case."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from mjgranular.errors import InputError
 from mjgranular.pool.chunk import Function, run_chunk
 from mjgranular.pool.workers import Chunk, Done, Lost
 
-# Workers that end before they have begun, one after the other, until none is taken to be able to.
+# Successive workers that may end before they have begun, before we give up.
 _STILLBORN = 3  # by themselves
 _KILLED = 10  # from outside; chosen
-_PATIENCE = 5.0  # [s] for a process to end by itself; chosen
+_PATIENCE = 5.0  # [s] for a process to exit by itself; chosen
 
 
 class ThisProcess:
-    """No workers: chunks are done where they are asked for.
+    """No workers: chunks run in the calling process.
 
     Args:
-        function: of the tasks.
-        shared: by all of them.
+        function: function of the tasks.
+        shared: data for all of them.
     """
 
     slots = count = 1
@@ -50,7 +50,7 @@ class ThisProcess:
 
 @dataclass
 class _Worker:
-    """A process: the line to it, whether it has begun, and the chunk that it is at."""
+    """A process: the connection to it, whether it has begun, and its current chunk."""
 
     process: Any
     line: Connection
@@ -59,16 +59,16 @@ class _Worker:
 
 
 class Processes:
-    """Processes of this machine, each with a chunk at a time.
+    """Processes on this machine, each with one chunk at a time.
 
     Args:
-        function: of the tasks; found by its name in the processes.
-        shared: by all of them.
-        count: of processes.
+        function: function of the tasks; the processes import it by its name.
+        shared: data for all of them.
+        count: number of processes.
     """
 
     def __init__(self, function: Function, shared: Any, count: int) -> None:
-        # Started anew rather than forked: MuJoCo and numba may hold threads and locks.
+        # Spawned rather than forked: MuJoCo and numba may hold threads and locks.
         self._context = multiprocessing.get_context("spawn")
         # Closed by us or, if we are killed, by the system: then the workers end.
         self._until, self._ours = self._context.Pipe(duplex=False)
@@ -82,7 +82,7 @@ class Processes:
         if free is None:
             free = self._start()
         free.key = key
-        with suppress(OSError):  # it has died, which `wait` finds
+        with suppress(OSError):  # it has died, which `wait` detects
             free.line.send(chunk)
 
     def wait(self) -> list[Done | Lost]:
@@ -107,7 +107,7 @@ class Processes:
         return [Done(key, *said)]
 
     def _bury(self, worker: _Worker) -> list[Done | Lost]:
-        """Lets go of a worker that has died; another one is started when there is work for it."""
+        """Drop a worker that has died; another one is started when there is work for it."""
         self._workers.remove(worker)
         worker.line.close()
         worker.process.join(_PATIENCE)
@@ -138,7 +138,7 @@ class Processes:
         return worker
 
     def close(self) -> None:
-        self._ours.close()  # which ends them in the midst of a task
+        self._ours.close()  # which ends them in the middle of a task
         for worker in self._workers:
             worker.process.join(_PATIENCE)
             if worker.process.is_alive():
@@ -150,7 +150,7 @@ class Processes:
 
 
 def _work(line: Connection, until: Connection, work: bytes) -> None:
-    """Works through chunks as they come. Ctrl-C is for the parent, which keeps what is done."""
+    """Process chunks as they come. Ctrl-C is for the parent, which keeps finished results."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end() -> None:

@@ -1,4 +1,4 @@
-"""The engine `ray`: chunks are tasks of Ray, on this machine or on all that its cluster has."""
+"""The engine `ray`: chunks are Ray tasks, on this machine or on all of its cluster."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Workers
 
 # Chosen, not measured.
 _CONNECT = 3.0  # [s] for the head's port to open
-_ANSWER = 15.0  # [s] for the head to say that it is well: a process of Ray's own asks it
-_STORE = 128 * 2**20  # bytes of the object store of a Ray of our own: what tasks share, and rows
-_AHEAD = 2  # chunks for each core, so that none waits for us
+_ANSWER = 15.0  # [s] for the head's health check, by a process of Ray
+_STORE = 128 * 2**20  # bytes of the object store of a Ray that we start: shared data and rows
+_AHEAD = 2  # chunks per core, so that no core waits for us
 
 
 class _Refused(NamedTuple):
-    """A worker that cannot do the work: why."""
+    """A worker that cannot do the work, with the reason."""
 
     reason: str
 
 
 def begin_ray(workers: Workers) -> tuple[Any, bool]:
-    """Begins a session of Ray, or finds the one that this process has.
+    """Start a Ray session, or find the one that this process has.
 
     Args:
-        workers: where; how many cores a Ray on this machine is told of.
+        workers: address; number of cores for a Ray on this machine.
 
     Returns:
-        The module, and whether the session was begun now, so that it is for the caller to end.
+        The module, and whether the session was started here, so that the caller must end it.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -53,7 +53,7 @@ def begin_ray(workers: Workers) -> tuple[Any, bool]:
             "num_cpus": workers.count or os.cpu_count(),
             "object_store_memory": _STORE,
             "include_dashboard": False,
-            "address": "local",  # whatever RAY_ADDRESS says
+            "address": "local",  # overrides RAY_ADDRESS
         }
     else:
         _check_answers(workers.address)
@@ -69,20 +69,20 @@ def begin_ray(workers: Workers) -> tuple[Any, bool]:
 
 
 def cores_of(ray: Any) -> int:
-    """Cores of all nodes of the session."""
+    """Return the number of cores of all nodes of the session."""
     return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
 
 class RayPool:
-    """Tasks of Ray.
+    """Chunks as Ray tasks.
 
-    A session that this process has already is used and left as it is; else one is begun, and ended
-    with the work.
+    An existing session of this process is used and left open; else one is started, and ended with
+    the work.
 
     Args:
-        function: of the tasks; the workers import the module that it is in.
-        shared: by all of them, put into the object store once.
-        workers: where.
+        function: function of the tasks; the workers import its module.
+        shared: data for all of them, put into the object store once.
+        workers: address and number of workers.
 
     Raises:
         MissingExtraError: Ray is not installed.
@@ -93,10 +93,10 @@ class RayPool:
         self._ray, self._mine = begin_ray(workers)
         cores = cores_of(self._ray)
         self.count = min(workers.count or cores, cores)
-        # Ray itself holds back what is more than its cores; we, what is more than we were told.
+        # Ray queues tasks beyond its cores; we queue those beyond the requested count.
         self.slots = self.count if self.count < cores else _AHEAD * cores
         self._work = self._ray.put((function, shared, versions()))
-        # How often a chunk is begun is not for Ray to say: see `tasks`.
+        # Retries of a chunk are not left to Ray: see `tasks`.
         self._run = self._ray.remote(num_cpus=1, max_retries=0)(_run)
         self._under_way: dict[Any, int] = {}
 
@@ -111,7 +111,7 @@ class RayPool:
         errors = self._ray.exceptions
         try:
             found = self._ray.get(ref)
-        except errors.RayTaskError as error:  # not in a task: those are caught
+        except errors.RayTaskError as error:  # not from a task: those are caught
             raise InputError(_why(error)) from None
         except errors.RayError as error:
             told = " ".join(str(error).split()).partition(". ")[0]
@@ -122,7 +122,7 @@ class RayPool:
 
     def close(self) -> None:
         for ref in self._under_way:
-            with suppress(Exception):  # a cluster that has gone: there is nothing to end there
+            with suppress(Exception):  # the cluster is gone: nothing to end
                 self._ray.cancel(ref, force=True)
         self._under_way.clear()
         if self._mine:
@@ -132,7 +132,7 @@ class RayPool:
 def _run(
     work: tuple[Function, Any, dict[str, Any]], chunk: Chunk
 ) -> tuple[list[Answer], float] | _Refused:
-    """Works through a chunk, in a process of Ray's."""
+    """Process a chunk, in a Ray worker."""
     function, shared, expected = work
     different = mismatch(expected, versions())
     if different is not None:
@@ -144,7 +144,7 @@ def _run(
 
 
 def _why(error: Any) -> str:
-    """A sentence on what kept a worker from beginning."""
+    """Return a sentence on why a worker could not begin."""
     cause = error.cause if isinstance(getattr(error, "cause", None), Exception) else error
     if isinstance(cause, GranularError):
         return str(cause)
@@ -158,7 +158,7 @@ def _why(error: Any) -> str:
 
 
 def _check_answers(address: str) -> None:
-    """Refuses an address at which no cluster answers, within seconds: Ray itself takes minutes.
+    """Check within seconds that a cluster answers at an address: Ray itself takes minutes.
 
     Raises:
         InputError: says what was tried.
@@ -195,7 +195,7 @@ def _check_answers(address: str) -> None:
 
 @contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Undoes what Ray does to this process's signals, which end a run so that nothing is lost."""
+    """Undo what Ray does to this process's signals, which end a run so that nothing is lost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

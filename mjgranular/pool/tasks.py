@@ -1,4 +1,4 @@
-"""A function over many independent tasks, whatever becomes of the workers."""
+"""A function over many independent tasks, robust to dying workers."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mjgranular.pool.local import Processes, ThisProcess
 from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Pool, Workers
 
 TRIES = 3
-"""Times that a chunk is begun; the last time each of its tasks by itself."""
+"""Attempts at a chunk; in the last one each of its tasks runs separately."""
 
-# A chunk of a second costs less than 1 % in handing it out (docs/cluster.md), and not much is lost
-# with it. Towards the end of a run chunks become smaller, so that all workers end together.
+# For a chunk of one second the overhead is less than 1 % (docs/cluster.md), and little is lost with
+# it. Toward the end of a run chunks become smaller, so that all workers end together.
 _SECONDS = 1.0
 _ROUNDS = 2
 _LARGEST = 10_000
-_NAMED = 1000  # failures that are kept; of more only the number
+_NAMED = 1000  # failures that are kept; of the others only the number
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Failure:
     """A task without a result.
 
     Attributes:
-        index: its number.
-        reason: why, in a sentence.
-        lost: whether its workers died, each of three; else it raised an error.
+        index: number of the task.
+        reason: the reason, in a sentence.
+        lost: whether all of its three workers died; else it raised an error.
     """
 
     index: int
@@ -44,15 +44,15 @@ class Failure:
 
 @dataclass
 class Mapped:
-    """What came of many tasks.
+    """Outcome of many tasks.
 
     Attributes:
-        journal: with the results; `journal.results()` goes through them in the order of the tasks.
+        journal: the results; `journal.results()` yields them in the order of the tasks.
         failures: tasks without a result, in order; the first 1000 of them.
-        failed: how many there are.
-        lost: how many of these were lost with their workers.
-        interrupted: whether the run was broken off before its end.
-        stopped_by: the signal that did so; None if none did.
+        failed: number of all failures.
+        lost: number of tasks that were lost with their workers.
+        interrupted: whether the run was interrupted before its end.
+        stopped_by: the signal that interrupted it; None if none did.
     """
 
     journal: Journal
@@ -73,23 +73,24 @@ def map_tasks(
     progress: Callable[[int], None] | None = None,
     answered: Callable[[int, Any], None] | None = None,
 ) -> Mapped:
-    """Calls a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps what is done.
+    """Call a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps results.
 
-    A worker that dies is replaced, and its chunk done again, three times at most: the last time
-    each of its tasks by itself, so that one that ends its process costs no other its result.
+    A worker that dies is replaced, and its chunk is repeated, for three attempts at most: in the
+    last one each of its tasks runs separately, so that a task that ends its process costs no other
+    its result.
 
     Args:
-        function: `function(shared, task)`, which workers find by its name; gives plain values.
-        tasks: are asked for as they are handed out, and need not lie in memory.
+        function: `function(shared, task)`, which workers import by its name; returns plain values.
+        tasks: accessed lazily; need not be in memory.
         shared: sent to each worker once.
-        on: where the tasks run; None for one process a core.
-        journal: for the results; tasks that it has results of are not done again. None for one
-            that is gone with this process.
-        progress: called with the number of tasks that are done.
-        answered: called with number and result of each task as soon as that is kept.
+        on: where the tasks run; None for one process per core.
+        journal: journal for the results; tasks with results in it are skipped. None for a temporary
+            one.
+        progress: called with the number of finished tasks.
+        answered: called with number and result of each task as soon as the result is saved.
 
     Raises:
-        InputError: there are no workers that could do anything; says what would help.
+        InputError: no worker can do the work; says what would help.
         OutputError: results cannot be written.
     """
     if journal is None:
@@ -123,14 +124,14 @@ def _open(function: Function, shared: Any, workers: Workers, todo: int) -> Pool:
 
 @dataclass
 class _Batch:
-    """A chunk under way: numbers of its tasks, and how often it was begun."""
+    """A chunk being processed: numbers of its tasks, and number of attempts."""
 
     indices: Sequence[int]
     tries: int = 0
 
 
 class _Run:
-    """Hands out chunks, and takes what comes back."""
+    """Submits chunks, and collects their results."""
 
     def __init__(
         self,
@@ -147,12 +148,12 @@ class _Run:
         self._progress = progress
         self._answered = answered
         self._missing = journal.missing()
-        self._left = len(tasks) - journal.count  # not handed out yet
+        self._left = len(tasks) - journal.count  # not submitted yet
         self._again: deque[_Batch] = deque()
-        self._seconds: float | None = None  # of a task, the least that was seen
+        self._seconds: float | None = None  # of a task, the shortest so far
 
     def follow(self, pool: Pool) -> None:
-        """Until there is an answer to every task, or it is lost."""
+        """Loop until every task has an answer or is lost."""
         under_way: dict[int, _Batch] = {}
         key = 0
         while True:
@@ -179,7 +180,7 @@ class _Run:
     def _size(self, count: int) -> int:
         if self.workers.chunk is not None:
             return self.workers.chunk
-        if self._seconds is None:  # nothing is known of them yet
+        if self._seconds is None:  # their duration is still unknown
             return 1
         by_time = int(min(_SECONDS / max(self._seconds, 1e-9), _LARGEST))
         return max(1, min(by_time, math.ceil(self._left / (_ROUNDS * count))))

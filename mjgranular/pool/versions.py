@@ -11,7 +11,7 @@ _PACKAGES = ("mjgranular", "mujoco", "numpy", "numba")
 
 
 def versions(*further: str) -> dict[str, Any]:
-    """Versions of Python, of the packages that results depend on and of `further`; the platform."""
+    """Return versions of Python, of packages that affect results and of `further`; the platform."""
     found: dict[str, Any] = {"python": platform.python_version(), "platform": platform.platform()}
     for package in (*_PACKAGES, *further):
         try:
@@ -22,7 +22,7 @@ def versions(*further: str) -> dict[str, Any]:
 
 
 def mismatch(here: Mapping[str, Any], there: Mapping[str, Any]) -> str | None:
-    """Names packages of which two processes have different versions, with both; None if none."""
+    """Return packages whose versions differ in two processes, with both; None if none do."""
     different = [
         f"{name} {there.get(name) or 'none'} there and {here.get(name) or 'none'} here"
         for name in _PACKAGES

@@ -1,4 +1,4 @@
-"""Where tasks run, and what passes between them and whoever hands them out."""
+"""Workers, and the messages between them and the caller."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ class Workers:
 
     Attributes:
         engine: "local", processes of this machine, or "ray".
-        count: how many tasks run at once; None for one a core. One on this machine is this process.
-        chunk: how many tasks are handed out together; None for about a second's worth.
-        address: of a Ray cluster: HOST:PORT of its head, or "auto" for the one that this machine
-            belongs to. None for a Ray of one's own, on this machine.
+        count: number of tasks that run at once; None for one per core. A single local one is this
+            process.
+        chunk: number of tasks per chunk; None for chunks of about a second.
+        address: address of a Ray cluster: HOST:PORT of its head, or "auto" for the one that this
+            machine belongs to. None to start Ray on this machine.
     """
 
     engine: Engine = "local"
@@ -42,7 +43,7 @@ class Workers:
 
     @classmethod
     def of(cls, given: Workers | int | None) -> Workers:
-        """These; a number is that of processes of this machine."""
+        """Return workers from a number of local processes, or unchanged."""
         return given if isinstance(given, Workers) else cls(count=given)
 
 
@@ -51,12 +52,12 @@ Chunk = tuple[tuple[int, Any], ...]
 
 
 class Answer(NamedTuple):
-    """What became of one task.
+    """Outcome of one task.
 
     Attributes:
-        number: of the task.
-        result: what its function gave; None if that raised.
-        error: why there is no result; None if there is one.
+        number: number of the task.
+        result: return value of the function; None if it raised.
+        error: reason for a missing result; None with a result.
     """
 
     number: int
@@ -65,12 +66,12 @@ class Answer(NamedTuple):
 
 
 class Done(NamedTuple):
-    """A chunk that was worked through.
+    """A finished chunk.
 
     Attributes:
-        key: of the chunk.
+        key: key of the chunk.
         answers: one for each of its tasks.
-        seconds: that it took.
+        seconds: time that it took.
     """
 
     key: int
@@ -82,9 +83,9 @@ class Lost(NamedTuple):
     """A chunk whose worker died.
 
     Attributes:
-        key: of the chunk.
-        reason: what is known of it.
-        begun: whether it may have been at the chunk; not where it died before it could begin.
+        key: key of the chunk.
+        reason: the known reason.
+        begun: whether it may have begun the chunk; False if it died before.
     """
 
     key: int
@@ -93,25 +94,25 @@ class Lost(NamedTuple):
 
 
 class Pool(Protocol):
-    """An engine with a function and what its tasks share, ready for chunks."""
+    """An engine with a function and the shared data of its tasks, ready for chunks."""
 
     slots: int
-    """Chunks that it takes at a time."""
+    """Number of chunks that it accepts at a time."""
     count: int
-    """Chunks that it works on at a time."""
+    """Number of chunks that it processes at a time."""
 
     def submit(self, key: int, chunk: Chunk) -> None:
-        """Takes a chunk; not more than `slots` at a time."""
+        """Submit a chunk; at most `slots` at a time."""
         ...
 
     def wait(self) -> list[Done | Lost]:
-        """Waits until something has become of a chunk, and says what.
+        """Wait until chunks are done or lost, and return them.
 
         Raises:
-            InputError: no worker can do anything, as where another version is installed there.
+            InputError: no worker can do the work, because of another installed version for example.
         """
         ...
 
     def close(self) -> None:
-        """Ends all workers, whatever they do."""
+        """End all workers, even busy ones."""
         ...

@@ -1,4 +1,4 @@
-"""The referee: measured motion, the same motion under a law, and the errors of the whole of it."""
+"""The referee: measured motion, the same motion simulated with a law, and its errors."""
 
 from mjgranular.referee.errors import Errors as Errors
 from mjgranular.referee.errors import compare as compare

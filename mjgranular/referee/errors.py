@@ -1,4 +1,4 @@
-"""How far a simulated motion is from a measured one, over the whole of it."""
+"""Errors of a simulated motion against a measured one, over the whole motion."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from mjgranular.referee.motion import Motion
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a simulated motion; parts of the measured value, positive for too much.
+    """Errors of a simulated motion, relative to the measured value, positive if too large.
 
     Attributes:
-        trajectory: of a drop the root-mean-square of the error in depth over time, in parts of the
-            final depth; of a robot the mean error of its speeds; else that of the error in force, a
-            vector where lift was measured, in parts of the greatest force.
-        final: of the final depth of a drop; of the mean force in the last fifth of a push or drag;
-            of forces on a leg or wheel by least squares; mean of the errors of a robot's speeds.
-        stop: of the stopping time; None where one of the two does not stop, and for a push or drag.
-        peak: of the greatest force after a 1 ms mean; None where no force was measured.
-        pitch: of the final pitch [degrees]; None for bodies without one.
-        lift: by least squares; None where none was measured or it is the load.
-        depth: of a wheel's sinkage, the mean; None where it is given.
+        trajectory: for a drop, the RMS error of depth over time, in parts of the final depth; for a
+            robot, the mean error of its speeds; else the RMS error of force, a vector if lift was
+            measured, in parts of the largest force.
+        final: error of the final depth of a drop; of the mean force in the last fifth of a push or
+            drag; of forces on a leg or wheel, by least squares; the mean error of a robot's speeds.
+        stop: error of the stopping time; None if one of the two does not stop, and for a push or
+            drag.
+        peak: error of the largest force after a 1 ms mean; None if no force was measured.
+        pitch: error of the final pitch [degrees]; None for bodies without one.
+        lift: error of lift, by least squares; None if it was not measured or is the load.
+        depth: mean error of a wheel's sinkage; None if the sinkage is given.
     """
 
     trajectory: float
@@ -36,19 +37,19 @@ class Errors:
     depth: float | None = None
 
     def plain(self) -> dict[str, float | None]:
-        """By name, as for JSON."""
+        """Return the errors by name, as for JSON."""
         return asdict(self)
 
 
 def compare(measured: Motion, simulated: Motion) -> Errors:
-    """Works out the errors.
+    """Compute the errors.
 
     Args:
-        measured: the motion that is taken for right.
-        simulated: the same one under a law; of a drop at any times, of others row by row.
+        measured: the reference motion.
+        simulated: the same motion with a law; at any times for a drop, else row by row.
 
     Raises:
-        InputError: one is a drop and the other is not, or a drop of which nothing is in the sand.
+        InputError: only one is a drop, or a drop has no row in the sand.
     """
     if measured.time is None or simulated.time is None:
         return _compare_forces(measured, simulated)
@@ -60,7 +61,7 @@ def compare(measured: Motion, simulated: Motion) -> Errors:
     if measured.pitch is not None and simulated.pitch is not None:
         last = np.interp(measured.time[-1], simulated.time, simulated.pitch)
         pitch = float(last - measured.pitch[-1])
-    # A mean over the record's time: rows need not be evenly spaced.
+    # A time average: rows need not be evenly spaced.
     squares = np.trapezoid((depth - measured.depth) ** 2, measured.time)
     return Errors(
         trajectory=float(np.sqrt(squares / (measured.time[-1] - measured.time[0])) / final),
@@ -72,7 +73,7 @@ def compare(measured: Motion, simulated: Motion) -> Errors:
 
 
 def gain(measured: np.ndarray, simulated: np.ndarray) -> float:
-    """Return the factor by least squares from measured to simulated values, less one."""
+    """Return the least-squares factor from measured to simulated values, minus one."""
     return float((measured * simulated).sum() / (measured * measured).sum()) - 1
 
 

@@ -1,4 +1,4 @@
-"""One motion, measured or simulated, and the few numbers that sum it up."""
+"""One motion, measured or simulated, and its summary."""
 
 from __future__ import annotations
 
@@ -6,28 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_STOPPED = 0.01  # of the greatest speed: a body that is slower has stopped; that of `data/seen`
-_MEAN = 1e-3  # forces are averaged over so long before the greatest is looked for [s]
+_STOPPED = 0.01  # in parts of the largest speed: a slower body has stopped; as in `data/seen`
+_MEAN = 1e-3  # averaging time of forces before the largest is taken [s]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A measured or simulated motion, one row a sample; arrays of shape (n,). SI units and degrees.
+    """A measured or simulated motion, one row per sample; arrays of shape (n,). SI units, degrees.
 
     Attributes:
-        depth: of the body's lowest point [m], positive below the surface; NaN where it is unknown.
+        depth: depth of the body's lowest point [m], positive below the surface; NaN if unknown.
         time: [s]; None for a push or drag without one.
-        speed: of the mass centre, down; of a drag, wheel or robot along its path [m/s]; None if it
-            is not known.
-        force: of the sand against the motion [N]: of a drop its mean since the row before, up; of a
-            wheel along its heading, of a leg that turns along x. None if it is not known.
-        pitch: of the body's axis from the vertical [degrees]; None if it has none.
+        speed: downward speed of the center of mass; for a drag, wheel or robot, speed along its
+            path [m/s]; None if unknown.
+        force: force of the sand against the motion [N]: for a drop, the mean upward force since the
+            previous row; for a wheel, along its heading; for a turning leg, along x. None if
+            unknown.
+        pitch: angle of the body's axis from the vertical [degrees]; None without an axis.
         to_the_stop: whether the record ends where the lowest point stops.
-        lift: of the sand, up [N].
+        lift: upward force of the sand [N].
         side: force of the sand against a wheel's motion along its axle [N].
-        angle: of a leg from straight down, of a wheel's path from its heading [degrees].
-        spin: of a wheel, positive where it rolls ahead [rad/s].
-        rate: turns of a robot's legs in a second [Hz].
+        angle: angle of a leg from straight down, or of a wheel's path from its heading [degrees].
+        spin: spin of a wheel, positive if it rolls ahead [rad/s].
+        rate: turns of a robot's legs per second [Hz].
     """
 
     depth: np.ndarray
@@ -44,16 +45,16 @@ class Motion:
 
     @property
     def final_depth(self) -> float:
-        """At the end [m]."""
+        """Final depth [m]."""
         return float(self.depth[-1])
 
     @property
     def stop(self) -> float | None:
-        """Time from the touch to the stop of the mass centre [s].
+        """The time from the touch to the stop of the center of mass [s].
 
-        It has stopped where its downward speed is first below 1 % of the greatest. Without a column
-        of speeds, that of the lowest point is taken, from differences. A record `to_the_stop` of
-        the lowest point ends there. None if it never touches or stops.
+        It has stopped when its downward speed is first below 1 % of the largest. Without a column
+        of speeds, that of the lowest point is used, from differences. A record `to_the_stop` of the
+        lowest point ends there. None if it never touches or stops.
         """
         if self.time is None or self.depth.max() <= 0:
             return None
@@ -71,9 +72,9 @@ class Motion:
 
     @property
     def peak_force(self) -> float | None:
-        """Greatest mean force over a millisecond [N]; None where no force is known.
+        """The largest mean force over a millisecond [N]; None without forces.
 
-        Rows further apart than that are averaged over more.
+        Rows further apart are averaged over a longer time.
         """
         if self.force is None or self.time is None or len(self.time) < 3:
             return None
@@ -84,7 +85,7 @@ class Motion:
 
 
 def _crossing(time: np.ndarray, depth: np.ndarray) -> float | None:
-    """The time at which a body touches the surface."""
+    """Return the time at which a body touches the surface."""
     wet = np.flatnonzero(depth >= 0)
     if not len(wet):
         return None

@@ -1,6 +1,6 @@
-"""Sets of measured runs: a folder with `runs.yaml`, a CSV file a run, and where they come from.
+"""Sets of measured runs: a folder with `runs.yaml`, a CSV file per run, and their source.
 
-`runs.yaml` says what was done, in the words that calibration takes too:
+`runs.yaml` describes the runs, with the keys of calibration:
 
     medium: {density: 1469, internal_friction: 0.35, surface_friction: 0.45, grain: 0.003}
     runs:
@@ -14,12 +14,11 @@
          angle: 90, depth: 0.028, data: drawn.csv}
       - {name: leg, kind: turn, body: {file: leg.xml}, speed: 0.2, data: leg.csv}
 
-A body from an MJCF file has a joint for each motion that it is led along: `x`, `y` and `z` slide,
-`turn` is a hinge. At `qpos0` its lowest point is at the surface; of a leg that turns, the hip is at
-its height. A robot that walks starts at its first keyframe, and its legs are all the hinges but
-`pitch`.
+A body from an MJCF file has a joint for each prescribed motion: `x`, `y` and `z` slide, `turn` is a
+hinge. At `qpos0` its lowest point is at the surface; for a turning leg, the hip is at its height. A
+walking robot starts at its first keyframe, and its legs are all hinges but `pitch`.
 
-`about.json` beside it has `title`, `source`, the `marks` of runs by name, and the names of runs
+`about.json` next to it has `title`, `source`, the `marks` of runs by name, and the names of runs
 that are `guided` (the body keeps its angle) or recorded only `to_the_stop` of the lowest point.
 """
 
@@ -55,9 +54,9 @@ MARKS: dict[Mark, str] = {
     "seen": "authors of laws knew the run while they worked, but no constant was chosen by it",
     "blind": "no law or constant was changed after the run was made",
 }
-"""Meaning of each mark."""
+"""Meaning of each label."""
 
-_LARGEST = 5_000_000  # of one file [bytes]; chosen
+_LARGEST = 5_000_000  # limit of one file [bytes]; chosen
 _COLUMNS = {
     "time": "time [s]",
     "depth": "depth [m]",
@@ -94,19 +93,19 @@ class MeasuredRun:
     """A measured run, SI units and degrees.
 
     Attributes:
-        name: of the run.
-        kind: "drop": let go on the surface; "intrude": pushed straight down at constant speed;
-            "drag": drawn along the surface at constant depth, each row at a speed of its own;
-            "turn": a leg that turns about its hip, each row at an angle; "roll": a wheel with given
-            sinkage, speed and spin, each row another; "sink": the same under its load, free to
-            sink; "walk": a robot whose legs turn at a constant rate, each row at a rate.
-        body: what meets the sand: a shape or an MJCF file.
-        speed: at the first row, down; of a push [m/s]; of a turn [rad/s].
-        angle: of the body's axis from the vertical at first [degrees].
-        depth: of a drag, of the lowest point [m].
+        name: name of the run.
+        kind: "drop": released at the surface; "intrude": pushed straight down at constant speed;
+            "drag": dragged along the surface at constant depth, one speed per row; "turn": a leg
+            that turns about its hip, one angle per row; "roll": a wheel with given sinkage, speed
+            and spin in each row; "sink": the same under its load, free to sink; "walk": a robot
+            whose legs turn at a constant rate, one rate per row.
+        body: the body in the sand: a shape or an MJCF file.
+        speed: downward speed at the first row, or speed of a push [m/s]; of a turn [rad/s].
+        angle: initial angle of the body's axis from the vertical [degrees].
+        depth: depth of the lowest point in a drag [m].
         guided: whether the body keeps its angle.
-        mark: what it can be used for (`MARKS`).
-        motion: what was measured.
+        mark: label of what it can be used for (`MARKS`).
+        motion: the measured motion.
     """
 
     name: str
@@ -151,19 +150,19 @@ class MeasuredRun:
 
     @property
     def to_the_stop(self) -> bool:
-        """Whether the record ends where the lowest point stops, not where the body rests."""
+        """Whether the record ends where the lowest point stops, not where the body is at rest."""
         return self.motion.to_the_stop
 
     @property
     def shape(self) -> str:
-        """Of the body; the name of its MJCF file."""
+        """Shape of the body, or the name of its MJCF file."""
         return self.body.name if isinstance(self.body, Path) else self.body.shape
 
     @cached_property
     def width(self) -> float:
         """Second largest extent of the body [m], the width of Froude numbers.
 
-        Of an MJCF file that of its last geom: a leg, a wheel.
+        For an MJCF file that of its last geom: a leg, a wheel.
         """
         if isinstance(self.body, Path):
             return 2 * float(sorted(load_machine(self.body).compile().geom_aabb[-1, 3:])[1])
@@ -171,7 +170,7 @@ class MeasuredRun:
 
     @property
     def froude(self) -> float:
-        """Greatest Froude number of the run, v / sqrt(g w) at 9.81 m/s^2."""
+        """Largest Froude number of the run, v / sqrt(g w) at 9.81 m/s^2."""
         speed = self.speed
         if self.kind == "turn":
             speed *= self.width
@@ -185,10 +184,10 @@ class RunSet:
     """Runs in one medium.
 
     Attributes:
-        name: of its folder.
-        title: what it is, in a few words.
-        source: who made or published it.
-        medium: what is known of the sand.
+        name: name of its folder.
+        title: a short description.
+        source: author or publication.
+        medium: the known properties of the sand.
         runs: the runs.
     """
 
@@ -199,10 +198,10 @@ class RunSet:
     runs: tuple[MeasuredRun, ...] = field(repr=False)
 
     def __getitem__(self, name: str) -> MeasuredRun:
-        """The run of that name.
+        """Return the run of a name.
 
         Raises:
-            UnknownNameError: there is none; lists those there are.
+            UnknownNameError: no such run; lists the runs.
         """
         for run in self.runs:
             if run.name == name:
@@ -223,11 +222,11 @@ def load_machine(file: Path) -> mujoco.MjSpec:
 
 
 def read_runs(folder: str | Path) -> RunSet:
-    """Reads a set of runs from its folder.
+    """Read a set of runs from its folder.
 
     Raises:
-        InputError: a file cannot be read, lacks something, or has what cannot be; says which.
-        UnknownNameError: a kind, shape, mark or medium that there is not.
+        InputError: a file cannot be read, is incomplete, or has a bad value; says which.
+        UnknownNameError: no such kind, shape, mark or medium.
     """
     folder = Path(folder)
     yaml = need("yaml", extra="media", purpose="Reading a set of runs")
@@ -244,14 +243,14 @@ def read_runs(folder: str | Path) -> RunSet:
         runs = tuple(_run(folder, entry, about) for entry in content["runs"])
         medium = _medium(folder.name, about, content.get("medium"))
     except InputError as error:
-        if str(folder) in str(error):  # of a CSV file, which is named already
+        if str(folder) in str(error):  # from a CSV file, which is named already
             raise
         raise InputError(f"{place(file)}: {error}") from None
     return RunSet(folder.name, about["title"], about["source"], medium, runs)
 
 
 def _about(file: Path) -> dict[str, Any]:
-    """Title, source and marks of a set; plain words where the file is not there."""
+    """Return title, source and marks of a set; defaults if the file does not exist."""
     plain: dict[str, Any] = {
         "title": file.parent.name,
         "source": "not said",
@@ -271,7 +270,7 @@ def _about(file: Path) -> dict[str, Any]:
 
 
 def _medium(name: str, about: dict[str, Any], given: Any) -> Medium:
-    """The medium of a set: a registered one by `base`, or what is known of the sand."""
+    """Return the medium of a set: a registered one by `base`, or from its known properties."""
     if not isinstance(given, dict):
         raise InputError("medium: say what is known, {density: ..., internal_friction: ..., ...}")
     if "base" in given:
@@ -342,7 +341,7 @@ def _body(folder: Path, entry: Any) -> Projectile | Path:
 
 
 def _motion(file: Path, kind: Kind, numbers: dict[str, float]) -> Motion:
-    """The columns of a CSV file by their headings."""
+    """Read the motion from the columns of a CSV file."""
     text = read_file(file, "the run", largest=_LARGEST).decode("utf-8-sig", "replace")
     rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
     headings = [cell.strip() for cell in rows[0]] if rows else []

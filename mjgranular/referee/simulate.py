@@ -1,4 +1,4 @@
-"""A measured run once more, under a law."""
+"""Simulation of a measured run with a law."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from mjgranular.sand.material import law_of
 from mjgranular.scheme import Explicit
 
 TIMESTEP = 5e-5
-"""Of simulated drops [s]: halving it moves final depths by less than 0.3 %."""
+"""Time step of simulated drops [s]: halving it changes final depths by less than 0.3 %."""
 
-_SAMPLES = 1e-4  # between two samples [s]
+_SAMPLES = 1e-4  # time between two samples [s]
 _HEAVY = 1e6  # inertia of a body that keeps its angle [kg m^2]; chosen
-_HEAVY_BODY = 1e4  # mass or inertia of what keeps its speed [kg, kg m^2]; chosen
-_SETTLES = 0.01  # a wheel of given sinkage sinks so fast, in parts of its speed; chosen
-_ROLLED, _ROLL_STEP = 0.2, 1e-2  # way [m] and step [s]; half of either changes 3 % at most
-_WALK_STEP, _CYCLES = 1e-3, 2  # [s]; turns to become steady, and as many that are averaged
+_HEAVY_BODY = 1e4  # mass or inertia of a body that keeps its speed [kg, kg m^2]; chosen
+_SETTLES = 0.01  # sinking speed of a wheel of given sinkage, in parts of its speed; chosen
+_ROLLED, _ROLL_STEP = 0.2, 1e-2  # path [m] and step [s]; halving either changes 3 % at most
+_WALK_STEP, _CYCLES = 1e-3, 2  # [s]; turns to become steady, and then to average
 
 
 def simulate(
@@ -40,19 +40,19 @@ def simulate(
     scheme: str = "implicit",
     longer: float = 0.1,
 ) -> Motion:
-    """Does what was done in a run, under a law.
+    """Simulate a measured run with a law.
 
-    A drop begins with the depth and speed of the run's first row and ends with its last, or where
-    the body stops after that; a push or drag is at the depth and speed of each row in turn, and so
-    are the others at what each row says.
+    A drop starts with the depth and speed of the run's first row and ends with its last, or where
+    the body stops after that; a push or drag takes the depth and speed of each row in turn, and the
+    other kinds the values of each row.
 
     Args:
         run: the run.
         medium: the sand.
-        law: its law; None for the medium's own.
-        timestep: of a drop [s].
-        scheme: of a drop.
-        longer: how long after the end of the run the body may take to stop [s].
+        law: its law; None for the medium's default.
+        timestep: time step of a drop [s].
+        scheme: time stepping scheme of a drop.
+        longer: time after the end of the run within which the body may stop [s].
 
     Raises:
         InputError: the law has no elements for such a body.
@@ -109,7 +109,7 @@ def _drop(
     if run.to_the_stop:
         found = found[: int(np.argmax(found[:, 1])) + 1]
     t, deepest, speed, pitch = found.T
-    # Mean force since the row before, from momentum.
+    # Mean force since the previous row, from momentum.
     force = np.zeros(len(t))
     force[1:] = run.body.mass * (gravity - np.diff(speed) / np.diff(t))
     return Motion(
@@ -123,7 +123,7 @@ def _drop(
 
 
 def _seen(body: Projectile, data: mujoco.MjData) -> tuple[float, float, float]:
-    """Depth of the lowest point [m], speed of C down [m/s], angle from the vertical [degrees]."""
+    """Return lowest depth [m], downward speed of C [m/s], angle from vertical [degrees]."""
     q = float(data.qpos[2])
     _, below = offset(body.lowest(q), q)
     return -(float(data.qpos[1]) + below), -float(data.qvel[1]), abs(math.degrees(q))
@@ -132,10 +132,10 @@ def _seen(body: Projectile, data: mujoco.MjData) -> tuple[float, float, float]:
 def _pushed(
     run: MeasuredRun, medium: Medium | str, law: Law | str | None, *, timestep: float
 ) -> Motion:
-    """A push at constant speed in which sand is set in motion: mean forces since the row before.
+    """Simulate a push at constant speed, with the sand's inertia: mean forces between rows.
 
-    The body is heavy and is put back on its way after each step; what the sand has taken of its
-    momentum is the force.
+    The body is heavy and is put back on its path after each step; the force is the momentum that
+    the sand took from it.
     """
     assert isinstance(run.body, Projectile)
     spec = run.body.spec()
@@ -189,7 +189,7 @@ def _moved(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Mot
 
 
 def _led(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
-    """A body from an MJCF file at the place and velocity of each row: forces of the law."""
+    """Return the law's forces on a body from an MJCF file at the pose and velocity of each row."""
     assert isinstance(run.body, Path)
     model = load_machine(run.body).compile()
     sand = Sand(model, medium=medium, law=law, scheme=Explicit(prescribed=True))
@@ -217,10 +217,10 @@ def _led(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motio
 
 
 def _sunk(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
-    """A wheel under its load that is led along and turned: depth at the end, mean forces before.
+    """Simulate a driven wheel under its load: final depth, and mean forces before.
 
-    It is heavy along what it is led, and is put back to its speed after each step; what the sand
-    has taken of its momentum is the force.
+    It is heavy in the prescribed directions, and is put back to its speed after each step; the
+    force is the momentum that the sand took from it.
     """
     assert isinstance(run.body, Path)
     spec = load_machine(run.body)
@@ -249,7 +249,7 @@ def _sunk(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Moti
 
 
 def _walked(run: MeasuredRun, medium: Medium | str, law: Law | str | None) -> Motion:
-    """A robot with legs that keep their rate: mean speed along x over whole turns."""
+    """Simulate a robot with legs at a constant rate: mean speed along x over full turns."""
     assert isinstance(run.body, Path)
     spec = load_machine(run.body)
     spec.option.timestep = _WALK_STEP
@@ -279,7 +279,7 @@ def _dof(model: mujoco.MjModel, name: str) -> int:
 
 
 def _rows(run: MeasuredRun) -> list[dict[str, float]]:
-    """What each row says, angles in radians; without a column of speeds, the run's."""
+    """Return the values of each row, angles in radians; the run's speed if rows have none."""
     columns = {name: value for name, value in vars(run.motion).items() if np.ndim(value) == 1}
     columns.setdefault("speed", np.full(len(run.motion.depth), run.speed))
     rows = [
@@ -290,7 +290,7 @@ def _rows(run: MeasuredRun) -> list[dict[str, float]]:
 
 
 def _velocity(row: dict[str, float]) -> dict[str, float]:
-    """Along and about the joints of a body that is led."""
+    """Return the joint velocities of a body with prescribed motion."""
     along = {"x": row["speed"] * math.cos(row["angle"])}
     if "spin" not in row:
         return along

@@ -22,18 +22,18 @@ from mjgranular.shape.select import last_dof
 class Binding:
     """Arrays that the kernels work on, for one `MjData`. Nothing is allocated after this.
 
-    The table holds addresses in the `MjData`, which it does not keep alive: a binding must not be
-    used after its data is gone.
+    The table holds addresses in the `MjData`, which it does not keep alive: do not use a binding
+    after its data is gone.
     """
 
     table: np.ndarray
-    address: int  # of the table: what the compiled calls take
+    address: int  # address of the table, the argument of the compiled calls
     bodies: np.ndarray
     contacts: np.ndarray
     snapshot: Snapshot
     workspace: Workspace
     scene: np.ndarray
-    state: np.ndarray  # of the surface (`relief.grid`); empty without memory
+    state: np.ndarray  # state of the surface (`relief.grid`); empty without memory
 
 
 def bind(
@@ -44,17 +44,17 @@ def bind(
     within: bool = False,
     state: np.ndarray | None = None,
 ) -> Binding:
-    """Makes the binding of a prepared sand to a simulation.
+    """Make the binding of a prepared sand to a simulation.
 
     Args:
         model: the model.
         data: the simulation.
-        sand: that was prepared for the model.
-        within: whether forces are asked for among MuJoCo's passive ones, inside its step.
-        state: room for that of the surface; None for an array of its own, of untouched sand.
+        sand: the sand, prepared for this model.
+        within: whether the forces are passive forces, computed inside MuJoCo's step.
+        state: memory for the state of the surface; None to allocate an array of untouched sand.
 
     Raises:
-        InputError: elements that do not come body by body.
+        InputError: the elements are not sorted by body.
     """
     elements, scheme = sand.elements, sand.scheme
     slots, first, counts = np.unique(elements["slot"], return_index=True, return_counts=True)
@@ -66,10 +66,10 @@ def bind(
         row["body"], row["end"] = body, end
         row["root"] = model.body_rootid[body]
         row["last_dof"] = last_dof(model, int(body))
-    bodies["written"] = np.nan  # equal to nothing: the first rows found are the user's
+    bodies["written"] = np.nan  # NaN equals nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     snapshot = Snapshot.of(model, data)
-    # Among MuJoCo's own passive forces the integrator goes about its stages as it likes.
+    # As passive forces, they are computed at any stage of the integrator.
     anywhere = within and not scheme.whole_state
     workspace = scheme.workspace(model, data, elements, sand.kernel, within=within)
     scene = sand.scene

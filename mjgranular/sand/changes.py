@@ -1,4 +1,4 @@
-"""Changes of a model after a sand was made of it, and steps that were made without the sand."""
+"""Checks for changes of a model after its sand was made, and for steps without the sand."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ _MESHES = ("mesh_vert", "mesh_face", "mesh_vertadr", "mesh_faceadr")
 
 
 class Original:
-    """Record of what a sand was made of.
+    """Record of the parts of a model that a sand was made from.
 
-    Masses, options, actuators and heights of a height field are no part of it: they are read at
-    each step. Nor is where the root of a tree stands in the model, which its elements do not know.
+    Masses, options, actuators and the heights of a height field are not recorded: they are read at
+    each step. The position of the root of a tree is not recorded either: the elements do not depend
+    on it.
 
     Args:
         model: the model.
@@ -42,23 +43,23 @@ class Original:
         self._rest = self._digests(model)
 
     def check_shapes(self, model: mujoco.MjModel) -> None:
-        """Looks at the geoms alone, which takes microseconds.
+        """Check the geoms alone, which takes microseconds.
 
         Raises:
-            InputError: names what was changed.
+            InputError: something was changed; the message names it.
         """
         for name in _SHAPES:
             self._compare(model, name, self._geoms)
 
     def check(self, model: mujoco.MjModel, geoms: Sequence[int]) -> None:
-        """Looks at all.
+        """Check everything.
 
         Args:
             model: the model.
-            geoms: ids of the geoms that the sand's choice means now.
+            geoms: ids of the geoms that the sand's selection matches now.
 
         Raises:
-            InputError: names what was changed.
+            InputError: something was changed; the message names it.
         """
         for name in _GEOMS:
             self._compare(model, name, self._geoms)
@@ -90,14 +91,14 @@ class Original:
 def warn_of_missed_steps(
     time: float, last: float | None, timestep: float, *, began: float | None = None
 ) -> None:
-    """Warns where time has gone on without the sand.
+    """Warn if the time has advanced without the sand.
 
     Args:
-        time: of the simulation [s].
+        time: time of the simulation [s].
         last: when the sand last acted [s]; None for never.
-        timestep: of that step [s].
-        began: time at the start of a simulation in which the sand was to act from its first step
-            on [s]; None where a state may come from elsewhere.
+        timestep: duration of that step [s].
+        began: initial time of a simulation in which the sand should act from the first step on [s];
+            None if the state may come from elsewhere.
     """
     if last is None:
         if began is not None and time > began + 0.5 * timestep:

@@ -1,4 +1,4 @@
-"""What a `SandSpec` names, found in a model: the half of `prepare` that knows no scheme."""
+"""Resolve what a `SandSpec` names in a model: the half of `prepare` that needs no scheme."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from mjgranular.surface.place import replace_geoms
 
 @dataclass(frozen=True, kw_only=True)
 class ChosenSand:
-    """The material, the place and the elements of a sand.
+    """The material, the surface and the elements of a sand.
 
     Attributes:
         medium: the medium.
         law: the law, with its constants.
         surface: the surface, without memory.
         geoms: ids of the geoms that meet the sand.
-        elements: of the law: a structured array, body by body.
+        elements: elements of the law: a structured array, sorted by body.
         replaced: ids of the geoms that the sand replaces.
     """
 
@@ -45,7 +45,7 @@ class ChosenSand:
 
 
 def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
-    """Finds in a model what a sand names, with all checks and warnings on the way.
+    """Resolve what a sand names in a model, with all checks and warnings.
 
     Args:
         model: the model; contacts of geoms that the sand replaces are switched off in it.
@@ -77,7 +77,7 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
 
 
 def geoms_in_sand(model: mujoco.MjModel, spec: SandSpec) -> list[int]:
-    """The ids of the geoms of a model that meet a sand; see `select_geoms`."""
+    """Return the ids of the geoms of a model that meet a sand; see `select_geoms`."""
     return select_geoms(
         model,
         bodies=spec.bodies,

@@ -1,4 +1,4 @@
-"""What a step costs for the sand, roughly, by the number of elements."""
+"""Rough cost of the sand per step, by the number of elements."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from mjgranular.scheme import Explicit, Scheme
 from mjgranular.shape.budget import FACETS, RESOLUTION
 
 MANY = 20_000
-"""Elements that are told of in a warning. Chosen: with all of them in the sand a step takes twice
-the two milliseconds that robots' models have for a time step."""
+"""Number of elements above which a warning is given. Chosen: with all of them in the sand a step
+takes twice the two milliseconds that models of robots have for a time step."""
 
-# Of an element [s], from docs/benchmarks.md and, for many bodies, benchmarks/meshes.py.
+# Per element [s], from docs/benchmarks.md and, for many bodies, benchmarks/meshes.py.
 _ABOVE = 2e-9
 _EXPLICIT = 16e-9
 _IMPLICIT = 0.2e-6
@@ -26,8 +26,8 @@ class Cost:
     """What the sand adds to a step [s], within a factor of two on today's machines.
 
     Attributes:
-        above: with all elements above the sand.
-        within: with all of them in it.
+        above: cost with all elements above the sand.
+        within: cost with all of them in it.
     """
 
     above: float
@@ -35,7 +35,7 @@ class Cost:
 
     @classmethod
     def of(cls, count: int, scheme: Scheme) -> Cost:
-        """The cost of so many elements."""
+        """Return the cost of `count` elements."""
         each = _EXPLICIT if isinstance(scheme, Explicit) else _IMPLICIT
         return cls(count * _ABOVE, count * each)
 
@@ -45,11 +45,11 @@ class Cost:
 
 
 def warn_of_cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -> None:
-    """Warns of elements that are so many that steps take long, and says what would help.
+    """Warn if the number of elements makes steps slow, and say what would help.
 
     Args:
-        elements: of the law.
-        resolution: as asked for.
+        elements: elements of the law.
+        resolution: the requested one.
         scheme: the scheme.
     """
     count = len(elements)
@@ -60,17 +60,17 @@ def warn_of_cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -
 
 
 def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:
-    """Advice in words on how to have fewer elements.
+    """Return advice on how to get fewer elements.
 
     Args:
-        elements: of the law.
-        resolution: as asked for.
-        most: elements that there are to be, at most.
+        elements: elements of the law.
+        resolution: the requested one.
+        most: the largest number of elements wanted.
     """
     advice = "take fewer geoms"
     if "normal" not in (elements.dtype.names or ()):
         return advice
-    # Their number grows with its square; edges are cut into whole numbers, hence one less.
+    # The count grows with its square; edges are cut into an integer number, hence one less.
     fits = math.floor((resolution or RESOLUTION) * math.sqrt(most / len(elements)))
     lower = max(2, fits - 1)
     return f"resolution={lower} would make some {most:,}, or {advice}"

@@ -1,4 +1,4 @@
-"""The guard around a scheme's program: a snapshot of the state, and the check that needs it."""
+"""Guard around a scheme's program: a snapshot of the state, and the check that needs it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mjgranular.scheme.wrenches import is_bad, take_back_wrenches, withdraw_wren
 
 @compiled
 def forget_after_reset(table):
-    """Forgets all that a surface remembers where time has gone back: the simulation begins anew."""
+    """Clear a surface's memory if time has gone back: the simulation starts over."""
     state, time = floats(table[STATE], table[STATE_SIZE]), kept_time(table)
     if time < state[TIME]:
         for k in range(len(state)):
@@ -23,13 +23,13 @@ def forget_after_reset(table):
 
 @compiled
 def guarded_step(program, address, lead):
-    """Calls a scheme's program, and keeps the state that it is called with if it is good.
+    """Call a scheme's program, and keep the state that it is called with if that is good.
 
-    A surface that remembers is updated after it.
+    A surface with memory is updated after it.
 
     Args:
         program: address of the program.
-        address: of the simulation's table.
+        address: address of the simulation's table.
         lead: as for the program [s].
 
     Returns:
@@ -50,13 +50,13 @@ def guarded_step(program, address, lead):
 
 @compiled
 def finish_step(address):
-    """Takes the wrenches back when `mj_step2` is through; `FINE`, or `BAD_STATE` if it was not."""
+    """Remove the wrenches after `mj_step2`; return `FINE`, or `BAD_STATE` if the state is bad."""
     take_back_wrenches(address)
     return BAD_STATE if is_bad(table_at(address)) else FINE
 
 
 @compiled
 def withdraw(address):
-    """Takes back what is left of the wrenches that a Sand wrote: `FINE`."""
+    """Remove what is left of the wrenches that a Sand wrote; return `FINE`."""
     withdraw_wrenches(table_at(address))
     return FINE

@@ -1,4 +1,4 @@
-"""Medium and law of a sand: as asked for, or as they follow from each other and from the model."""
+"""Medium and law of a sand: as given, or derived from each other and from the model."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mjgranular.medium import Medium, get_medium, media
 from mjgranular.sand.spec import SandSpec
 
 DEFAULT_MEDIUM = "quikrete_medium"
-"""Taken where neither medium nor law is given: its law, `rft3d_dynamic`, takes every shape."""
+"""The medium where neither medium nor law is given: its law, `rft3d_dynamic`, takes every shape."""
 
 LAW_TEXT = "mjgranular.law"
-"""Name of the custom text by which a model names the law that it is made for."""
+"""Name of the custom text in which a model names the law that it is made for."""
 
 _FIRST_MEDIA = ("play_sand", DEFAULT_MEDIUM)
-"""Where a law alone is given, these are asked before all others whether they have constants."""
+"""Media that are searched first for a law's constants if only a law is given."""
 
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
@@ -31,9 +31,9 @@ _logger = logging.getLogger(__name__)
 def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     """Return the medium and the law of a sand.
 
-    What is given is taken. With a medium alone the law is the medium's own, with a law alone the
-    medium is one that has constants for it. With neither, the law is the one that the model names
-    in its custom text `LAW_TEXT`, as the package's link does, else that of `DEFAULT_MEDIUM`.
+    With a medium alone the law is the medium's default; with a law alone the medium is one that has
+    constants for it. With neither, the law is the one that the model names in its custom text
+    `LAW_TEXT`, as the package's link does, else that of `DEFAULT_MEDIUM`.
 
     Args:
         model: the model.
@@ -57,12 +57,12 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
 
 
 def warn_of_link_law(model: mujoco.MjModel, spec: SandSpec, law: Law) -> None:
-    """Warn where the lumped link law comes with a medium, and nothing has asked for it.
+    """Warn if a medium brings the lumped link law, and nothing has asked for that law.
 
     Args:
         model: the model.
         spec: the sand.
-        law: that `material_of` has found for it.
+        law: the one that `material_of` has found for it.
 
     Warns:
         GranularWarning: names laws and a medium to take instead.
@@ -85,7 +85,7 @@ def _law_named_in(model: mujoco.MjModel) -> str | None:
 
 
 def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
-    """The law with a medium's constants; see `get_law`.
+    """Return the law with a medium's constants; see `get_law`.
 
     Raises:
         UnknownNameError: no such law, or no constants for it; names the media that have them.
@@ -101,10 +101,10 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
 
 
 def medium_for(law: str | Law | type[Law]) -> Medium:
-    """The medium that is taken where a law alone is given.
+    """Return the default medium of a law.
 
     Raises:
-        UnknownNameError: no such law; lists those there are.
+        UnknownNameError: no such law; lists the laws.
     """
     if isinstance(law, str):
         law, _ = law_in(law)
@@ -118,7 +118,7 @@ def medium_for(law: str | Law | type[Law]) -> Medium:
 def elements_of(
     model: mujoco.MjModel, geoms: Sequence[int], law: Law, resolution: int | None
 ) -> np.ndarray:
-    """The elements of a law; see `Law.elements`.
+    """Return the elements of a law; see `Law.elements`.
 
     Raises:
         InputError: geoms that the law has no elements for; for a law of links it names the media
@@ -137,7 +137,7 @@ def elements_of(
 
 
 def has_constants(medium: Medium, law: str | Law | type[Law] | None) -> bool:
-    """Tells whether a law can be made of a medium's constants."""
+    """Return True if a medium has the constants of a law."""
     try:
         get_law(law, medium)
     except (InputError, UnknownNameError):

@@ -1,4 +1,4 @@
-"""Feet that are points: made for contacts with a floor, they sink into sand."""
+"""Point feet: made for contacts with a floor, they sink into sand."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import body_name, collides
 
 SHARE = 0.15
-"""Of the radius of what is drawn of a body: what is smaller is a point. Chosen: the four spheres
-under a humanoid's foot have 0.04, the smallest foot that is meant as one, a ball at the end of a
-shin, has 0.2."""
+"""Radius of a point, at most, in parts of the radius of what is drawn of its body. Chosen: the four
+spheres under a humanoid's foot have 0.04; the smallest true foot, a ball at the end of a shin, has
+0.2."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Points:
 
 
 def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> list[Points]:
-    """Finds the bodies of which all that meets the sand is small beside what is drawn.
+    """Find the bodies that meet the sand only with geoms small compared to what is drawn.
 
     Args:
         model: the model.
@@ -56,12 +56,12 @@ def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> list[Points]:
 
 
 def warn_of_points(model: mujoco.MjModel, geoms: Sequence[int], spec: SandSpec) -> None:
-    """Warns of bodies that will sink, and says how to choose what is drawn.
+    """Warn of bodies that will sink, and say how to choose what is drawn.
 
     Args:
         model: the model.
         geoms: ids of the geoms that meet the sand.
-        spec: the sand; geoms that it names one by one are taken to be meant.
+        spec: the sand; geoms that it names one by one are taken as intended.
     """
     found = find_points(model, geoms) if spec.geoms is None else []
     if not found:

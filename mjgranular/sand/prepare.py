@@ -1,4 +1,4 @@
-"""From a model and a `SandSpec` to what a simulation needs, with all checks on the way."""
+"""Build what a simulation needs from a model and a `SandSpec`, with all checks."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class PreparedSand:
         law: the law, with its constants.
         surface: the surface.
         geoms: ids of the geoms that meet the sand.
-        scheme: the one that acts, where a choice was asked for.
-        elements: of the law: a structured array, body by body.
-        packed: the same as the program reads them.
+        scheme: the one that acts, also where "auto" was given.
+        elements: elements of the law: a structured array, sorted by body.
+        packed: the elements as the program reads them.
         scene: parameters of law and surface, shape (1,).
-        kernel: of the law under this surface.
+        kernel: kernel of the law under this surface.
         program: address of the scheme's compiled program (`Scheme.program`).
-        footprint: by which bodies press sand down; None without memory.
-        update: address of the program that updates what is remembered; 0 without memory.
+        footprint: the skin by which bodies press sand down; None without memory.
+        update: address of the program that updates the memory; 0 without memory.
         disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
     """
 
@@ -62,13 +62,13 @@ class PreparedSand:
 
 
 def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> PreparedSand:
-    """Prepares a sand for a model.
+    """Prepare a sand for a model.
 
     Args:
         model: the model; contacts of geoms that are the sand, or that it replaces, are switched
             off in it.
         spec: the sand.
-        within: the sand is to act inside `mj_step`. Then `model` must be a copy: its integrator
+        within: whether the sand acts inside `mj_step`. Then `model` must be a copy: its integrator
             may change too.
 
     Raises:
@@ -86,7 +86,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     scheme.check(model)
     memory, footprint = as_memory(spec.memory), None
     if memory is not None:
-        # Within `mj_step` its size has been settled before there was a model (`fitted`).
+        # Within `mj_step` its size was fixed before there was a model (`fitted`).
         memory = memory if within else fitting(model, chosen.geoms, memory)
         surface, footprint = remembering(model, chosen, memory)
     warn_of_cost(elements, spec.resolution, scheme)
@@ -116,10 +116,10 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
 
 
 def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
-    """A sand whose memory, if it has one, reaches as far as a model needs.
+    """Return a sand whose memory, if it has one, reaches as far as a model needs.
 
-    `Sand` sees to this itself. Inside `mj_step` the state has its size before there is a model, so
-    whoever has one hands `add_sand` what this gives.
+    `Sand` does this itself. Inside `mj_step` the size of the state is fixed before there is a
+    model: if you have one, pass the result of this to `add_sand`.
 
     Args:
         model: the model, perhaps without the sand.
@@ -132,10 +132,11 @@ def fitted(model: mujoco.MjModel, spec: SandSpec) -> SandSpec:
 
 
 def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -> SchemeChoice:
-    """The scheme where it acts inside `mj_step`, which RK4 calls four times a step.
+    """Return the scheme for use inside `mj_step`; RK4 evaluates forces four times a step.
 
     Raises:
-        InputError: RK4, and a law or a scheme whose forces belong to the end of the step.
+        InputError: the integrator is RK4, and the forces of the law or the scheme belong to the end
+            of the step.
     """
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         fine = isinstance(scheme, Auto) and model.opt.timestep <= FINE_STEP
@@ -148,13 +149,13 @@ def _scheme_within_step(scheme: SchemeChoice, model: mujoco.MjModel, law: Law) -
         if fine:
             scheme = Explicit()
     if isinstance(scheme, Explicit):
-        # Between mj_step1 and mj_step2 RK4 is Euler and refused; within mj_step it is itself.
+        # Between mj_step1 and mj_step2 RK4 would act as Euler: an error. Within mj_step it is RK4.
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     return scheme
 
 
 def _without_end_of_step(law: Law) -> str:
-    """Names what is to be taken with the explicit scheme in place of a law that it cannot do."""
+    """Say what to use with the explicit scheme in place of an unsupported law."""
     if not law.adds_mass:
         return ""
     slow = law.name.removesuffix(DYNAMIC)

@@ -1,4 +1,4 @@
-"""Values that computers take and no sand or simulation has: most likely slips of units."""
+"""Values that are valid numbers but implausible for sand: most likely wrong units."""
 
 from __future__ import annotations
 
@@ -17,36 +17,37 @@ from mjgranular.shape.sizes import LARGEST, geom_name, half_extents
 from mjgranular.surface import Bed, Plane, Surface
 
 _DENSITIES = (10.0, 25000.0)
-"""Of sand [kg/m^3]: from snow to tungsten powder, as a medium's. In g/cm^3 it is 0.01 to 25."""
+"""Density of a medium [kg/m^3]: from snow to tungsten powder. In g/cm^3 it is 0.01 to 25."""
 
 _LONGEST_STEP = 0.1
-"""[s]. MuJoCo's own models have 1 to 10 ms, and what falls 1 cm into sand is at rest after 50 ms.
-Someone who gives milliseconds gives 1 or more."""
+"""Time step [s]. MuJoCo's own models have 1 to 10 ms; a body that falls 1 cm into sand is at rest
+after 50 ms. A value in milliseconds is 1 or more."""
 
 _DEEPEST_START = 1.0
-"""Of the highest point of all that meets the sand [m]. Laws hold to some widths of a body. A height
-in millimetres, or with the wrong sign, is further off. A robot is told of half its largest geom."""
+"""Depth of the highest point of all that meets the sand [m]. Laws hold to some widths of a body. A
+height in millimeters, or with the wrong sign, is further off. For a robot the limit is half its
+largest geom."""
 
 _LONGEST = 10.0
-"""Of a geom that meets the sand [m], across. Chosen: an excavator has 10 m. What was drawn in
-millimetres has more."""
+"""Width of a geom that meets the sand [m]. Chosen: an excavator has 10 m. A geom drawn in
+millimeters has more."""
 
 _LIGHTEST = 5.0
-"""Mean of all that meets the sand [kg/m^3]. Chosen: foam has 15 and more. In g/cm^3 water has 1,
-and steel 7.8."""
+"""Mean density of all that meets the sand [kg/m^3]. Chosen: foam has 15 and more. In g/cm^3 water
+has 1, and steel 7.8."""
 
 _STEEPEST = math.radians(75)
-"""Of gravity against the way into a plane of sand. Chosen: sand slides from 35 degrees on, and
-where gravity is along y, it is 90."""
+"""Angle between gravity and the way into a plane of sand. Chosen: sand slides from 35 degrees on;
+with gravity along y it is 90."""
 
 _ROUNDING = 1e-6
-"""Of a slope that is the angle of repose [rad]; chosen."""
+"""Tolerance for a slope equal to the angle of repose [rad]; chosen."""
 
 _LEVEL = 1e-3
-"""Vertical part of an axis up to which it is level; chosen."""
+"""Vertical component of an axis up to which it counts as level; chosen."""
 
 _OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
-"""Laws of which that is known: one of a user's own may be of mud, or of a lake."""
+"""Laws known to be of sand: a custom law may be of mud, or of a lake."""
 
 
 def warn_of_ranges(
@@ -56,14 +57,14 @@ def warn_of_ranges(
     surface: Surface,
     memory: Memory | None = None,
 ) -> None:
-    """Warns of densities, sizes, a time step, a slope and a start that are beyond all sense.
+    """Warn of densities, sizes, a time step, a slope and a start that are implausible.
 
     Args:
         model: the model.
         geoms: ids of the geoms that meet the sand.
-        law: with its constants.
-        surface: where the sand is; a start is judged under a plane alone.
-        memory: of the sand, if any.
+        law: the law with its constants.
+        surface: where the sand is; a start is checked under a plane only.
+        memory: memory of the sand, if any.
     """
     density = getattr(law, "density", None)
     low, high = _DENSITIES
@@ -108,9 +109,9 @@ def warn_of_depth(
         model: the model.
         data: the simulation, with current positions.
         geoms: ids of the geoms that meet the sand.
-        law: one that is not of sand is not judged.
+        law: the law; one that is not of sand is not checked.
         surface: where the sand is.
-        when: the positions that `data` holds, in words.
+        when: describes the positions in `data`.
     """
     if not isinstance(surface, Plane) or not isinstance(law, _OF_SAND):
         return
@@ -149,7 +150,7 @@ def warn_of_depth(
 
 
 def _may_rise(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> bool:
-    """Return True if a joint of the body lets it move up; what swims in a level plane has none."""
+    """Return True if a joint of the body lets it move up, unlike a swimmer in a level plane."""
     for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
         kind, axis = model.jnt_type[joint], data.xaxis[joint]
         is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
@@ -181,13 +182,13 @@ def _warn_of_slope(
 
 
 def _warn_of_gravity(model: mujoco.MjModel, surface: Surface) -> None:
-    """Warns of gravity that does not pull into the sand."""
+    """Warn of gravity that does not pull into the sand."""
     gravity = model.opt.gravity
     strength = float(np.linalg.norm(gravity))
     if not isinstance(surface, Plane) or strength == 0.0:
         return
     down = min(1.0, max(-gravity[2], -float(gravity @ surface.normal)) / strength)
-    off = math.acos(max(-1.0, down))  # a wall of sand that was asked for is one
+    off = math.acos(max(-1.0, down))  # a wall of sand is allowed if it was asked for
     if off > _STEEPEST:
         components = ", ".join(f"{component:g}" for component in gravity)
         warn_user(
@@ -198,9 +199,9 @@ def _warn_of_gravity(model: mujoco.MjModel, surface: Surface) -> None:
 
 
 def _warn_of_bodies(model: mujoco.MjModel, geoms: Sequence[int]) -> None:
-    """Warns of what is drawn in millimetres, or weighed in g/cm^3."""
+    """Warn of geoms drawn in millimeters, or with densities in g/cm^3."""
     if not (model.geom_size[list(geoms)] < LARGEST).all():
-        return  # refused where elements are made
+        return  # an error where the elements are made
     largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
     across = 2 * float(model.geom_rbound[largest])
     if across > _LONGEST:
@@ -222,7 +223,7 @@ def _warn_of_bodies(model: mujoco.MjModel, geoms: Sequence[int]) -> None:
 
 
 def _volume(model: mujoco.MjModel, geom: int) -> float:
-    """Volume of a geom [m^3]; 0 where it is not known, of meshes above all."""
+    """Return the volume of a geom [m^3]; 0 where it is unknown, as for meshes."""
     x, y, z = model.geom_size[geom].tolist()
     kinds = mujoco.mjtGeom
     ball = 4 / 3 * math.pi

@@ -1,4 +1,4 @@
-"""A chosen sand with memory: its surface, the skin that presses it down, the law's kernel there."""
+"""Memory of a resolved sand: its surface, the skin that presses it down, the law's kernel there."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from mjgranular.surface import Surface
 def remembering(
     model: mujoco.MjModel, chosen: ChosenSand, memory: Memory
 ) -> tuple[Relief, Footprint]:
-    """The surface of a sand with memory and the skin of its bodies, with warnings on the way.
+    """Return the surface of a sand with memory and the skin of its bodies; warn if needed.
 
     Args:
         model: the model.
         chosen: the sand without memory.
-        memory: that fits the model (`relief.footprint.fitting`).
+        memory: one that fits the model (`relief.footprint.fitting`).
 
     Raises:
-        InputError: a surface that cannot remember, or more points of skin than there is room for.
+        InputError: the surface cannot have memory, or the skin has more points than the capacity.
     """
     surface, geoms = chosen.surface, list(chosen.geoms)
     warn_of_cells(model, geoms, surface, memory)
@@ -44,17 +44,17 @@ def kernel_under(
     *,
     forces_alone: bool = False,
 ) -> LawKernel:
-    """The kernel of a sand's law under its surface.
+    """Return the kernel of a sand's law under its surface.
 
     Args:
         model: the model.
         chosen: the sand without memory.
-        surface: its own, or with memory.
+        surface: the sand's, or the one with memory.
         footprint: the skin of its bodies; None without memory.
-        forces_alone: whether derivatives are not asked for (`Law.kernel_of_forces`).
+        forces_alone: whether to omit derivatives (`Law.kernel_of_forces`).
 
     Raises:
-        InputError: a law that cannot be used with memory.
+        InputError: the law cannot be used with memory.
     """
     law = chosen.law
     kernel = _kernel_of(law, surface, forces_alone)

@@ -30,15 +30,15 @@ class ElementReport:
     Attributes:
         geom: name of the geom that the element was made from, or its number.
         body: name of the body, or its number.
-        depth: of the element below the surface, of a rod's deeper end [m]; negative above it.
+        depth: depth of the element below the surface, of a rod's deeper end [m]; negative above it.
         immersed_length: length of a rod in the sand [m]; 0 for other elements.
         point: E, where the force acts [m], shape (3,); the element's middle above the sand.
-        velocity: of that point [m/s], shape (3,); zero above the sand.
-        force: of the sand on the element [N], shape (3,).
-        power: of that force on the body [W]; never positive for a dissipative law.
+        velocity: velocity of that point [m/s], shape (3,); zero above the sand.
+        force: force of the sand on the element [N], shape (3,).
+        power: power of that force on the body [W]; never positive for a dissipative law.
         froude: Froude number |v_E| / sqrt(g w) with the geom's width w, a rod's diameter; 0
             without gravity.
-        width: of the geom [m].
+        width: width of the geom [m].
     """
 
     geom: str
@@ -59,17 +59,17 @@ class BodyReport:
 
     Attributes:
         body: name of the body, or its number.
-        force: of the sand on the body [N], shape (3,).
-        moment: about the body's centre of mass [N m], shape (3,).
+        force: force of the sand on the body [N], shape (3,).
+        moment: about the body's center of mass [N m], shape (3,).
         point: E, where the force of the body's deepest element acts [m], shape (3,).
-        depth: greatest depth of its elements [m], negative above the sand.
+        depth: largest depth of its elements [m], negative above the sand.
         immersed_length: sum over its rods [m].
         power: sum over its elements [W].
-        froude: greatest of its elements in the sand.
-        validity: how the body stands against the law's limits.
-        found: the error that was found against drops, pushes and drags as fast as this; None above
-            the sand, where nothing as fast was compared, and where the body turns in the sand, as
-            wheels and legs do (docs/validity.md has their errors).
+        froude: largest Froude number of its elements in the sand.
+        validity: measures of the body against the law's limits.
+        found: the measured error for drops, pushes and drags as fast as this; None above the sand,
+            where nothing as fast was compared, and where the body turns in the sand, as wheels and
+            legs do (docs/validity.md has their errors).
     """
 
     body: str
@@ -85,12 +85,12 @@ class BodyReport:
 
     @property
     def error(self) -> float | None:
-        """The error that was found for such motion, in parts; None where it is not known."""
+        """The measured relative error for such motion; None if unknown."""
         return None if self.found is None else self.found.error
 
     @property
     def valid(self) -> bool:
-        """Tells whether the law holds for this body now."""
+        """True if the law is valid for this body now."""
         return all(standing.holds for standing in self.validity)
 
 
@@ -128,13 +128,13 @@ class Solver:
     """Counters of the implicit scheme since the sand met this `MjData`.
 
     Attributes:
-        steps: in which an element was in the sand.
-        evaluations: of all forces, in these steps together.
-        most: in one step.
-        unfinished: steps in which the law's forces leave more than a millionth of the momentum at
-            hand unbalanced; they are made with a damping near these forces that takes energy.
-        residual: what the last step left, in parts of the momentum at hand.
-        worst: of all steps.
+        steps: number of steps in which an element was in the sand.
+        evaluations: evaluations of all forces, summed over these steps.
+        most: the largest number of evaluations in one step.
+        unfinished: steps in which the law's forces leave more than a millionth of the momentum
+            scale unbalanced; they use a damping near these forces, which dissipates energy.
+        residual: unbalanced momentum of the last step, in parts of the momentum scale.
+        worst: largest residual of all steps.
     """
 
     steps: int
@@ -146,7 +146,7 @@ class Solver:
 
     @classmethod
     def of(cls, statistics: np.void) -> Solver:
-        """From the record that the scheme keeps (`scheme.workspace`)."""
+        """Return the counters from the record that the scheme keeps (`scheme.workspace`)."""
         return cls(*(statistics[field.name].item() for field in fields(cls)))
 
 
@@ -155,14 +155,14 @@ class Report:
     """The sand on a model at one instant.
 
     Attributes:
-        time: of the simulation [s].
-        bodies: one report a body, in the order of the model.
+        time: time of the simulation [s].
+        bodies: one report per body, in the order of the model.
         table: all elements, as arrays.
-        names: of geoms and bodies by their ids.
+        names: names of geoms and bodies, by their ids.
         medium: name of the medium.
         law: name of the law.
-        solver: what the implicit scheme has counted so far; None with the explicit one, or before
-            the first step.
+        solver: counters of the implicit scheme; None with the explicit one, or before the first
+            step.
     """
 
     time: float
@@ -174,7 +174,7 @@ class Report:
     solver: Solver | None = None
 
     def __repr__(self) -> str:
-        """Short: each body's depth and force; `_repr_html_` is a table, `as_dict` has all."""
+        """Return each body's depth and force; `_repr_html_` is a table, `as_dict` has all."""
         bodies = [
             f"{body.body} {1e3 * body.depth:.4g} mm deep, {_size(body.force):.4g} N"
             for body in self.bodies[:_SHOWN]
@@ -184,7 +184,7 @@ class Report:
         return f"Report(t={self.time:.6g} s, {self.medium}, {self.law} law: {'; '.join(bodies)})"
 
     def _repr_html_(self) -> str:
-        """One row a body, for notebooks."""
+        """Return a table with one row per body, for notebooks."""
         title = f"{self.medium}, {self.law} law, t = {self.time:.6g} s"
         headings = ("body", "depth [mm]", "force [N]", "power [W]", "law holds", "error found")
         rows = [
@@ -201,10 +201,10 @@ class Report:
         return html_table(title, headings, rows)
 
     def __getitem__(self, body: str | int) -> BodyReport:
-        """The report of the body of that name; of one without a name, its number.
+        """Return the report of a body, by its name, or by its number if it has no name.
 
         Raises:
-            UnknownNameError: no such body in the sand's care; lists those that are.
+            UnknownNameError: the sand does not act on this body; lists the bodies that it acts on.
         """
         for report in self.bodies:
             if report.body == str(body):
@@ -213,7 +213,7 @@ class Report:
 
     @cached_property
     def elements(self) -> tuple[ElementReport, ...]:
-        """One report an element, made when first asked for."""
+        """One report per element, made at the first access."""
         columns = [getattr(self.table, field.name) for field in fields(ElementReport)]
         return tuple(
             ElementReport(self.names.geoms[geom], self.names.bodies[body], *_numbers(rest))
@@ -221,7 +221,7 @@ class Report:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, as for JSON."""
+        """Return plain numbers and lists, as for JSON."""
         return {
             "time": self.time,
             "medium": self.medium,
@@ -240,7 +240,7 @@ class Names:
 
     @classmethod
     def of(cls, model: mujoco.MjModel, elements: np.ndarray) -> Names:
-        """The names of what elements belong to."""
+        """Return the names of the geoms and bodies of some elements."""
         geoms, bodies = np.unique(elements["geom"]), np.unique(elements["body"])
         return cls(
             {int(g): name_of(model, "geom", int(g)) or str(g) for g in geoms},
@@ -248,7 +248,7 @@ class Names:
         )
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what is beyond all numbers is told as infinite
+@np.errstate(over="ignore", invalid="ignore")  # overflow is reported as infinite
 def describe(
     data: mujoco.MjData,
     *,
@@ -260,17 +260,17 @@ def describe(
     slope: float,
     solver: Solver | None,
 ) -> Report:
-    """Makes a report of what a kernel has just filled in.
+    """Make a report from the contacts that a kernel has just filled in.
 
     Args:
         data: the simulation.
         sand: the sand.
         members: for each body in the sand, the rows of its elements.
-        names: of geoms and bodies.
-        binding: with wrenches and contacts.
-        gravity: its size [m/s^2].
-        slope: of the surface [rad].
-        solver: what the scheme has counted.
+        names: names of geoms and bodies.
+        binding: the binding with wrenches and contacts.
+        gravity: its magnitude [m/s^2].
+        slope: slope of the surface [rad].
+        solver: counters of the scheme.
     """
     table = _element_table(data, sand.elements, binding.contacts, gravity)
     limits, grain = sand.law.validity, sand.medium.grain and sand.medium.grain.value
@@ -312,7 +312,7 @@ def describe(
 def _element_table(
     data: mujoco.MjData, elements: np.ndarray, contacts: np.ndarray, gravity: float
 ) -> ElementTable:
-    """Copies the contacts; above the sand kernels leave all but the depth as it was."""
+    """Copy the contacts; above the sand kernels write only the depth."""
     dry = contacts["depth"] <= 0
     point, velocity = contacts["point"].copy(), contacts["velocity"].copy()
     force, length = contacts["force"].copy(), contacts["length"].copy()
@@ -337,7 +337,7 @@ def _element_table(
 
 
 def _turns(table: ElementTable, wet: np.ndarray) -> bool:
-    """Return whether a body turns in the sand, by how velocities differ over its elements there."""
+    """Return True if a body turns in the sand, from the spread of its elements' velocities."""
     point, velocity = table.point[wet], table.velocity[wet]
     speed, across = _rms(velocity), _rms(point - point.mean(axis=0))
     if speed < _SLOW or across == 0.0:
@@ -358,7 +358,7 @@ def _measures(
     slope: float,
     grain: float | None,
 ) -> dict[Measure, float | None]:
-    """The measures of validity of one body: the greatest over its elements in the sand."""
+    """Return the measures of validity of one body: the largest over its elements in the sand."""
     measures: dict[Measure, float | None] = {
         "slope": slope,
         "froude": 0.0,
@@ -372,7 +372,7 @@ def _measures(
         if grain is not None and gravity > 0:
             # Shear rate v / w, pressure rho g z: the density cancels.
             speed = np.sqrt((table.velocity[wet] ** 2).sum(axis=1))
-            # Where less than a grain is in the sand there is no flow to speak of.
+            # Less than a grain deep there is hardly any flow.
             number = speed / width * grain / np.sqrt(gravity * np.maximum(depth, grain))
             measures["inertial_number"] = float(number.max())
     return measures
@@ -387,7 +387,7 @@ def _numbers(values: list[Any]) -> list[Any]:
 
 
 def _plain(report: Any) -> dict[str, Any]:
-    """A report as names and plain numbers; its validity as measures with values."""
+    """Return a report as names and plain numbers; its validity as measures with values."""
     plain: dict[str, Any] = {}
     for field in fields(report):
         value = getattr(report, field.name)

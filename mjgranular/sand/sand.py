@@ -1,4 +1,4 @@
-"""`Sand`: a bed of sand bound to a model; the one handle a user holds."""
+"""`Sand`: a bed of sand bound to a model, the main class of the package."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _POSTURE = int(
     | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )
 _WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_NOBODY: tuple[Callable[[], object], int] = (object, 0)  # is no data, None included
+_NOBODY: tuple[Callable[[], object], int] = (object, 0)  # equal to no data, nor to None
 
 
 class Sand:
@@ -55,14 +55,14 @@ class Sand:
     Everything is checked and prepared here, once. One `Sand` serves any number of `MjData` of its
     model, also from several threads (one `MjData` a thread, as for MuJoCo itself).
 
-    With `memory` the sand keeps the prints of what has stood in it, for each `MjData` its own,
-    until time goes back (`mj_resetData`), or the `MjData` is let go (`release`). A copy of an
-    `MjData` begins with untouched sand unless `copy_memory` is called; so does a pickled `Sand`.
-    After an `UnstableError` the sand is as the step that failed has left it.
+    With `memory` the sand keeps the prints of what has stood in it, separately for each `MjData`,
+    until time goes back (`mj_resetData`), or the `MjData` is released (`release`). A copy of an
+    `MjData` starts with untouched sand unless `copy_memory` is called; so does a pickled `Sand`.
+    After an `UnstableError` the sand is as the failed step has left it.
 
-    Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each
-    once between `mj_step1` and `mj_step2`: a `step` of each would be two steps of time. They may
-    have different bodies as they are; if both are to act on the same, each takes `shared=True`.
+    Two `Sand`s, of two beds with two media for example, act in one simulation by `apply`, each once
+    between `mj_step1` and `mj_step2`: a `step` of each would be two steps of time. By default they
+    must act on different bodies; to act on the same, both need `shared=True`.
 
         first = Sand(model, surface=Bed("dry"), medium="glass_beads", shared=True)
         second = Sand(model, surface=Bed("wet"), medium="play_sand", shared=True)
@@ -74,14 +74,14 @@ class Sand:
     Args:
         model: the model; kept, not copied.
         spec: the sand; None for one of defaults.
-        shared: lets another `Sand`, shared too, or sand that is a part of the model act on the same
-            bodies of the same `MjData`.
-        **fields: of `SandSpec`, which says what they mean; they replace those of `spec`.
+        shared: whether another `Sand`, shared too, or sand that is a part of the model may act on
+            the same bodies of the same `MjData`.
+        **fields: fields of `SandSpec`, which documents them; they replace those of `spec`.
 
     Raises:
         UnknownNameError: a name or group that does not exist; lists those that do.
         InputError: geoms that the law has no elements for, a model that the scheme cannot step, or
-            one that has sand of its own on the same bodies (`engine`).
+            a model that already has sand on the same bodies (`engine`).
     """
 
     def __init__(
@@ -118,11 +118,11 @@ class Sand:
         slots = sand.elements["slot"]
         self._members = [np.flatnonzero(slots == slot) for slot in range(len(np.unique(slots)))]
         self._probes: list[tuple[mujoco.MjData, Binding]] = []
-        # The last data and the address of its table: what a loop over one simulation needs.
+        # The last data and the address of its table: all that a loop over one simulation needs.
         self._recent = _NOBODY
         places = sand.surface.geoms(model)
         self._original = Original(model, sand.geoms, places)
-        self._last_timestep = 0.0  # of the last step, of whatever simulation [s]
+        self._last_timestep = 0.0  # of the last step of any simulation [s]
 
     def __repr__(self) -> str:
         bodies = [repr(name) for name in self._names.bodies.values()]
@@ -140,7 +140,7 @@ class Sand:
 
     @property
     def spec(self) -> SandSpec:
-        """The sand as it was asked for."""
+        """The sand as specified."""
         return self._spec
 
     @property
@@ -155,19 +155,19 @@ class Sand:
 
     @property
     def surface(self) -> Surface:
-        """The surface, as it is where nothing has moved the sand."""
+        """The undisturbed surface."""
         surface = self._sand.surface
         return surface.base if isinstance(surface, Relief) else surface
 
     @property
     def memory(self) -> Memory | None:
-        """How the sand remembers; None if it does not."""
+        """The memory of the sand; None without one."""
         surface = self._sand.surface
         return surface.memory if isinstance(surface, Relief) else None
 
     @property
     def scheme(self) -> Scheme:
-        """The scheme by which forces become a step."""
+        """The time stepping scheme."""
         return self._scheme
 
     @property
@@ -178,11 +178,11 @@ class Sand:
         return view
 
     def step(self, data: mujoco.MjData) -> None:
-        """Advances the simulation by one time step with the sand acting: use it for `mj_step`.
+        """Advance the simulation by one time step with the sand: use it in place of `mj_step`.
 
         `mj_step1` makes positions and velocities current, the wrench of every body is added to
-        `data.xfrc_applied`, `mj_step2` finishes the step, and `data.xfrc_applied` is left as it was
-        found: what a user writes there acts beside the sand and stays.
+        `data.xfrc_applied`, `mj_step2` finishes the step, and `data.xfrc_applied` is restored: what
+        you write there acts in addition to the sand and stays.
 
         Raises:
             UnstableError: a force is not finite, and then the step is not finished; or MuJoCo has
@@ -208,11 +208,11 @@ class Sand:
             raise self._failure(data, failed)
 
     def apply(self, data: mujoco.MjData) -> None:
-        """Adds the sand's wrenches to `data.xfrc_applied`, for a stepping loop of your own.
+        """Add the sand's wrenches to `data.xfrc_applied`, for a custom stepping loop.
 
         Call it between `mj_step1` and `mj_step2`, when positions and velocities are current. The
         wrench stays in `xfrc_applied` until the next call, which takes it back; a row that was
-        written in between is taken to be wholly yours.
+        written in between is taken to hold only your own wrench.
 
         Raises:
             UnstableError: a force is not finite, and then nothing is written; or MuJoCo has found
@@ -228,13 +228,13 @@ class Sand:
             raise self._failure(data, failed, own=False)
 
     def release(self, data: mujoco.MjData) -> None:
-        """Lets a simulation go, so that another `Sand` may act on the same bodies of it.
+        """Release a simulation, so that another `Sand` may act on the same bodies of it.
 
-        What `apply` has left in `data.xfrc_applied` is taken back. A later `step` or `apply` begins
-        anew; without an earlier one there is nothing to let go.
+        The wrenches that `apply` has left in `data.xfrc_applied` are removed. A later `step` or
+        `apply` starts over; without an earlier one this does nothing.
 
         Raises:
-            InputError: something else than a simulation.
+            InputError: `data` is not an `MjData`.
         """
         check_data(data, "Sand")
         binding = self._bindings.pop(data, None)
@@ -243,15 +243,15 @@ class Sand:
             registry_of(data).remove(self, binding)
 
     def relief(self, data: mujoco.MjData, middle: tuple[float, float] | None = None) -> Heights:
-        """What the sand of a simulation remembers: heights over its surface.
+        """Return the memory of a simulation's sand: heights over its surface.
 
         Args:
             data: the simulation.
-            middle: of the square that is asked for, along the axes of the surface's plane [m]; None
-                for the middle of the bodies that meet the sand.
+            middle: center of the returned square, along the axes of the surface's plane [m]; None
+                for the center of the bodies that meet the sand.
 
         Raises:
-            InputError: it has no memory.
+            InputError: the sand has no memory.
         """
         surface = self._remembering()
         self._bind(data)
@@ -262,10 +262,10 @@ class Sand:
         return heights_of(state, surface.memory, middle)
 
     def copy_memory(self, origin: mujoco.MjData, to: mujoco.MjData) -> None:
-        """Has one simulation remember what another does, whose state it was given.
+        """Copy the sand's memory from one simulation to another that has a copy of its state.
 
-        MuJoCo's own copies do not know of it: after `mj_copyData`, `mj_setState` or `copy.copy`
-        call this too. (Sand inside `mj_step` has its heights in MuJoCo's state.)
+        MuJoCo does not copy it: after `mj_copyData`, `mj_setState` or `copy.copy` call this too.
+        (Sand inside `mj_step` has its heights in MuJoCo's state.)
 
         Raises:
             InputError: the sand has no memory.
@@ -275,10 +275,10 @@ class Sand:
         self._bind(to)
         state = self._bindings[to].state
         state[:] = self._bindings[origin].state
-        state[TIME] = to.time  # whatever it is: what is copied is not forgotten
+        state[TIME] = to.time  # whatever it is, so that the copy is not cleared
 
     def save_memory(self, data: mujoco.MjData) -> np.ndarray:
-        """What the sand of a simulation remembers, to be given to `restore_memory`: numbers.
+        """Return the memory of a simulation's sand as an array, for `restore_memory`.
 
         Raises:
             InputError: the sand has no memory.
@@ -288,15 +288,15 @@ class Sand:
         return self._bindings[data].state.copy()
 
     def restore_memory(self, data: mujoco.MjData, saved: np.ndarray) -> None:
-        """Has the sand of a simulation remember what was saved, also by another process.
+        """Restore the memory of a simulation's sand, also one saved by another process.
 
         Args:
             data: the simulation, with the state that it had then.
-            saved: by `save_memory`, of a sand with the same memory.
+            saved: array from `save_memory`, of a sand with the same memory.
 
         Raises:
-            InputError: the sand has no memory; or numbers that are not finite, or too many or too
-                few of them, and then nothing is changed.
+            InputError: the sand has no memory; or the array has a wrong size or numbers that are
+                not finite, and then nothing is changed.
         """
         self._remembering()
         self._bind(data)
@@ -311,14 +311,14 @@ class Sand:
         return surface
 
     def report(self, data: mujoco.MjData) -> Report:
-        """Reports the sand's action at the state in `data` (`qpos`, `qvel`), which stays.
+        """Report the sand's action at the state in `data` (`qpos`, `qvel`), which is not changed.
 
         Warns with a `MissedStepWarning` as `check` does.
 
         Raises:
             InputError: the shape of a geom was changed after the sand was made of it; `check` looks
-                at more. The model has sand of its own on the same bodies, and this one has never
-                acted in `data`: it would report what it would add to the other.
+                at more. The model already has sand on the same bodies, and this one has never acted
+                in `data`: the report would be of forces in addition to those.
         """
         model = self._model
         self._check_owner(data)
@@ -336,7 +336,7 @@ class Sand:
         except IndexError:
             probe = mujoco.MjData(model)
             binding = bind(model, probe, self._sand)
-            binding.table[UPDATE] = 0  # what is looked at leaves no trace
+            binding.table[UPDATE] = 0  # a report leaves the memory unchanged
         lead = 0.0
         if self._scheme.whole_state:
             lead = self._lead * self._options.timestep
@@ -367,18 +367,19 @@ class Sand:
         return report
 
     def check(self, data: mujoco.MjData | None = None) -> None:
-        """Looks whether the model is still the one that this sand was made of.
+        """Check that the model is still the one that this sand was made from.
 
-        Masses and options may change between any two steps. What elements and selection are made
-        of may not: sizes, places and types of geoms, meshes, the tree of bodies and joints.
+        Masses and options may change between any two steps. Inputs of elements and selection may
+        not: sizes, places and types of geoms, meshes, the tree of bodies and joints.
 
         Warns with a `MissedStepWarning` if time has gone on in `data` without this sand, also if it
-        has never acted there: `mujoco.mj_step` was called, most likely, where `step` was meant.
-        With a `FloorWarning` if ground of the model's own carries bodies in these contacts. With a
-        `RangeWarning` if a robot is wholly buried, deeper than its largest geom is wide.
+        has never acted there: most likely `mujoco.mj_step` was called in place of `step`. With a
+        `FloorWarning` if the model's own ground supports bodies in its contacts. With a
+        `RangeWarning` if a robot is completely buried, deeper than its largest geom is wide.
 
         Raises:
-            InputError: names what was changed; or options that the scheme cannot step.
+            InputError: something was changed, which the message names; or the scheme cannot step
+                with the options.
         """
         geoms = geoms_in_sand(self._model, self._spec)
         self._original.check(self._model, geoms)
@@ -396,14 +397,14 @@ class Sand:
         warn_of_missed_steps(data.time, last, timestep, began=began)
 
     def _solver(self, data: mujoco.MjData) -> Solver | None:
-        """Counters of the scheme in this simulation."""
+        """Return the counters of the scheme in this simulation."""
         bound = self._bindings.get(data)
         if bound is None or bound.workspace.statistics is None:
             return None
         return Solver.of(bound.workspace.statistics[0])
 
     def _own_applied(self, data: mujoco.MjData) -> np.ndarray:
-        """`xfrc_applied` without what `apply` has left in it."""
+        """Return `xfrc_applied` without what `apply` has left in it."""
         applied = data.xfrc_applied.copy()
         binding = self._bindings.get(data)
         if binding is not None:
@@ -413,7 +414,7 @@ class Sand:
         return applied
 
     def table_of(self, data: mujoco.MjData) -> int:
-        """The address of a simulation's table (`kernel.memory`), which lives as long as `data`."""
+        """Return the address of a simulation's table (`kernel.memory`), valid as long as `data`."""
         return self._bind(data)
 
     def _check_owner(self, data: mujoco.MjData) -> None:
@@ -434,7 +435,7 @@ class Sand:
             binding = bind(self._model, data, self._sand)
             registry_of(data).add(self, self._model, binding, shared=self._shared)
             self._bindings[data] = binding
-        if self._shared:  # comes here at every call: the others' shares are to be seen to
+        if self._shared:  # at every call, to update the shares of the others
             registry_of(data).begin(binding)
         else:
             self._recent = (weakref.ref(data), binding.address)
@@ -448,13 +449,13 @@ class Sand:
         *,
         own: bool = True,
     ) -> UnstableError | InputError:
-        """Makes the error for a program that failed; brings the last good state back, if it is bad.
+        """Make the error for a program that failed; if the state is bad, restore the last good one.
 
         Args:
             data: the simulation.
-            failed: what the program has returned.
-            binding: what it was called with; None for that of `data`.
-            own: whether `xfrc_applied` was wholly the user's when the state was kept.
+            failed: return value of the program.
+            binding: the binding that it was called with; None for that of `data`.
+            own: whether `xfrc_applied` held only the user's wrenches when the state was kept.
         """
         model = self._model
         if failed in REFUSED:
@@ -487,12 +488,12 @@ class Sand:
         )
 
     def _moment(self, time: float) -> str:
-        """When, in words; the first step is step 1."""
+        """Return when in words; the first step is step 1."""
         step = time / self._options.timestep if self._options.timestep else math.nan
         return f"t = {time:.6g} s" + (f", step {round(step) + 1}" if math.isfinite(step) else "")
 
     def _blame(self, data: mujoco.MjData) -> tuple[str, int]:
-        """Finds what MuJoCo found bad, and in which body; clears its warnings."""
+        """Find what MuJoCo found bad, and in which body; clear its warnings."""
         model = self._model
         warnings = {
             what: data.warning[int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what.upper()}"))]
@@ -508,10 +509,10 @@ class Sand:
         return what, int(model.dof_bodyid[index])
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Sand:
-        """Sand of its own for a deep copy of the model: what is copied beside it has the same."""
+        """Return a new sand for a deep copy of the model, shared by all that is copied with it."""
         make, (model, spec) = self.__reduce__()
         return make(copy.deepcopy(model, memo), spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Sand of its own, made anew: addresses are not copied.
+        # A new sand: addresses are not copied.
         return partial(Sand, shared=self._shared), (self._model, self._spec)

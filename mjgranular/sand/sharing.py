@@ -1,4 +1,4 @@
-"""Registry of the sands of one simulation: one for a body, unless all of them share it."""
+"""Registry of the sands of one simulation: one per body, unless all of them are shared."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from mjgranular.sand.guard import withdraw
 from mjgranular.shape.select import body_name
 
 SandsOfModel = Callable[[mujoco.MjModel], Iterable[tuple[str, set[int]]]]
-"""Gives the sands that are a part of a model: name, and ids of the bodies that it acts on."""
+"""Return the sands that are a part of a model: name, and ids of the bodies that it acts on."""
 
 _sands_of_model: list[SandsOfModel] = []
 
 
 def ask_about_models(sands_of_model: SandsOfModel) -> None:
-    """Has `Sand` refuse bodies on which sands act that a model has of its own."""
+    """Register a function by which `Sand` finds bodies on which a model's own sand acts."""
     _sands_of_model.append(sands_of_model)
 
 
 def find_sand_of_the_model(model: mujoco.MjModel, elements: np.ndarray) -> str:
-    """Return in words which sand of the model's own acts on a body of these; "" if none does."""
+    """Return which of the model's own sands acts on one of these bodies, in words; "" for none."""
     ours = set(elements["body"].tolist())
     for sands_of_model in _sands_of_model:
         for name, bodies in sands_of_model(model):
@@ -56,10 +56,11 @@ class SandRegistry:
         self._shares: list[Binding] = []  # of shared Sands, in the order they were added
 
     def add(self, sand: object, model: mujoco.MjModel, binding: Binding, *, shared: bool) -> None:
-        """Registers a Sand.
+        """Register a Sand.
 
         Raises:
-            InputError: another acts on one of its bodies, and not both are shared.
+            InputError: another acts on one of its bodies, and at least one of the two is not
+                shared.
         """
         bodies = frozenset(binding.bodies["body"].tolist())
         for other in list(self._members.values()):
@@ -73,23 +74,24 @@ class SandRegistry:
         self._members[sand] = _Member(bodies, shared)
 
     def remove(self, sand: object, binding: Binding) -> None:
-        """Removes a Sand, and its share too."""
+        """Remove a Sand, and its share too."""
         if self._members.pop(sand).shared:
             self._withdraw_all()
         else:
             _withdraw(binding)
 
     def begin(self, binding: Binding) -> None:
-        """Makes room for the share of a shared Sand.
+        """Prepare for the share of a shared Sand.
 
-        The first that comes for a second time begins a new step: the shares of the last one go.
+        The first that comes for a second time begins a new step: the shares of the last step are
+        removed.
         """
         if any(share is binding for share in self._shares):
             self._withdraw_all()
         self._shares.append(binding)
 
     def _withdraw_all(self) -> None:
-        """Takes all shares back, the latest first: each finds the row as it was left."""
+        """Take all shares back, the latest first: each finds the row as it left it."""
         while self._shares:
             _withdraw(self._shares.pop())
 
@@ -102,5 +104,5 @@ _registries: weakref.WeakKeyDictionary[mujoco.MjData, SandRegistry] = weakref.We
 
 
 def registry_of(data: mujoco.MjData) -> SandRegistry:
-    """The Sands that act on `data`; none at first."""
+    """Return the registry of the Sands that act on `data`; empty at first."""
     return _registries.setdefault(data, SandRegistry())

@@ -18,36 +18,36 @@ from mjgranular.surface import Surface
 
 @dataclass(frozen=True, kw_only=True)
 class SandSpec:
-    """A sand: its material, its place, what meets it.
+    """A sand: its material, its surface, and what meets it.
 
     `Sand`, `add_sand` and `mjgranular.envs.on_sand` take one, or its fields as keyword arguments,
-    which replace those of one that is given beside them. It knows no model: whether it fits one is
-    checked where it meets it.
+    which replace those of a spec given in addition. It does not depend on a model: whether it fits
+    one is checked when the two meet.
 
     Attributes:
         medium: a medium, its name, or a YAML file (`medium.file`); None for one that has constants
-            for the law or, where there is no law either, `quikrete_medium` with `rft3d_dynamic`,
-            unless the model names a law itself (`sand.material`).
-        law: how it resists: a law, its name, with parameters that differ from the medium's behind
-            it ("rft3d scale=1.3"), or None for the medium's own.
-        surface: where it is, also in words ("plane height=0.1"); None for the plane z = 0.
-        scheme: how forces become a step: a scheme or its name, with options behind it. "auto" takes
+            for the law or, without a law, `quikrete_medium` with `rft3d_dynamic`, unless the model
+            names a law itself (`sand.material`).
+        law: how it resists: a law, its name, followed by parameters that differ from the medium's
+            ("rft3d scale=1.3"), or None for the medium's default.
+        surface: where it is, also as a string ("plane height=0.1"); None for the plane z = 0.
+        scheme: the time stepping scheme: a scheme or its name, followed by options. "auto" takes
             `Implicit`, but `Explicit` for fine time steps if the law allows (`scheme.auto`).
         bodies: names or numbers of the bodies that meet the sand, with all their collision geoms;
             or "all".
         geoms: names or numbers of the geoms that meet the sand; or "all".
         groups: geom groups whose collision geoms meet the sand, those of bodies that can move; of a
-            group in which none collides, all. What `bodies`, `geoms` and `groups` name is taken
-            together; with none of them, as with "all", every collision geom of every body that can
+            group in which none collides, all. The union of `bodies`, `geoms` and `groups` meets the
+            sand; with none of them, as with "all", every collision geom of every body that can
             move.
         resolution: how finely geoms are cut into elements, in the law's own measure; None for its
             default.
         instead_of: names or numbers of geoms that the sand replaces, such as the model's own floor.
-            They must be fixed to the world. Their contacts are switched off in the model; what is
-            drawn stays.
-        memory: how the sand remembers what has been pressed down: a `Memory`, the side of a cell
-            [m], words such as "cell=0.01 extent=4", or True for one of defaults; None for sand that
-            closes behind what has passed.
+            They must be fixed to the world. Their contacts are switched off in the model; they are
+            still drawn.
+        memory: memory of what has been pressed down: a `Memory`, the side of a cell [m], a string
+            such as "cell=0.01 extent=4", or True for defaults; None for sand that closes behind
+            what has passed.
     """
 
     medium: str | Path | Medium | None = None
@@ -62,7 +62,7 @@ class SandSpec:
     memory: Memory | float | bool | str | None = None
 
     def __repr__(self) -> str:
-        """Short: what differs from the defaults."""
+        """Return only what differs from the defaults."""
         values = ((field, getattr(self, field.name)) for field in fields(self))
         given = (f"{f.name}={value!r}" for f, value in values if not _same(value, f.default))
         return f"{type(self).__name__}({', '.join(given)})"
@@ -87,21 +87,21 @@ SAND_FIELDS = tuple(field.name for field in fields(SandSpec))
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Tells whether a field has its default; a field may be an array, which is equal to nothing."""
+    """Return True if a field has its default; an array is never equal to one."""
     return value is default or (type(value) is type(default) and value == default)
 
 
 def combined(spec: SandSpec | None, given: SandFields | None = None) -> SandSpec:
-    """A sand with some of its fields replaced.
+    """Return a copy of a sand with some fields replaced.
 
     Args:
-        spec: the sand, or a record that extends `SandSpec`, of which the rest is left away; None
-            for one of defaults.
+        spec: the sand, or a record that extends `SandSpec`, of which the other fields are dropped;
+            None for defaults.
         given: the fields to replace.
 
     Raises:
-        InputError: `spec` is something else.
-        UnknownArgumentError: a field that a sand does not have; lists those it has.
+        InputError: `spec` is not a `SandSpec`.
+        UnknownArgumentError: a sand has no such field; lists those it has.
     """
     if spec is not None and not isinstance(spec, SandSpec):
         raise InputError(

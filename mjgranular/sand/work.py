@@ -1,4 +1,4 @@
-"""The work of the sand on each body, by the velocities that steps really end with."""
+"""Work of the sand on each body, from the velocities at the start and the end of each step."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from mjgranular.sand.sand import Sand
 
 @compiled
 def add_work(address, velocity, work, h):
-    """Adds the work of the last step's wrenches.
+    """Add the work of the last step's wrenches.
 
-    A constant force F turns the velocity v into v' and does the work h F (v + v') / 2, to the last
-    bit of the kinetic energy, however large the step. Neither the power at its start nor that at
-    its end says that.
+    A constant force F turns the velocity v into v' and does the work h F (v + v') / 2, exactly the
+    change of kinetic energy, for any step size. The power at the start or at the end of the step
+    alone does not give that.
 
     Args:
-        address: of the simulation's table (`kernel.memory`).
-        velocity: address of `qvel` as the step has left it; all else is of the step's start.
+        address: address of the simulation's table (`kernel.memory`).
+        velocity: address of `qvel` at the end of the step; all else is from its start.
         work: address of a number for each body [J].
         h: time step [s].
 
@@ -60,7 +60,7 @@ class WorkMeter:
     """Counts the work of the sand on the bodies of one simulation.
 
     Args:
-        sand: that acts on it by `Sand.step`.
+        sand: the sand that acts on it by `Sand.step`.
         data: the simulation.
     """
 
@@ -71,7 +71,7 @@ class WorkMeter:
         self._work = np.zeros(len(np.unique(sand.elements["body"])))
 
     def add(self) -> None:
-        """Adds the work of a step: to be called after each `Sand.step`."""
+        """Add the work of a step. Call this after each `Sand.step`."""
         velocity = self._data.qvel.ctypes.data
         self._add(self._table, velocity, self._work.ctypes.data, self._model.opt.timestep)
 

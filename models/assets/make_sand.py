@@ -1,4 +1,4 @@
-"""Draws `sand.png`, the texture of the bed: grains in the colours of quartz sand, without seams.
+"""Draw `sand.png`, the seamless texture of the bed: grains in the colors of quartz sand.
 
 Run it in this folder after changing it; needs numpy, scipy and pillow.
 """
@@ -15,12 +15,12 @@ COLOURS = np.array([[158, 122, 80], [186, 150, 104], [205, 172, 124], [222, 196,
 
 
 def main() -> None:
-    """Draws the texture."""
+    """Draw the texture."""
     rng = np.random.default_rng(7)
     grains = gaussian_filter(rng.standard_normal((SIZE, SIZE)), GRAIN, mode="wrap")
     patches = gaussian_filter(rng.standard_normal((SIZE, SIZE)), 25, mode="wrap")
     tone = grains / grains.std() + 0.15 * patches / patches.std()
-    # As many pixels of each tone: from dark to light.
+    # The same number of pixels of each tone, from dark to light.
     rank = tone.ravel().argsort().argsort().reshape(SIZE, SIZE) / SIZE**2
     position = rank * (len(COLOURS) - 1)
     low = position.astype(int).clip(0, len(COLOURS) - 2)

@@ -1,4 +1,4 @@
-"""Draw what happens to a running simulation: controls, switched options, hostile numbers.
+"""Draw events for a running simulation: controls, switched options, hostile numbers.
 
 An event is a line of Python with the names `model`, `data`, `mujoco`, `np` and `random` (a seeded
 generator), so that a list of events can be read, repeated and pasted.
@@ -27,7 +27,7 @@ OPTIONS = (
     *(f"model.opt.tolerance = {value}" for value in ("0", "1e-4", "1e-12")),
     *(f"model.opt.timestep = {value}" for value in (1e-5, 1e-3, 4e-3, 1e-2)),
 )
-"""After any of these what is at rest stays at rest."""
+"""After any of these bodies at rest stay at rest."""
 
 RARE_OPTIONS = (
     *(f"model.opt.integrator = {value}" for value in (1, 4)),  # RK4, discrete
@@ -139,16 +139,16 @@ CALM_FLAGS = tuple(
 
 _MASS = "mujoco.mj_mulM(model, data, data.qfrc_applied"
 KINDS = ("plain", "options", "hostile", "rest")
-"""Nothing but controls; legal changes under way; illegal ones too; changes while all lies still."""
+"""Only controls; legal changes in motion; illegal ones too; changes at rest."""
 
 
 @dataclass
 class Plan:
-    """What happens, and when.
+    """Events and their times.
 
     Attributes:
-        events: lines of Python by the step before which they run.
-        settled: step from which everything must lie still; None if nothing must.
+        events: lines of Python, by the step before which they run.
+        settled: step from which everything must be at rest; None for no such step.
     """
 
     events: dict[int, list[str]]
@@ -183,7 +183,7 @@ def plan(rng: np.random.Generator, kind: str, steps: int) -> Plan:
 
 
 def begin(rng: np.random.Generator, made: Plan) -> None:
-    """Start in motion, and away from the pose of the model."""
+    """Start in motion, away from the pose of the model."""
     speed = rng.choice([0, 0.1, 1, 1, 5, 30])
     made.add(0, seeded(rng, f"data.qvel = random.normal(scale={speed}, size=model.nv)"))
     if rng.random() < 0.6:
@@ -197,7 +197,7 @@ def push(rng: np.random.Generator, made: Plan, step: int) -> None:
         ("data.ctrl = random.normal(scale=2, size=model.nu)", 0.5),
         ("data.qfrc_applied = random.normal(scale=0.5, size=model.nv)", 0.1),
         ("data.xfrc_applied = random.normal(scale=0.5, size=(model.nbody, 6))", 0.1),
-        # A strike, a brake that is harder than the sand, a withdrawal.
+        # An impact, a brake stronger than the sand, a withdrawal.
         (f"{_MASS}, random.normal(scale=20, size=model.nv) / 0.02)", 0.1),
         (f"{_MASS}, -data.qvel / 0.005)", 0.1),
         ("data.xfrc_applied[:, 2] = 20 * model.body_mass / 0.1", 0.05),
@@ -217,7 +217,7 @@ def seeded(rng: np.random.Generator, line: str) -> str:
 
 
 def run(line: str, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Make an event happen, unless the model has nothing for it."""
+    """Run an event, unless the model lacks what it needs."""
     try:
         exec(line, {"model": model, "data": data, "mujoco": mujoco, "np": np})
     except (IndexError, ValueError, TypeError):

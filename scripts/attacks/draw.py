@@ -1,4 +1,4 @@
-"""Draw a model and what happens to it from a seed and a number."""
+"""Draw a model and its events from a seed and a number."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from attacks import changes, models
 import mjgranular
 
 SHARES = (0.4, 0.3, 0.2, 0.1)
-"""Of the kinds of events."""
+"""Weights of the kinds of events."""
 
 RESTING = ("link_distributed", "rft2d", "rft3d", *models.MOVING)
 """Laws under which everything comes to rest."""
@@ -20,7 +20,7 @@ RESTING = ("link_distributed", "rft2d", "rft3d", *models.MOVING)
 
 @dataclass
 class Drawn:
-    """What belongs to a seed and a number."""
+    """The case of a seed and a number."""
 
     model: models.Drawn
     kind: str
@@ -34,7 +34,7 @@ def draw(
     programs: Sequence[tuple[str, str, str]] = models.PROGRAMS,
     kind: str | None = None,
 ) -> Drawn:
-    """Draw a model, its sand, and what happens to it."""
+    """Draw a model, its sand, and its events."""
     rng = np.random.default_rng([seed, number])
     chosen = str(rng.choice(changes.KINDS, p=SHARES))
     program = programs[int(rng.integers(len(programs)))]
@@ -49,5 +49,5 @@ def draw(
 
 
 def arguments(sand: str) -> dict[str, Any]:
-    """Return the arguments of `Sand` in a string."""
+    """Parse the arguments of `Sand` from a string."""
     return eval(f"dict({sand})", vars(mjgranular).copy())

@@ -1,8 +1,8 @@
 """Damage saved runs in many ways, and read them: one sentence each, and nothing is executed.
 
 `prepare` makes a small real run of each kind. A case copies one of them, damages one of its files
-or plants code in it, and gives it to everything that reads such a run. Most cases then renew the
-checksums that would find the damage, so that the readers behind them are tested too.
+or plants code in it, and passes it to everything that reads such a run. Most cases then renew the
+checksums that would reveal the damage, so that the readers behind them are tested too.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from attacks import untrusted
 from attacks.worker import Case, Note, Result
 
-import mjgranular  # noqa: F401  before mujoco: it chooses how to draw without a screen
+import mjgranular  # noqa: F401  before mujoco: it chooses the renderer without a display
 from mjgranular._util import files
 from mjgranular.cli.agents import find_actor
 from mjgranular.cli.impact import release_to_stop
@@ -62,19 +62,19 @@ class Bomb:
 
 
 def cases(options: Namespace, numbers: range) -> list[Case]:
-    """List cases: all about one follows from its seed and number."""
+    """List cases: a case depends only on its seed and number."""
     return [{"seed": options.seed, "number": number} for number in numbers]
 
 
 def prepare() -> None:
-    """Make the runs, unless a worker before has, and check that undamaged ones are read."""
+    """Make the runs, unless an earlier worker has, and check that undamaged ones are read."""
     warnings.simplefilter("ignore")
-    sys.path.insert(0, str(Path.cwd()))  # for the stranger's module
+    sys.path.insert(0, str(Path.cwd()))  # for the untrusted module
     if not RUNS.exists():
         make_runs(RUNS)
     for kind in RUNS.iterdir():
         read_everything(kind.name, kind)
-    untrusted.guard(limited=False)  # torch takes more addresses than memory
+    untrusted.guard(limited=False)  # torch reserves more addresses than memory
 
 
 def attempt(case: Case, note: Note) -> Result:
@@ -90,7 +90,7 @@ def attempt(case: Case, note: Note) -> Result:
         return untrusted.read(lambda: read_everything(kind.name, folder), how)
 
 
-# Runs to be damaged
+# Runs to damage
 
 
 def make_runs(folder: Path) -> None:
@@ -117,7 +117,7 @@ def make_runs(folder: Path) -> None:
 
 
 def read_everything(kind: str, folder: Path) -> None:
-    """Read a run in all ways that there are for its kind; raise the first `GranularError`."""
+    """Read a run in all ways for its kind; raise the first `GranularError`."""
     small = {"seconds": 0.1, "width": 32, "height": 32}
 
     def impact() -> None:
@@ -232,7 +232,7 @@ _TEXTS = {
     "nested": "[" * 100_000, "a list": "[1]", "null": "null", "a number": "7",
     "long number": "9" * 10_000, "two": "{} {}", "a byte order mark": "\ufeff{}",
 }  # fmt: skip
-"""Files in the place of one with an object of JSON."""
+"""Replacements for a file with a JSON object."""
 
 
 def _bytes(rng: Random, file: Path) -> str:
@@ -308,7 +308,7 @@ _ARRAYS: dict[str, Callable[[Random, np.ndarray], np.ndarray]] = {
     "text": lambda _rng, _array: np.array(["x", "y"]),
     "complex": lambda _rng, array: array * 1j,
     "longer": lambda _rng, array: np.concatenate([np.atleast_1d(array)] * 2),
-    "large": lambda _rng, _array: np.zeros((2 * 10**8, 1), dtype=np.uint8),  # packs to nothing
+    "large": lambda _rng, _array: np.zeros((2 * 10**8, 1), dtype=np.uint8),  # compresses well
 }
 
 
@@ -318,7 +318,7 @@ def _arrays(rng: Random, file: Path) -> str:
     how = rng.choice([*_ARRAYS, "missing", "header"])
     if how == "missing":
         del entries[name]
-    elif how == "header":  # says that it is far larger than it is
+    elif how == "header":  # claims to be far larger than it is
         shape = f"({10 ** rng.randrange(9, 16)},)"
         head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}".encode()
         entries[name] = b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head

@@ -1,11 +1,11 @@
-"""Kill commands at random moments, and start them again: nothing may be lost, nothing mixed.
+"""Kill commands at random moments, and restart them: nothing may be lost or mixed.
 
-Each of `impact`, `sweep` and `train` is started in a folder, killed up to four times and
-started again each time, then left to end. Half of the kills come after a random time, half at a
-random one of its operations on files, where a crash hurts most; one in four is a SIGTERM. After
-each kill the folder must hold the old result or the new one, and every row and checkpoint that was
-there before. In the end the result must be that of an undisturbed command, to the last bit, and no
-process and no file of a killed one may be left.
+Each of `impact`, `sweep` and `train` is started in a folder, killed up to four times and restarted
+each time, then left to finish. Half of the kills come after a random time, half at a random file
+operation, where a crash hurts most; one in four is a SIGTERM. After each kill the folder must hold
+the old result or the new one, and every row and checkpoint that was there before. In the end the
+result must be bit-identical to that of an undisturbed command, and no process and no file of a
+killed one may be left.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ _WAIT = 120.0  # [s]
 
 @dataclass
 class Command:
-    """A command that is killed.
+    """A command to kill.
 
     Attributes:
-        arguments: its arguments for a folder; whether it resumes is seen from what is there.
-        look: checks what is in the folder after a kill; raises if something is not whole, and
-            returns how far it has come.
-        result: returns what an undisturbed command came to, for comparison.
-        same: whether results must be the same after a SIGTERM, too.
-        once: whether it ends with an error in a folder that holds its result.
+        arguments: returns its arguments for a folder, whose content decides whether it resumes.
+        look: checks the folder after a kill; raises if something is incomplete, and returns the
+            progress.
+        result: returns the result, for comparison with that of an undisturbed command.
+        same: whether results must also be the same after a SIGTERM.
+        once: whether it fails in a folder that holds its result.
         prepare: fills the folder before the first start.
     """
 
@@ -72,19 +72,19 @@ class Command:
 
 
 def cases(options: Namespace, numbers: range) -> list[Case]:
-    """List rounds of the commands in turn, or of those that are asked for."""
+    """List rounds of the commands in turn, or of the requested ones."""
     names = options.commands or list(COMMANDS)
     rounds = [(number % len(names), number // len(names)) for number in numbers]
     return [{"seed": options.seed, "command": names[k], "round": round_} for k, round_ in rounds]
 
 
 def prepare() -> None:
-    """Check that everything is there."""
+    """Check that everything is available."""
     need("matplotlib.figure", extra="figures", purpose="Drawing")
 
 
 def attempt(case: Case, note: Note) -> Result:
-    """Kill one command some times, then let it end."""
+    """Kill one command several times, then let it finish."""
     name, number = case["command"], case["round"]
     rng = random.Random(f"{case['seed']} {name} {number}")
     variants = COMMANDS[name]
@@ -100,7 +100,7 @@ def attempt(case: Case, note: Note) -> Result:
 
 
 def impact(speed: str = "4") -> Command:
-    """Return a drop, over the result of another."""
+    """Return a drop that replaces the result of another."""
     quick = ["impact", "--timestep", "1e-4", "--duration", "0.05", "--json", "--overwrite"]
 
     def command(folder: Path) -> list[str]:
@@ -114,7 +114,7 @@ def impact(speed: str = "4") -> Command:
     known: dict[float, Any] = {}
 
     def look(folder: Path) -> float:
-        done, summary, trajectory = read_impact(folder)  # the old one at least
+        done, summary, trajectory = read_impact(folder)  # at least the old one
         assert done.speed == summary["speed"]
         whole = summary, trajectory.table().tobytes()
         assert known.setdefault(done.speed, whole) == whole, "mixed"
@@ -206,10 +206,10 @@ COMMANDS: dict[str, list[Callable[[], Command]]] = {
 
 @functools.cache
 def undisturbed(name: str, index: int) -> Command:
-    """Run a command undisturbed: how long it takes, how many operations, and its result."""
+    """Run a command undisturbed, for its duration, number of operations, and result."""
     command = COMMANDS[name][index]()
     folder, tally = Path("undisturbed"), Path("tally")
-    for _ in range(2):  # the first one may compile
+    for _ in range(2):  # the first run may compile
         shutil.rmtree(folder, ignore_errors=True)
         began = time.monotonic()
         status = _wait(_child(command.arguments(folder), tally=tally), 10 * _WAIT)
@@ -223,19 +223,19 @@ def undisturbed(name: str, index: int) -> Command:
 
 # Children
 
-LOG = Path("child-log")  # what the child printed
+LOG = Path("child-log")  # output of the child
 
 
 def _child(arguments: list[str], *, crash_at: int = 0, tally: Path | None = None) -> int:
     """Start a command in a fork of this process, and return its id.
 
     Args:
-        arguments: of the command.
-        crash_at: number of the operation on files at which it kills itself; 0 for never.
-        tally: where it writes the number of its operations.
+        arguments: arguments of the command.
+        crash_at: number of the file operation at which it kills itself; 0 for never.
+        tally: file for the number of its operations.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of forks beside threads: none of ours holds a lock
+        warnings.simplefilter("ignore")  # about forks with threads: none of ours holds a lock
         pid = os.fork()
     if pid:
         return pid
@@ -264,7 +264,7 @@ def _child(arguments: list[str], *, crash_at: int = 0, tally: Path | None = None
 
 
 def _count_operations(crash_at: int) -> list[int]:
-    """Count operations on files from now on; at one of them the process kills itself."""
+    """Count file operations from now on; at one of them the process kills itself."""
     count = [0]
 
     def counted(original: Callable[..., Any]) -> Callable[..., Any]:
@@ -282,7 +282,7 @@ def _count_operations(crash_at: int) -> list[int]:
 
 
 def _wait(pid: int, seconds: float) -> int | None:
-    """Return the status of a child that ends within that time, else None."""
+    """Return the status of a child that ends in time, else None."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         done, status = os.waitpid(pid, os.WNOHANG)
@@ -307,7 +307,7 @@ def _left_behind(session: int) -> list[str]:
 
 
 def attack(command: Command, rng: random.Random, kills: int) -> list[str]:
-    """Run one command and kill it some times; return what went wrong."""
+    """Run one command and kill it several times; return what went wrong."""
     folder = Path("out")
     shutil.rmtree(folder, ignore_errors=True)
     command.prepare(folder)
@@ -349,12 +349,12 @@ def attack(command: Command, rng: random.Random, kills: int) -> list[str]:
 
 
 def _is_done(command: Command, status: int | None) -> bool:
-    """Return whether the command had come to its end, so that the same command is an error."""
+    """Return True if the command had finished, so that the same command is an error."""
     return command.once and status == 2 and "holds a result already (config.json" in LOG.read_text()
 
 
 def _end(command: Command, folder: Path, terminated: bool) -> list[str]:
-    """Let the command end, and compare its result."""
+    """Let the command finish, and compare its result."""
     status = _wait(_child(command.arguments(folder)), _WAIT)
     if status != 0 and not _is_done(command, status):
         return [f"in the end: {status}: {LOG.read_text()[-300:]}"]
@@ -365,7 +365,7 @@ def _end(command: Command, folder: Path, terminated: bool) -> list[str]:
     failures = []
     if (command.same or not terminated) and result != command.expected:
         failures.append("the result is not that of an undisturbed command")
-    # A lock that nobody holds is left by a process that was killed after its work was done.
+    # A lock without a holder is left by a process that was killed after its work was done.
     hidden = [str(p.relative_to(folder)) for p in folder.rglob(".*") if p.name != ".lock"]
     if hidden:
         failures.append(f"left behind: {hidden}")

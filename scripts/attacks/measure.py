@@ -1,4 +1,4 @@
-"""Measure a step: work of the sand, sensitivity to rounding, exceptions that the docs name."""
+"""Measure a step: work of the sand, sensitivity to rounding, documented exceptions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
 
 
 def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Return all that a simulation continues from."""
+    """Return the complete state of a simulation."""
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
@@ -60,7 +60,7 @@ def sand_force_inside(data: mujoco.MjData) -> np.ndarray:
 
 
 def without_which(model: mujoco.MjModel, given: str, before: np.ndarray) -> str:
-    """Return whether the work is gone with a new Sand, or with a solver that converges."""
+    """Return what removes the work: a new Sand, or a solver that converges."""
     if model.opt.integrator not in (0, 2, 3):
         return ""
     model = copy.copy(model)
@@ -87,9 +87,9 @@ def documented(model: mujoco.MjModel) -> str:
 def sensitivity(
     model: mujoco.MjModel, data: mujoco.MjData, before: np.ndarray, rate: float
 ) -> float:
-    """Return how far apart steps end whose forces differ by rounding.
+    """Return the distance between ends of steps whose forces differ by rounding.
 
-    MuJoCo's solver CG, or one that stops early, takes another path then.
+    MuJoCo's CG solver, or one that stops early, then takes another path.
     """
     ends = []
     for seed in range(12):
@@ -103,12 +103,12 @@ def sensitivity(
 
 
 def interfaces_may_differ(model: mujoco.MjModel) -> bool:
-    """Return whether the interfaces are known to differ here (docs/plugin.md)."""
+    """Return True if the interfaces are known to differ here (docs/plugin.md)."""
     opt = model.opt
     return opt.disableflags & _NO_PASSIVE == _NO_PASSIVE or bool(opt.enableflags & _SLEEP)
 
 
 def all_finite(data: mujoco.MjData) -> bool:
-    """Return whether positions, velocities and accelerations are finite."""
+    """Return True if positions, velocities and accelerations are finite."""
     fields = (data.qpos, data.qvel, data.qacc, data.qacc_warmstart)
     return all(np.isfinite(each).all() for each in fields)

@@ -1,4 +1,4 @@
-"""Read files of media as strangers might write them: mutated, huge, nested, or not files at all."""
+"""Read untrusted media files: mutated, huge, nested, or not files at all."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ VALUES = (
     "[/bold]", "%s%n", "{value: {value: {value: 1}}}", "\t", "@", "`", "é" * 200, "x" * 1999,
     "x" * 3000, "\u2028", ":",
 )  # fmt: skip
-"""What a word of a file may be replaced by."""
+"""Replacements for a word of a file."""
 
 KINDS = ("pipe", "zero", "folder", "loop", "sparse", "missing", "long", "null", "unreadable")
-"""What may stand in the place of a file."""
+"""Replacements for a file."""
 
 
 def cases(options: Namespace, numbers: range) -> list[Case]:
@@ -43,7 +43,7 @@ def cases(options: Namespace, numbers: range) -> list[Case]:
 
 
 def make_case(random: Random) -> Case:
-    """Draw a case: what stands in the place of a file, or its bytes, each as a character."""
+    """Draw a case: a replacement of a file, or its bytes, each as a character."""
     if random.random() < 0.08:
         return {"kind": random.choice(KINDS)}
     content = (_bomb if random.random() < 0.25 else _mutant)(random)
@@ -51,7 +51,7 @@ def make_case(random: Random) -> Case:
 
 
 def prepare() -> None:
-    """Load what the first case would, and check that a sound file is taken."""
+    """Load what the first case would, and check that a valid file is accepted."""
     read({"kind": "file", "content": EXAMPLE})
     untrusted.guard()
 
@@ -69,7 +69,7 @@ def read(case: Case) -> str:
     except Exception:
         assert main(["list", "media", path]) == 2
         raise
-    # Each law checks its own constants: names and values may still be wrong.
+    # Each law checks its constants: names and values may still be wrong.
     shown = {main(["list", "media", path, *form]) for form in ([], ["--json"])}
     assert shown in ({0}, {2})
     return f"{medium.name} {get_law(None, medium)}"[:500]
@@ -87,7 +87,7 @@ def put_file(case: Case) -> str:
 
 
 def _mutant(random: Random) -> bytes:
-    """Change some things in the example."""
+    """Mutate the example."""
     text = EXAMPLE + "grain: {value: 0.0003, unit: m, source: sieved}\n"
     changes: list[Callable[[str, Random], str]] = [*[_word] * 2, *[_value] * 2, _lines, _letters]
     for _ in range(random.choice((1, 1, 2, 4))):

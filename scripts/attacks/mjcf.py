@@ -1,4 +1,4 @@
-"""Load models whose plugins are configured as strangers might do it."""
+"""Load models with hostile plugin configurations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NUMBERS = (
     "99999999", "2147483648", "-2147483649", "9223372036854775808", "9" * 500, "9" * 5000, "1_0",
     "0x10", "1.5", "٣", "", "1e", "true", "None", "1;2", "1e9", "1j",
 )  # fmt: skip
-"""What a number may be replaced by."""
+"""Replacements for a number."""
 
 TEXTS = (
     "", " ", "  \t ", "all", "''", '""', "'", '"', "\\", "link", "link link", "link eta_d=",
@@ -40,13 +40,13 @@ TEXTS = (
     "depth depth depth", "colours", "true", "TRUE", "false", "1", "a " * 30_000, "x" * 90_000,
     "x" * 300_000, "'" * 99_999,
 )  # fmt: skip
-"""What the text of a key may be replaced by."""
+"""Replacements for the string of a key."""
 
 NAMES = (
     "", " ", "sand", "sand 2", "%s%n", "[/red]", "\x1b[31m", "\u202e", "é" * 300, "x" * 5000, "'",
     '"', "all", "world", "1", "a/b", "a\nb", "-", "名",
 )  # fmt: skip
-"""Of instances, bodies and geoms."""
+"""Names of instances, bodies and geoms."""
 
 SOUND = {
     "medium": "play_sand",
@@ -84,7 +84,7 @@ def make_case(random: Random) -> Case:
     for _ in range(random.choice((1, 1, 2, 3))):
         random.choice(changes)(case, random)
     content = _xml(case).encode("utf-8", "surrogatepass")
-    for _ in range(random.choice((*[0] * 12, 1, 3))):  # mostly within texts
+    for _ in range(random.choice((*[0] * 12, 1, 3))):  # mostly within strings
         letters = re.finditer(rb'(?<=[="a-z])[a-z_]', content)
         at = random.choice([found.start() for found in letters])
         content = content[:at] + random.randbytes(1) + content[at + 1 :]
@@ -92,7 +92,7 @@ def make_case(random: Random) -> Case:
 
 
 def prepare() -> None:
-    """Compile what sound cases need, and check that they are taken."""
+    """Compile what valid cases need, and check that they are accepted."""
     Path("stranger.yaml").write_text(EXAMPLE, encoding="utf-8")
     Path("evil.yaml").write_text(f"!!python/object/apply:os.system [touch {CANARY}]", "utf-8")
     untrusted.put_special(Path("pipe.yaml"), "pipe")
@@ -129,8 +129,8 @@ def read(case: Case) -> str:
 
 
 def own_words(error: Exception) -> str | None:
-    """Return our sentence in an error of MuJoCo, or MuJoCo's own; None for an error that leaked."""
-    if isinstance(error, UnicodeDecodeError):  # MuJoCo repeats what it was given
+    """Return our message in a MuJoCo error, or MuJoCo's own; None for any other error."""
+    if isinstance(error, UnicodeDecodeError):  # MuJoCo repeats its input
         return None if b"mjgranular '" in error.object else "MuJoCo: not UTF-8"
     said = str(error)
     ours = re.search(r"mjgranular (?:'.*?'|\".*?\"): (.*)", said, re.DOTALL)
@@ -176,7 +176,7 @@ def _configs(pairs: list[tuple[str, str]]) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Quote an attribute of XML; MuJoCo's reader takes control characters by their numbers."""
+    """Quote an XML attribute; MuJoCo's reader accepts control characters by their numbers."""
     special = {c: f"&#{ord(c)};" for c in "\"&<>'\n\r\t\x1b"}
     return '"' + "".join(special.get(c, c) for c in text) + '"'
 
@@ -195,7 +195,7 @@ def _number(case: Case, random: Random) -> None:
 
 
 def _text(case: Case, random: Random) -> None:
-    """Replace the text of a key."""
+    """Replace the string of a key."""
     key = random.choice(sorted([*SOUND, "draw"]))
     case["sand"] = [pair for pair in case["sand"] if pair[0] != key]
     case["sand"].append((key, random.choice(TEXTS)))
@@ -229,7 +229,7 @@ def _sensor(case: Case, random: Random) -> None:
 
 
 def _name(case: Case, random: Random) -> None:
-    """Use a strange name."""
+    """Use an unusual name."""
     if random.random() < 0.5:
         case["bodies"][random.randrange(2)] = random.choice(NAMES)
     else:
@@ -237,7 +237,7 @@ def _name(case: Case, random: Random) -> None:
 
 
 def _instances(case: Case, random: Random) -> None:
-    """Add instances, or take the name of the only one."""
+    """Add instances, or remove the name of the only one."""
     others = [
         "",
         "<instance name='second'/>",

@@ -1,6 +1,6 @@
-"""Draw random models with random sand: all joints, bodies and forces that MJCF has.
+"""Draw random models with random sand: all joints, bodies and forces of MJCF.
 
-A model follows from a seed and a number alone.
+A model depends only on a seed and a number.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ PROGRAMS = (
     *(("rft3d_dynamic", f"{surface} memory", "implicit") for surface in SURFACES[1:]),
     ("rft3d", "plane memory", "explicit"),
 )
-"""Laws, surfaces and schemes: each of these is compiled once on a machine."""
+"""Laws, surfaces and schemes: each combination is compiled once on a machine."""
 CELLS = (0.005, 0.01, 0.02)
 
 
@@ -76,14 +76,14 @@ def draw(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
         drawn = draft.finish()
         try:
             model = mujoco.MjModel.from_xml_string(drawn.xml)
-        except ValueError:  # an inertia or an equality that is not possible
+        except ValueError:  # an impossible inertia or equality
             continue
         if model.nv and np.isfinite(model.body_mass).all():
             return drawn
 
 
 def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
-    """Draw free bodies that lie side by side in sand, and perhaps on a floor under it."""
+    """Draw free bodies that lie side by side in sand, optionally on a floor under it."""
     law, _, scheme = program
     draft = Draft(rng, program)
     timestep = rng.choice(TIMESTEPS[4:7])
@@ -108,7 +108,7 @@ def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Dra
 def draw_twin(
     rng: np.random.Generator, program: tuple[str, str, str], shape: str = ""
 ) -> tuple[mujoco.MjSpec, str]:
-    """Draw a free body with limbs that nothing but sand acts on, or one geom, and its sand."""
+    """Draw a free body with limbs that only sand acts on, or one geom, and its sand."""
     while True:
         draft = Draft(rng, program)
         place, sand_geom = draft.place(program[1])
@@ -126,7 +126,7 @@ def draw_twin(
             joint.stiffness[:], joint.damping[:], joint.frictionloss, joint.armature = 0, 0, 0, 0
         try:
             spec.copy().compile()
-        except ValueError:  # an inertia that is not possible
+        except ValueError:  # an impossible inertia
             continue
         chosen = f", geoms={draft.geoms}" if program[0].startswith("link") else ""
         return spec, draft.sand(place) + chosen
@@ -139,7 +139,7 @@ class Draft:
     rng: np.random.Generator
     program: tuple[str, str, str]
     bodies: list[str] = field(default_factory=list)
-    geoms: list[str] = field(default_factory=list)  # that can meet the sand
+    geoms: list[str] = field(default_factory=list)  # geoms that can meet the sand
     dry: int = 0  # other geoms
     joints: list[tuple[str, str]] = field(default_factory=list)  # name and type
     sites: list[str] = field(default_factory=list)
@@ -166,7 +166,7 @@ class Draft:
     def arrow(self) -> str:
         return " ".join(f"{x:.4g}" for x in self.rng.normal(size=3))
 
-    # The whole
+    # The whole model
 
     def finish(self) -> Drawn:
         """Draw all parts."""
@@ -240,7 +240,7 @@ class Draft:
         rows = "".join(self.meshes)
         if "hfield" in sand_geom:
             size = f"{self.numbers(0.6, 1.5, 2)} {self.numbers(0.01, 0.15, 1)} 0.1"
-            # Many heights, so that what reads beyond them meets no memory.
+            # Many heights, so that a read beyond them hits unmapped memory.
             grid = f'nrow="5" ncol="7" elevation="{self.numbers(0, 1, 35)}"'
             if self.chance(0.1):
                 grid = 'nrow="1200" ncol="1200"'
@@ -248,7 +248,7 @@ class Draft:
         return f"<asset>{rows}</asset>"
 
     def place(self, surface: str) -> tuple[str, str]:
-        """Return the surface as it would be written, and the geom that it is made of."""
+        """Return the surface as a string, and its geom."""
         tilt = f"1 {self.rng.normal(scale=0.08):.3g} {self.rng.normal(scale=0.08):.3g} 0"
         if surface.startswith("bed"):
             return "Bed('tray')", (
@@ -318,7 +318,7 @@ class Draft:
         return self.joint()
 
     def inertial(self) -> str:
-        """Return an inertia off the origin and turned, or nothing, for that of the geoms."""
+        """Return an inertia off the origin and rotated, or nothing, for that of the geoms."""
         if not self.chance(0.35):
             return ""
         rng = self.rng
@@ -385,7 +385,7 @@ class Draft:
         more += self.maybe(0.2, "frictionloss", -3, 0.5) + self.maybe(0.3, "armature", -4, 0)
         return f"<joint {' '.join(words)}{more}/>"
 
-    # What ties bodies together, and what drives them
+    # Constraints, tendons and actuators
 
     def equalities(self) -> str:
         rows, rng = "", self.rng

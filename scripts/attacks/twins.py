@@ -1,8 +1,8 @@
-"""Metamorphic questions: a drawn model and its twin, from one MjSpec, have to move alike.
+"""Metamorphic tests: a drawn model and its twin, from one MjSpec, must move alike.
 
-Where only the description differs (order of geoms, pieces that are welded, the place and turn of
-the world, its mirror image), or all lengths, times and masses by Froude's similarity, motions are
-equal to rounding; where skin is cut into other facets or time into other steps, nearly so.
+If only the description differs (order of geoms, welded pieces, position and orientation of the
+world, its mirror image), or all lengths, times and masses by Froude scaling, motions are equal up
+to rounding; with other facets or other time steps, nearly so.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from attacks.draw import arguments
 from mjgranular import Plane, Sand
 
 STEPS, TIMESTEP = 16, 1e-3
-EXACT, CUT, HALF = 1e-6, 0.05, 0.05  # of the greatest speed; the last two chosen
-FINE = 12  # resolution where skin is cut otherwise
+EXACT, CUT, HALF = 1e-6, 0.05, 0.05  # in parts of the largest speed; the last two chosen
+FINE = 12  # resolution for other facets
 _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 class Question(NamedTuple):
-    """How a twin differs, and how its motion should.
+    """A change of a twin, and the expected motion.
 
     Attributes:
-        name: of the question.
+        name: name of the question.
         change: changes the spec in place.
         sand: arguments of `Sand` that differ.
-        turn: matrix by which positions are turned or mirrored.
-        scale: of lengths.
-        refine: by which the time step is divided.
-        nudge: by which velocities differ at first.
-        tolerance: in parts of the greatest speed.
+        turn: matrix that rotates or mirrors positions.
+        scale: factor of lengths.
+        refine: divisor of the time step.
+        nudge: initial difference of velocities.
+        tolerance: tolerance in parts of the largest speed.
     """
 
     name: str
@@ -51,10 +51,10 @@ class Question(NamedTuple):
 
 
 def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int) -> np.ndarray:
-    """Build a variant and let it move for `STEPS`; return the motion of the original's bodies.
+    """Simulate a variant for `STEPS`; return the motion of the original's bodies.
 
     Returns:
-        Linear and angular velocities, turned and scaled back, shape (nbody, 2, 3).
+        Linear and angular velocities, rotated and scaled back, shape (nbody, 2, 3).
     """
     names = [body.name for body in spec.bodies[1:]]
     spec = spec.copy()
@@ -65,7 +65,7 @@ def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)
     data.qvel[:] = rng.normal(size=model.nv) + ask.nudge * rng.normal(size=model.nv)
-    image = ask.turn if mirrored < 0 else np.eye(3)  # of a body's own frame
+    image = ask.turn if mirrored < 0 else np.eye(3)  # of the body frame
     for kind, at in zip(model.jnt_type, model.jnt_dofadr, strict=True):
         if kind == _FREE:
             data.qvel[at : at + 3] = speed * (ask.turn @ data.qvel[at : at + 3])
@@ -91,9 +91,9 @@ def motion(spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int)
 def apart(
     spec: mujoco.MjSpec, given: dict[str, Any], ask: Question, seed: int, than: Question
 ) -> float:
-    """Return how far apart a model and its twin move, in parts of the greatest speed.
+    """Return the difference in motion of a model and its twin, in parts of the largest speed.
 
-    That is at least 1 m/s, as they begin. Turning counts at 5 cm, half the size of a body.
+    That speed is at least the initial 1 m/s. Rotation counts at 5 cm, half the size of a body.
     """
     size = np.array([1.0, 0.05])[:, None]
     one = motion(spec, given, than, seed) * size
@@ -151,7 +151,7 @@ def cut(count: int) -> Callable[[mujoco.MjSpec], None]:
 
 
 def place(shift: np.ndarray, turn: np.ndarray) -> Callable[[mujoco.MjSpec], None]:
-    """Move and turn all that stands in the world."""
+    """Move and rotate everything in the world."""
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, turn.ravel())
 
@@ -199,16 +199,16 @@ def enlarge(scale: float) -> Callable[[mujoco.MjSpec], None]:
     return change
 
 
-# What is asked
+# Questions
 
 
 def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iterator[Question]:
-    """Draw the questions that a sand has one answer to."""
+    """Yield the questions with a definite answer for a sand."""
     plane = given["surface"] or Plane()
     flat, grid = isinstance(plane, Plane), "memory" in given
     yield Question("order of geoms", reorder)
     yield Question("two bodies welded", weld)
-    shift = 0.4 * rng.integers(-3, 4, 3)  # a whole number of cells
+    shift = 0.4 * rng.integers(-3, 4, 3)  # an integer number of cells
     there = {}
     if flat:
         along = math.cos(plane.uphill) * shift[0] + math.sin(plane.uphill) * shift[1]
@@ -225,17 +225,17 @@ def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iter
     if flat and not grid:
         there = {"surface": replace(plane, uphill=math.pi - plane.uphill)}
         mirrored = np.diag([-1.0, 1.0, 1.0])
-        # Patches of round skin and of hulls are not mirrored.
+        # Patches of round geoms and of hulls are not mirrored.
         fine = {"resolution": FINE} if "resolution" in given else {}
         yield Question("mirror", mirror, there | fine, mirrored, tolerance=CUT)
-    if law.startswith("rft") and not grid:  # of media without a grain size
+    if law.startswith("rft") and not grid:  # for media without a grain size
         scale = float(rng.choice([0.5, 2.0]))
         there = {"surface": replace(plane, height=scale * plane.height)} if flat else {}
         yield Question("Froude number", enlarge(scale), there, scale=scale)
 
 
 def ask(seed: int, number: int, program: tuple[str, str, str]) -> Iterator[tuple[str, float, bool]]:
-    """Ask all questions; give for each how far the twins are apart, and whether it failed."""
+    """Ask all questions; yield name, difference of the twins, and whether it failed."""
     rng = np.random.default_rng([seed, number, 2])
     law = program[0]
     spec, text = models.draw_twin(rng, program)
@@ -246,7 +246,7 @@ def ask(seed: int, number: int, program: tuple[str, str, str]) -> Iterator[tuple
 
     # Where an equation of a step has several solutions, rounding decides between them.
     rounding = max(differ(Question("", nudge=10.0**-k)) for k in (11, 12, 13))
-    # Remembered sand is pressed and flows in the order of bodies and cells.
+    # Sand with memory is pressed and flows in the order of bodies and cells.
     least = max(10.0 * rounding, CUT if "memory" in given else 0.0)
     for question in questions(law, given, rng):
         fine = {name: value for name, value in question.sand.items() if name == "resolution"}

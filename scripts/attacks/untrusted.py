@@ -1,4 +1,4 @@
-"""Give a stranger's text to a reader: it is taken or rejected, in one sentence, at once.
+"""Pass an untrusted string to a reader: it must accept or reject it at once, in one sentence.
 
 Attacks call `guard` at the end of `prepare`, and `read` for each case.
 """
@@ -21,13 +21,13 @@ from attacks.worker import Finding, Result, peak_memory
 from mjgranular.errors import GranularError
 
 SECONDS = 5.0
-"""Processor time that a case may take."""
+"""Limit of processor time per case [s]."""
 
 MEGABYTES = 500
-"""By which the process may grow."""
+"""Limit of the growth of the process [MB]."""
 
 LONGEST = 2000
-"""Characters of a sentence."""
+"""Limit of the length of a message."""
 
 CANARY = "executed"
 """A file in the current folder that exists if a case was executed."""
@@ -42,14 +42,14 @@ _begin = 0.0  # memory of the process before the first case [MB]
 
 @dataclass
 class Answer:
-    """What came of a case.
+    """Outcome of a case.
 
     Attributes:
-        kind: taken, refused (by an error of the package or of MuJoCo), raised (any other error).
-        said: the error's sentence, or what was made of the case.
+        kind: taken, refused (with an error of the package or of MuJoCo), raised (any other error).
+        said: the error message, or the result of the case.
         seconds: processor time.
         megabytes: growth of the process so far.
-        wrong: what must not happen, whatever the case was.
+        wrong: violations, for any case.
     """
 
     kind: str
@@ -60,7 +60,7 @@ class Answer:
 
 
 def guard(*, limited: bool = True) -> None:
-    """Watch what the process does from now on, and limit its memory (on Linux)."""
+    """Watch the process from now on, and limit its memory (on Linux)."""
     global _begin
 
     def watch(event: str, arguments: Any) -> None:
@@ -77,7 +77,7 @@ def guard(*, limited: bool = True) -> None:
         import resource
 
         now = int(size.read_text().split()[0]) * resource.getpagesize()
-        limit = now + 2 * MEGABYTES * 10**6  # addresses are more than memory
+        limit = now + 2 * MEGABYTES * 10**6  # address space exceeds memory
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
@@ -89,9 +89,9 @@ def read(
     """Call a reader, and judge its answer.
 
     Args:
-        reader: what a user would call.
+        reader: the function that a user would call.
         text: the case, for the finding.
-        own_words: returns the sentence of a ValueError or FatalError that is allowed, else None.
+        own_words: returns the message of an allowed ValueError or FatalError, else None.
     """
     _seen.clear()
     began = time.process_time()
@@ -107,7 +107,7 @@ def read(
 
 
 def put_special(path: Path, kind: str) -> None:
-    """Put what is not a regular file in the place of one; nothing for kinds without a file."""
+    """Put a special file in place of a regular one; nothing for kinds without a file."""
     remove(path)
     if kind == "pipe":
         os.mkfifo(path)

@@ -1,16 +1,17 @@
 """Step random models through both interfaces, and check each step.
 
-`Sand.step` walks. Before each step the simulation with the plugin is brought to the same state, so
-that a difference between the interfaces belongs to one step. Checks:
+`Sand.step` leads. Before each step the simulation with the plugin gets the same state, so that a
+difference between the interfaces is due to one step. Checks:
 
-- what is not finite is announced, by an error or a warning of MuJoCo, at the latest one step later;
+- values that are not finite are reported, by an error or a MuJoCo warning, at most one step later;
 - both interfaces end a step with the same velocities, to 1e-8;
-- sand under the implicit scheme gives no energy: its momentum times the velocity at the end of the
-  step is at most 1e-10 of the kinetic energy and 1e-12 J, unless a counter or a warning says why;
-- the work of the sand, summed from the beginning, is never above zero by more than rounding;
-- what rests keeps resting when options change;
-- the same thing moves alike however it is described (`attacks.twins`);
-- no error is raised but those that the package raises on purpose.
+- sand with the implicit scheme adds no energy: its momentum times the velocity at the end of the
+  step is at most 1e-10 of the kinetic energy and 1e-12 J, unless a counter or a warning explains
+  it;
+- the work of the sand, summed from the start, is never positive by more than rounding;
+- bodies at rest stay at rest when options change;
+- equivalent descriptions of a model give the same motion (`attacks.twins`);
+- only errors that the package raises on purpose occur.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ from attacks.worker import Case, Finding, Note, Result
 from mjgranular import Bed, GranularError, Sand, UnstableError
 from mjgranular.engine import add_sand
 
-PATIENCE = 600.0  # [s] of a model, whose kernels may have to be compiled
-ALIKE = 1e-8  # interfaces, relative to the speeds
+PATIENCE = 600.0  # [s] per model; kernels may have to be compiled
+ALIKE = 1e-8  # difference of interfaces, relative to the speeds
 OF_KINETIC = 1e-10
-OF_EARLY_END = 1e-8  # where it is gone with an exact solver of MuJoCo: MuJoCo's own tolerance
+OF_EARLY_END = 1e-8  # if it vanishes with an exact MuJoCo solver: MuJoCo's tolerance
 OF_IMPULSE = 1e-13  # rounding, relative to the energy that the sand's impulse alone would make
 STILL, MOVED = 1e-7, 1e-5  # [m/s, rad/s]
 DIVERGED = 1e7  # accelerations; at 1e10 MuJoCo finds a state bad, and rounding decides
-TROUBLES = 8  # after which a model is left
+TROUBLES = 8  # after which a model is abandoned
 
 _BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}")) for what in ("QPOS", "QVEL", "QACC")]
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -60,7 +61,7 @@ _PGS, _IPC = int(mujoco.mjtSolver.mjSOL_PGS), int(mujoco.mjtEnableBit.mjENBL_IPC
 
 
 def cases(options: Namespace, numbers: range) -> list[Case]:
-    """List the models of a seed, with the laws and the kind of events that are asked for."""
+    """List the models of a seed, with the requested laws and kind of events."""
     programs = [p for p in models.PROGRAMS if not options.laws or p[0] in options.laws]
     common = {"seed": options.seed, "steps": options.steps, "kind": options.kind}
     return [{**common, "programs": programs, "bare": False, "number": n} for n in numbers]
@@ -79,7 +80,7 @@ def describe(case: Case) -> str:
 
 
 def attempt(case: Case, note: Note) -> Result:
-    """Walk a model and compare its twins."""
+    """Step a model, and compare its twins."""
     walk = Walk(drawn_for(case), case["steps"], note, bare=case["bare"])
     walk.run(case["number"])
     if not case["bare"]:
@@ -88,13 +89,13 @@ def attempt(case: Case, note: Note) -> Result:
 
 
 class Walk:
-    """One model.
+    """The check of one model.
 
     Args:
-        drawn: the model and what happens to it.
+        drawn: the model and its events.
         steps: number of steps.
         note: records the step and the interface before each step.
-        bare: step without sand, to see whether a crash is MuJoCo's own.
+        bare: step without sand, to find whether a crash is MuJoCo's.
     """
 
     def __init__(self, drawn: Drawn, steps: int, note: Note, *, bare: bool) -> None:
@@ -103,14 +104,14 @@ class Walk:
         self.counts: Counter[str] = Counter()
         self.heard: list[str] = []  # warnings of Python and of MuJoCo
         self.troubles = 0
-        self.pending = False  # NaN in the state of `Sand.step` that is not announced yet
+        self.pending = False  # NaN in the state of `Sand.step` that is not reported yet
         self.step = -1
-        self.begun = 0  # the step at which it last began
+        self.begun = 0  # the step of the last restart
         self.asked = 0
-        self.given = self.energy = 0.0  # work of the sand since then, and greatest kinetic energy
+        self.given = self.energy = 0.0  # work of the sand since then, and largest kinetic energy
 
     def run(self, number: int) -> None:
-        """Walk to the end, or until too much went wrong."""
+        """Step to the end, or until too much went wrong."""
         mujoco.set_mju_user_warning(lambda text: self.heard.append(str(text)))
         with warnings.catch_warnings():
             warnings.simplefilter("always")
@@ -130,7 +131,7 @@ class Walk:
                 self.one_step()
 
     def prepare(self, *, tunable: bool) -> bool:
-        """Make both simulations; return whether there is anything to walk."""
+        """Make both simulations; return whether there is anything to step."""
         given, xml = arguments(self.drawn.model.sand), self.drawn.model.xml
         self.model = mujoco.MjModel.from_xml_string(xml)
         self.sand: Sand | None = None
@@ -147,7 +148,7 @@ class Walk:
             try:
                 self.note("add_sand")
                 spec = mujoco.MjSpec.from_string(xml)
-                # Memory excludes it, and a box of the model cannot be raised.
+                # Not possible with memory, and a box of the model cannot be raised.
                 fixed = "memory" in given or isinstance(given.get("surface"), Bed)
                 add_sand(spec, **given, tunable=tunable and not fixed)
                 self.inside = spec.compile()
@@ -159,7 +160,7 @@ class Walk:
                 self.find("plugin", "exception", f"add_sand: {error!r}")
                 self.inside = None
         self.data = mujoco.MjData(self.model)
-        # Only the plugin can step explicit sand under RK4.
+        # Only the plugin can step explicit sand with RK4.
         by_itself = self.model.opt.integrator == _RK4 and "plugin" not in refused
         if len(refused) == 1 and not by_itself:
             self.find(next(iter(refused)), "only one door refuses", next(iter(refused.values())))
@@ -171,10 +172,10 @@ class Walk:
         self.product = np.zeros(self.model.nv)
         return self.bare or self.inside is not None or self.sand is not None
 
-    # What happens
+    # Events
 
     def happen(self, line: str) -> None:
-        """Make an event happen on both sides."""
+        """Run an event on both sides."""
         if line == "report":
             self.ask_for_report()
             return
@@ -198,7 +199,7 @@ class Walk:
                 self.find("report", "silent NaN", "a report with forces that are not finite")
 
     def one_step(self) -> None:
-        """Take one step with each interface, from one state."""
+        """Take one step with each interface, from the same state."""
         self.heard.clear()
         if self.bare:
             self.note(f"step {self.step}, without sand")
@@ -363,7 +364,7 @@ class Walk:
         announced: bool,
         before: np.ndarray,
     ) -> None:
-        """Check the true work of the sand: with the velocities at the end of the step [J]."""
+        """Check the true work of the sand, with the velocities at the end of the step [J]."""
         h = float(model.opt.timestep)
         if not (0.0 < h < 1e3) or not np.isfinite(force).all():
             return
@@ -391,7 +392,7 @@ class Walk:
     def sum_work(
         self, work: float, model: mujoco.MjModel, data: mujoco.MjData, speed: np.ndarray
     ) -> None:
-        """Sum the work since the beginning, counted and announced steps included."""
+        """Sum the work since the start, including counted and reported steps."""
         self.energy = max(self.energy, self.kinetic(model, data, speed))
         self.given += work
         if self.given > OF_KINETIC * self.energy + self.step * JOULES and not documented(model):
@@ -405,7 +406,7 @@ class Walk:
         return max(0.0, 0.5 * float(speed @ self.product))
 
     def ask_twins(self, seed: int, number: int, note: Note) -> None:
-        """Check that the same thing moves alike however it is described."""
+        """Check that equivalent descriptions of the model give the same motion."""
         program = self.drawn.model.program
         if program[2] != "implicit" or self.drawn.kind == "rest":
             return
@@ -418,7 +419,7 @@ class Walk:
                     self.find("twins", name, f"{off:.3g} of the speed apart", off, failed)
 
     def watch_rest(self) -> None:
-        """Check that what lies still keeps lying still."""
+        """Check that bodies at rest stay at rest."""
         settled = self.drawn.plan.settled
         if settled is None or self.step < settled - 1:
             return
@@ -439,7 +440,7 @@ class Walk:
             return "discrete"
         return ""
 
-    # Around the checks
+    # Helpers of the checks
 
     def counters(self) -> tuple[int, ...]:
         """Return the scheme's counts of unfinished and damped steps."""
@@ -453,7 +454,7 @@ class Walk:
         return tuple(int(account[name]) for name in integers if name not in skipped)
 
     def fatal(self, door: str, before: np.ndarray, error: Exception) -> None:
-        """Note an error of MuJoCo, unless the same step without sand has it too."""
+        """Record a MuJoCo error, unless the same step without sand has it too."""
         for data in (mujoco.MjData(self.model), self.data):
             mujoco.mj_setState(self.model, data, before, STATE)
             try:
@@ -464,7 +465,7 @@ class Walk:
         self.find(door, "exception", f"mujoco.FatalError: {error}")
 
     def recover(self) -> None:
-        """Start over, with the model as it was."""
+        """Start over, with the original model."""
         self.troubles += 1
         self.begun = self.step + 1
         self.given = self.energy = 0.0
@@ -482,7 +483,7 @@ class Walk:
     def find(
         self, door: str, kind: str, text: str, value: float = 0.0, failed: bool = True
     ) -> None:
-        """Note a finding; of each kind only the worst of a model is kept."""
+        """Record a finding; only the worst of each kind is kept per model."""
         self.counts[f"found: {kind}"] += 1
         known = self.findings.get((kind, door))
         if known is None or value > known.value:
@@ -491,7 +492,7 @@ class Walk:
 
 
 def _restore(changed: Any, original: Any) -> None:
-    """Copy all numbers of a model, or of its options, back."""
+    """Restore all numbers of a model, or of its options."""
     for name in dir(original):
         value = getattr(original, name)
         if isinstance(value, np.ndarray) and value.flags.writeable:

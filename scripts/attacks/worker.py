@@ -3,7 +3,7 @@
 An attack is a module with
 
     cases(options, numbers)    list the cases with these numbers: dictionaries for JSON
-    attempt(case, note)        return a `Result`; `note` records in words how far it has come
+    attempt(case, note)        return a `Result`; `note` records its progress in words
     describe(case)             optional: return a case in words
     prepare(), finish()        optional: called once in each worker
     PATIENCE                   optional: seconds that a case may take
@@ -46,14 +46,14 @@ Note = Callable[[str], None]
 
 @dataclass
 class Finding:
-    """Something that should not happen.
+    """Something that must not happen.
 
     Attributes:
-        kind: a few words, the same for all findings of one kind.
+        kind: a short label, the same for all findings of one kind.
         text: what happened.
         where: step and interface.
-        value: size, to find the worst of a kind.
-        failed: whether it breaks a promise, or is only good to know.
+        value: magnitude, to find the worst of a kind.
+        failed: whether it is a failure, or only information.
     """
 
     kind: str
@@ -65,22 +65,22 @@ class Finding:
 
 @dataclass
 class Result:
-    """What came of a case."""
+    """Outcome of a case."""
 
     findings: list[Finding] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     said: str = ""
     seconds: float = 0.0
-    megabytes: float = 0.0  # the most memory of the process so far
+    megabytes: float = 0.0  # peak memory of the process so far
 
 
 class Worker:
-    """A process that attempts one case after the other, and is replaced when it dies."""
+    """A process that attempts one case after another, and is replaced when it dies."""
 
     def __init__(self, attack: str, folder: Path) -> None:
         self._attack, self._folder = attack, folder
         self._patience = getattr(importlib.import_module(attack), "PATIENCE", PATIENCE)
-        self._noted = _CONTEXT.RawArray(ctypes.c_char, 200)  # outlives a crash
+        self._noted = _CONTEXT.RawArray(ctypes.c_char, 200)  # survives a crash
         self._process: Any = None
         self._attempted = 0
         folder.mkdir()
@@ -99,7 +99,7 @@ class Worker:
     def close(self) -> None:
         """End the process."""
         if self._process is not None:
-            self._connection.close()  # asks it to finish
+            self._connection.close()  # requests its end
             self._process.join(5.0)
             self._process.kill()
             self._process.join()
@@ -126,7 +126,7 @@ class Worker:
             raise RuntimeError(f"{self._attack} cannot be prepared: {self._death().text}")
 
     def _answer(self, patience: float) -> Result | None:
-        """Wait for an answer; None if there is none in time or the process has died."""
+        """Wait for an answer; return None after a timeout or if the process has died."""
         try:
             return self._connection.recv() if self._connection.poll(patience) else None
         except (EOFError, OSError):
@@ -145,7 +145,7 @@ class Worker:
 
 
 def run(attack: str, cases: Sequence[Case], jobs: int = 1) -> Iterator[tuple[int, Result]]:
-    """Attempt cases in worker processes; yield indices of cases and results as they come."""
+    """Attempt cases in worker processes; yield indices of cases and results as they arrive."""
     with (
         tempfile.TemporaryDirectory(prefix="attack-") as folder,
         ThreadPoolExecutor(jobs) as executor,
@@ -184,7 +184,7 @@ def attempt_here(attack: Any, case: Case, note: Note) -> Result:
 
 
 def peak_memory() -> float:
-    """Return the most memory that the process has had so far [MB]."""
+    """Return the peak memory of the process so far [MB]."""
     try:
         import resource
     except ImportError:  # Windows

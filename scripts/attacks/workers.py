@@ -1,4 +1,4 @@
-"""Kill workers of a study, and interrupt it: its table stays the same to the last bit.
+"""Kill workers of a study, and interrupt it: its table must stay bit-identical.
 
 Even cases kill two worker processes at random moments, of `local` and Ray in turn. Odd cases
 interrupt the study at random rows and resume it with the other engine each time. Needs Linux, and
@@ -31,7 +31,7 @@ from mjgranular.pool.workers import Engine
 PATIENCE = 600.0
 DROPS = 60
 STUDY = Study(
-    Impact(speed=2.0, timestep=1e-4, scheme="explicit"),  # some 4 ms a drop
+    Impact(speed=2.0, timestep=1e-4, scheme="explicit"),  # about 4 ms per drop
     {"speed": Between(1.0, 5.0), "angle": Between(0.6, 1.0)},
     sample=DROPS,
 )
@@ -40,7 +40,7 @@ _ENGINES: tuple[Engine, ...] = ("local", "ray") if importlib.util.find_spec("ray
 
 
 def cases(options: Namespace, numbers: range) -> list[Case]:
-    """List cases: all about one follows from its seed and number."""
+    """List cases: a case depends only on its seed and number."""
     return [{"seed": options.seed, "number": number} for number in numbers]
 
 
@@ -83,7 +83,7 @@ def attempt(case: Case, note: Note) -> Result:
 
 
 def killed(engine: Engine, folder: Path, rng: random.Random) -> dict[str, int]:
-    """Kill two workers. Three that hit one chunk would rightly end it."""
+    """Kill two workers. Three kills at one chunk would correctly end it."""
     moments = sorted(rng.sample(range(1, DROPS - 10), 2))
     timers: list[threading.Timer] = []
     killed: list[int] = []
@@ -122,7 +122,7 @@ def interrupted(engine: Engine, folder: Path, rng: random.Random) -> dict[str, i
 
 
 def table(workers: Workers, folder: Path, progress: Callable[[int], None]) -> bool:
-    """Run or resume the study; write its table and return True if it has come to its end."""
+    """Run or resume the study; write its table and return True if it has finished."""
     journal = journal_of(STUDY, folder)
     journal.begin()
     result = run_study(STUDY, workers=workers, journal=journal, progress=progress)
