@@ -26,7 +26,7 @@ nox.options.error_on_missing_interpreters = False
 @nox.session(python=PYTHONS)
 @nox.parametrize("mujoco", MUJOCOS)
 def core(session: nox.Session, mujoco: str) -> None:
-    """What compiled code, structs and the two doors depend on."""
+    """What compiled code, structs and the two interfaces depend on."""
     session.install(".[test]", f"mujoco=={mujoco}.*")
     files = [f"tests/{name}" for name in CORE]
     session.run("pytest", "-q", "-p", "no:cacheprovider", *ALL, *files, *session.posargs)

@@ -104,7 +104,7 @@ def _cases(robot: str, make: Any) -> Sequence[Case]:
 GROUPS = tuple(
     Group(
         f"{robot}, {how}",
-        "Gymnasium's model as it is, with sand (`rft3d`, implicit, engine door) in place of its "
+        "Gymnasium's model as it is, with sand (`rft3d`, implicit, plugin) in place of its "
         f"floor, {note}. Models that use RK4 take `implicitfast`, on the floor too.",
         lambda robot=robot, make=make: _cases(robot, make),
     )

@@ -1,7 +1,7 @@
 """Cost of sand: all benchmarks, as tables, JSON and a page of the documentation.
 
     python benchmarks/run.py                                   all, about a quarter of an hour
-    python benchmarks/run.py --only doors elements --quick     two families, to see that they work
+    python benchmarks/run.py --only interfaces elements --quick  two families, to see that they work
     python benchmarks/run.py --save now.json --compare then.json
     python benchmarks/run.py --report docs/benchmarks.md
 
@@ -22,8 +22,8 @@ from typing import Annotated, Any, Literal
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import batches
-import doors
 import elements
+import interfaces
 import measure
 import report
 import robots
@@ -35,7 +35,7 @@ from rich.progress import Progress
 from mjgranular.pool.versions import versions
 
 FAMILIES = {
-    "doors": doors.GROUPS,
+    "interfaces": interfaces.GROUPS,
     "elements": elements.GROUPS,
     "batches": batches.GROUPS,
     "robots": robots.GROUPS,
@@ -44,7 +44,7 @@ FAMILIES = {
 NEEDS = {"batches": "a MuJoCo that has mujoco.batch", "robots": "gymnasium"}
 """Requirements of families that have no groups here."""
 
-Family = Literal["doors", "elements", "batches", "robots", "start"]
+Family = Literal["interfaces", "elements", "batches", "robots", "start"]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ _CODES = {
         f"{_BEFORE}; import mjgranular; {_MODEL}; "
         "mjgranular.Sand(m, law='rft3d', medium='quikrete_medium', scheme='implicit').step(d)"
     ),
-    "first step by the engine door": (
+    "first step by the plugin": (
         f"{_BEFORE}; import mjgranular; from mjgranular.models import Link; s = Link().spec(); "
         "mjgranular.add_sand(s); m = s.compile(); mujoco.mj_step(m, mujoco.MjData(m))"
     ),

@@ -163,7 +163,9 @@ class Walk:
         # Only the plugin can step explicit sand with RK4.
         by_itself = self.model.opt.integrator == _RK4 and "plugin" not in refused
         if len(refused) == 1 and not by_itself:
-            self.find(next(iter(refused)), "only one door refuses", next(iter(refused.values())))
+            self.find(
+                next(iter(refused)), "only one interface refuses", next(iter(refused.values()))
+            )
         if refused:
             self.counts["refused when made"] += 1
         self.start = state_of(self.model, self.data)
@@ -283,7 +285,7 @@ class Walk:
                 self.counts["refused under way, inside"] += 1
                 expected = must_refuse or interfaces_may_differ(self.model)
                 if outcome in ("fine", "announced") and not expected:
-                    self.find("plugin", "only one door refuses", str(error))
+                    self.find("plugin", "only one interface refuses", str(error))
             else:
                 self.fatal("plugin", before, error)
         except Exception as error:
@@ -315,14 +317,14 @@ class Walk:
             return bad
         if outcome == "refused":
             if not must_refuse and not announced and not self.must_refuse(model, inside=False):
-                self.find("step", "only one door refuses", "mj_step goes on")
+                self.find("step", "only one interface refuses", "mj_step goes on")
         elif bad != (outcome == "trouble"):
             if outcome == "fine" or (outcome == "trouble" and not announced):
                 words = ("finds nothing bad", "finds something bad")
                 fastest = float(np.abs(data.qacc).max())
                 text = f"Sand.step: {outcome}; mj_step {words[bad]}, qacc {fastest:.3g}"
                 failed = not interfaces_may_differ(self.model) and fastest < DIVERGED
-                self.find("both", "only one door finds it bad", text, failed=failed)
+                self.find("both", "only one interface finds it bad", text, failed=failed)
         elif outcome == "fine" and not announced:
             if self.implicit:
                 force = sand_force_inside(data)
@@ -350,13 +352,13 @@ class Walk:
             return
         text = f"by {apart:.3g} of {scale:.3g}"
         if apart <= 10.0 * sensitivity(self.inside, self.inner, before, scale / max(h, 1e-12)):
-            self.find("both", "doors differ (rounding alone does that)", text, failed=False)
+            self.find("both", "interfaces differ (rounding alone does that)", text, failed=False)
         else:
-            self.find("both", "doors differ", text, apart / scale)
+            self.find("both", "interfaces differ", text, apart / scale)
 
     def weigh_work(
         self,
-        door: str,
+        interface: str,
         model: mujoco.MjModel,
         data: mujoco.MjData,
         force: np.ndarray,
@@ -370,7 +372,7 @@ class Walk:
             return
         work = h * float(force @ data.qvel)
         self.counts["steps weighed"] += 1
-        if door == "step":
+        if interface == "step":
             self.sum_work(work, model, data, speed)
         if work <= JOULES:
             return
@@ -387,7 +389,7 @@ class Walk:
                 reason = "within the tolerance of the engine's solver"
         kind = f"energy ({reason})" if reason else f"energy{missing}"
         text = f"{work:.3g} J in a step, of {kinetic:.3g} J"
-        self.find(door, kind, text, work / max(kinetic, JOULES), failed=not reason)
+        self.find(interface, kind, text, work / max(kinetic, JOULES), failed=not reason)
 
     def sum_work(
         self, work: float, model: mujoco.MjModel, data: mujoco.MjData, speed: np.ndarray
@@ -453,7 +455,7 @@ class Walk:
         integers = [name for name in account.dtype.names if account.dtype[name] == np.int64]
         return tuple(int(account[name]) for name in integers if name not in skipped)
 
-    def fatal(self, door: str, before: np.ndarray, error: Exception) -> None:
+    def fatal(self, interface: str, before: np.ndarray, error: Exception) -> None:
         """Record a MuJoCo error, unless the same step without sand has it too."""
         for data in (mujoco.MjData(self.model), self.data):
             mujoco.mj_setState(self.model, data, before, STATE)
@@ -462,7 +464,7 @@ class Walk:
             except mujoco.FatalError:
                 self.counts["errors of MuJoCo's own"] += 1
                 return
-        self.find(door, "exception", f"mujoco.FatalError: {error}")
+        self.find(interface, "exception", f"mujoco.FatalError: {error}")
 
     def recover(self) -> None:
         """Start over, with the original model."""
@@ -481,14 +483,14 @@ class Walk:
             mujoco.mj_resetData(self.inside, self.inner)
 
     def find(
-        self, door: str, kind: str, text: str, value: float = 0.0, failed: bool = True
+        self, interface: str, kind: str, text: str, value: float = 0.0, failed: bool = True
     ) -> None:
         """Record a finding; only the worst of each kind is kept per model."""
         self.counts[f"found: {kind}"] += 1
-        known = self.findings.get((kind, door))
+        known = self.findings.get((kind, interface))
         if known is None or value > known.value:
-            found = Finding(kind, text, f"step {self.step}, {door}", float(value), failed)
-            self.findings[kind, door] = found
+            found = Finding(kind, text, f"step {self.step}, {interface}", float(value), failed)
+            self.findings[kind, interface] = found
 
 
 def _restore(changed: Any, original: Any) -> None:

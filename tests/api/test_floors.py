@@ -97,7 +97,7 @@ def test_nothing_is_changed_in_the_model():
     assert (model.geom_group.tobytes(), model.geom_rgba.tobytes()) == before
 
 
-def test_both_doors_warn():
+def test_both_interfaces_warn():
     bodies = geom("plane", "ground") + BALL.format(x=0)
     xml = f"<mujoco><worldbody>{bodies}</worldbody></mujoco>"
     with pytest.warns(GranularWarning, match=r"'ground' \(a plane\) would carry it"):

@@ -43,7 +43,7 @@ def test_a_family_is_measured_saved_compared_and_reported(tmp_path: Path) -> Non
     page = tmp_path / "page.md"
     page.write_text((FOLDER.parent / "docs" / "benchmarks.md").read_text())
     before = page.read_text()
-    options = ("--only", "doors", "--quick")
+    options = ("--only", "interfaces", "--quick")
     run(tmp_path, *options, "--save", "figures.json", "--report", page)
     saved = json.loads((tmp_path / "figures.json").read_text())
     assert saved["machine"]["mujoco"] == mujoco.__version__

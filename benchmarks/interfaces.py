@@ -92,7 +92,7 @@ def _in_python() -> Sequence[Case]:
     explicit, implicit = (Sand(model, scheme=scheme) for scheme in ("explicit", "implicit"))
     return [
         _looped("mj_step without sand", model, lambda data: mujoco.mj_step(model, data)),
-        _looped("engine door, explicit", sandy, lambda data: mujoco.mj_step(sandy, data)),
+        _looped("plugin, explicit", sandy, lambda data: mujoco.mj_step(sandy, data)),
         _looped("Sand.step, explicit", model, explicit.step),
         _looped("Sand.step, implicit", model, implicit.step),
         _looped("the same law in NumPy", model, by_hand.step),
