@@ -278,12 +278,12 @@ def describe(
     bodies = []
     for row, mine in zip(binding.bodies, members, strict=True):
         deepest = mine[np.argmax(table.depth[mine])]
-        wet = mine[table.depth[mine] > 0]
-        measures = _measures(table, wet, gravity=gravity, slope=slope, grain=grain)
+        immersed = mine[table.depth[mine] > 0]
+        measures = _measures(table, immersed, gravity=gravity, slope=slope, grain=grain)
         froude = float(measures["froude"] or 0.0)
         found = None
-        if len(wet) and not _turns(table, wet):
-            found = found_at(findings, froude, grain and float(table.width[wet].min()) / grain)
+        if len(immersed) and not _turns(table, immersed):
+            found = found_at(findings, froude, grain and float(table.width[immersed].min()) / grain)
         bodies.append(
             BodyReport(
                 body=names.bodies[int(row["body"])],
@@ -336,14 +336,14 @@ def _element_table(
     )
 
 
-def _turns(table: ElementTable, wet: np.ndarray) -> bool:
+def _turns(table: ElementTable, immersed: np.ndarray) -> bool:
     """Return True if a body turns in the sand, from the spread of its elements' velocities."""
-    point, velocity = table.point[wet], table.velocity[wet]
+    point, velocity = table.point[immersed], table.velocity[immersed]
     speed, across = _rms(velocity), _rms(point - point.mean(axis=0))
     if speed < _SLOW or across == 0.0:
         return False
     rate = _rms(velocity - velocity.mean(axis=0)) / across  # [rad/s]
-    return rate * float(table.width[wet].max()) > _TURN * speed
+    return rate * float(table.width[immersed].max()) > _TURN * speed
 
 
 def _rms(vectors: np.ndarray) -> float:
@@ -352,7 +352,7 @@ def _rms(vectors: np.ndarray) -> float:
 
 def _measures(
     table: ElementTable,
-    wet: np.ndarray,
+    immersed: np.ndarray,
     *,
     gravity: float,
     slope: float,
@@ -365,13 +365,13 @@ def _measures(
         "depth_over_width": 0.0,
         "inertial_number": None if grain is None or gravity == 0 else 0.0,
     }
-    if len(wet):
-        width, depth = table.width[wet], table.depth[wet]
-        measures["froude"] = float(table.froude[wet].max())
+    if len(immersed):
+        width, depth = table.width[immersed], table.depth[immersed]
+        measures["froude"] = float(table.froude[immersed].max())
         measures["depth_over_width"] = float((depth / width).max())
         if grain is not None and gravity > 0:
             # Shear rate v / w, pressure rho g z: the density cancels.
-            speed = np.sqrt((table.velocity[wet] ** 2).sum(axis=1))
+            speed = np.sqrt((table.velocity[immersed] ** 2).sum(axis=1))
             # Less than a grain deep there is hardly any flow.
             number = speed / width * grain / np.sqrt(gravity * np.maximum(depth, grain))
             measures["inertial_number"] = float(number.max())

@@ -63,7 +63,7 @@ from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
 from mjgranular.scheme.forces import tile_kernels
 from mjgranular.scheme.layout import FORCE, INDEX
-from mjgranular.scheme.metric import is_unforeseen, make_metric
+from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes
 from mjgranular.scheme.solver import lane_vector, solver_kernel
@@ -121,7 +121,7 @@ class Implicit(Scheme):
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
         options = model.opt
-        if is_unforeseen(options.integrator, options.solver, options.enableflags):
+        if is_unsupported(options.integrator, options.solver, options.enableflags):
             raise InputError(self.refusal(BAD_METRIC))
 
 
@@ -149,7 +149,7 @@ def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any
         if status != FINE:
             return status
         options = options_at(table)
-        if is_unforeseen(options.integrator, options.solver, options.enableflags):
+        if is_unsupported(options.integrator, options.solver, options.enableflags):
             return BAD_METRIC
         w = workspace_at(table[WORKSPACE])
         read_options(table, w)

@@ -35,7 +35,7 @@ numbers_of_block = scratch(36)
 
 
 @compiled
-def is_unforeseen(integrator, solver, enableflags):
+def is_unsupported(integrator, solver, enableflags):
     """Return True if the options change this integrator's step from the one above.
 
     The dual solver needs quantities that the engine computes for no other solver, and the flag

@@ -100,12 +100,12 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         cdof: wp.array2d(dtype=wp.spatial_vector),
         cdof_dot: wp.array2d(dtype=wp.spatial_vector),
         qvel: wp.array2d(dtype=float),
-        foreseen: wp.array2d(dtype=float),
+        predicted: wp.array2d(dtype=float),
         found: wp.array2d(dtype=float),
         gap: wp.array2d(dtype=float),
         share: wp.array2d(dtype=float),
         damping: wp.array2d(dtype=Damping),
-        kick: wp.array2d(dtype=wp.spatial_vector),
+        start_force: wp.array2d(dtype=wp.spatial_vector),
         depth: wp.array2d(dtype=float),
         speed: wp.array2d(dtype=float),
         limit: wp.array2d(dtype=float),
@@ -129,7 +129,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
             tree,
             now,
         )
-        ahead = motion_of(slot, chain, cdof, foreseen, world)
+        ahead = motion_of(slot, chain, cdof, predicted, world)
         sure = now  # the motion that the prediction started from
         past = now  # the previous prediction, which led to `sure`
         if not first:
@@ -204,7 +204,7 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
         limit[world, s] = limits
         share[world, s] = share_of_speed(has, had)
         damping[world, s] = total
-        kick[world, s] = wp.spatial_vector(twist - wp.cross(total.arm, push), push)
+        start_force[world, s] = wp.spatial_vector(twist - wp.cross(total.arm, push), push)
         depth[world, s] = deepest
         speed[world, s] = fastest
 
@@ -212,13 +212,13 @@ def resist_kernel(kernel: LawKernel, law_struct: Any, surface_struct: Any, remem
 
 
 @wp.func
-def _turned_back(foreseen: wp.vec3, now: wp.vec3, eps: float):
+def _turned_back(predicted: wp.vec3, now: wp.vec3, eps: float):
     """Return whether a prediction reverses a velocity that is not already at rest.
 
     A point that has just stopped is not about to reverse. Trailing faces have no resistance, so a
     step that started from a reversed velocity would end far from the solution.
     """
-    return wp.dot(foreseen, now) < 0.0 and wp.length(now) > _STILL * eps
+    return wp.dot(predicted, now) < 0.0 and wp.length(now) > _STILL * eps
 
 
 @wp.func
@@ -302,7 +302,7 @@ def assemble_forces(
     cdof: wp.array2d(dtype=wp.spatial_vector),
     cvel: wp.array2d(dtype=wp.spatial_vector),
     damping: wp.array2d(dtype=Damping),
-    kick: wp.array2d(dtype=wp.spatial_vector),
+    start_force: wp.array2d(dtype=wp.spatial_vector),
     other: wp.array2d(dtype=float),
     force: wp.array2d(dtype=float),
 ):
@@ -315,7 +315,7 @@ def assemble_forces(
         arm = damping[world, s].arm
         now = moved(spatial(cvel, world, slots[s].body), arm)
         wrench = wrench_of(damping[world, s], now)
-        kicked = spatial(kick, world, s)
+        kicked = spatial(start_force, world, s)
         total += wp.dot(axis.angular, wrench.angular + kicked.angular)
         total += wp.dot(velocity_at(axis, arm), wrench.linear + kicked.linear)
     force[world, i] = total
@@ -348,19 +348,19 @@ def assemble_damping(
 
 
 @wp.kernel(enable_backward=False)
-def foresee(
+def predict(
     timestep: wp.array(dtype=float),
     qvel: wp.array2d(dtype=float),
     qacc: wp.array2d(dtype=float),
-    foreseen: wp.array2d(dtype=float),
+    predicted: wp.array2d(dtype=float),
 ):
     """Predict the velocities at the end of the step from these accelerations."""
     world, i = wp.tid()
-    foreseen[world, i] = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
+    predicted[world, i] = qvel[world, i] + timestep[world % timestep.shape[0]] * qacc[world, i]
 
 
 @wp.kernel(enable_backward=False)
-def foresee_anew(
+def predict_again(
     again: bool,
     root_first: wp.array(dtype=int),
     row_first: wp.array(dtype=int),
@@ -370,7 +370,7 @@ def foresee_anew(
     qacc: wp.array2d(dtype=float),
     gap: wp.array2d(dtype=float),
     found: wp.array2d(dtype=float),
-    foreseen: wp.array2d(dtype=float),
+    predicted: wp.array2d(dtype=float),
 ):
     """Predict the velocities at the end of the step again, with extrapolation.
 
@@ -380,7 +380,7 @@ def foresee_anew(
     h = timestep[world % timestep.shape[0]]
     product, square = float(0.0), float(0.0)
     for i in range(root_first[r], root_first[r + 1]):
-        change = foreseen[world, i] - qvel[world, i] - h * qacc[world, i]
+        change = predicted[world, i] - qvel[world, i] - h * qacc[world, i]
         fall = gap[world, i] - change
         gap[world, i] = change
         weight = inertia[world, row_first[i + 1] - 1]
@@ -391,7 +391,7 @@ def foresee_anew(
         beyond = prolonged_by(product, square)
     for i in range(root_first[r], root_first[r + 1]):
         ended = qvel[world, i] + h * qacc[world, i]
-        foreseen[world, i] = ended + beyond * (ended - found[world, i])
+        predicted[world, i] = ended + beyond * (ended - found[world, i])
         found[world, i] = ended
 
 
@@ -403,7 +403,7 @@ def warm_start(
     qacc_warmstart: wp.array2d(dtype=float),
     time: wp.array(dtype=float),
     creep: wp.array2d(dtype=float),
-    foreseen: wp.array2d(dtype=float),
+    predicted: wp.array2d(dtype=float),
 ):
     """Predict the velocities at the end of the step by repeating the last change."""
     world, i = wp.tid()
@@ -412,7 +412,7 @@ def warm_start(
         change = 0.0
     if time[world] > 0.0 and creep[world, i] != 0.0:  # not from another episode
         change = creep[world, i]
-    foreseen[world, i] = qvel[world, i] + change
+    predicted[world, i] = qvel[world, i] + change
 
 
 @wp.kernel(enable_backward=False)

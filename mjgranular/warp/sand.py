@@ -27,8 +27,8 @@ from mjgranular.warp.constraints import Constraints
 from mjgranular.warp.damping import (
     assemble_damping,
     assemble_forces,
-    foresee,
-    foresee_anew,
+    predict,
+    predict_again,
     resist_kernel,
     stop_creep,
     warm_start,
@@ -66,12 +66,12 @@ _OF_A_BODY = Damping.numpy_dtype()["itemsize"] + 4 * (6 + 3 + 3 + 5)
 class _Arrays:
     """Arrays on the device that a step writes, allocated once, as CUDA graphs require."""
 
-    foreseen: wp.array  # predicted velocities at the end of the step, (nworld, nv)
+    predicted: wp.array  # predicted velocities at the end of the step, (nworld, nv)
     found: wp.array  # final velocities of the last solution of the equations
     gap: wp.array  # difference between the velocities predicted before and found
     share: wp.array  # factor on the speed of moving sand after its body has turned
     damping: wp.array  # of each body in the sand, (nworld, bodies)
-    kick: wp.array  # constant force of sand that already moves: momentum per time
+    start_force: wp.array  # constant force of sand that already moves: momentum per time
     limit: wp.array  # sum of static resistance over each body's elements [N]
     creep: wp.array  # velocities removed from creeping robots, else zero, (nworld, nv)
     passive: wp.array  # other passive forces, (nworld, nv)
@@ -230,12 +230,12 @@ class WarpSand:
         self.depth, self.speed, self.power = (zeros((n, count), float) for _ in range(3))
         self.force, self.moment = zeros((n, count), wp.vec3), zeros((n, count), wp.vec3)
         self._arrays = _Arrays(
-            foreseen=zeros((n, model.nv), float),
+            predicted=zeros((n, model.nv), float),
             found=zeros((n, model.nv), float),
             gap=zeros((n, model.nv), float),
             share=zeros((n, count), float),
             damping=zeros((n, count), Damping),
-            kick=zeros((n, count), wp.spatial_vector),
+            start_force=zeros((n, count), wp.spatial_vector),
             limit=zeros((n, count), float),
             creep=zeros((n, model.nv), float),
             passive=wp.zeros_like(d.qfrc_passive),
@@ -331,20 +331,20 @@ class WarpSand:
             warm_start,
             (self._size[0], self._model.nv),
             [m.opt.timestep, self._cold, d.qvel, d.qacc_warmstart, d.time, a.creep],
-            [a.foreseen],
+            [a.predicted],
         )
         count = self._corrections
         self._resist_all(m, d, first=True, last=count == 0)
         for correction in range(count):
             self._constraints.solve(m, d)
             self._launch(
-                foresee_anew,
+                predict_again,
                 (self._size[0], len(self._roots)),
                 [
                     *(correction > 0, self._root_first, self._row_first, m.opt.timestep),
                     *(d.M, d.qvel, d.qacc),
                 ],
-                [a.gap, a.found, a.foreseen],
+                [a.gap, a.found, a.predicted],
             )
             self._resist_all(m, d, first=False, last=correction == count - 1)
         self._constraints.prepare(m, d)
@@ -356,13 +356,13 @@ class WarpSand:
         if int(stage) != int(mujoco.mjtStage.mjSTAGE_ACC):
             return
         a = self._arrays
-        self._foresee(m, d)
+        self._predict(m, d)
         self._launch(
             wrenches_of_step,
             self._size,
             [
                 *(self._slot_array, self._chain_array, d.xipos, d.subtree_com, d.cdof),
-                *(a.foreseen, a.damping),
+                *(a.predicted, a.damping),
             ],
             [self.force, self.moment, self.power],
         )
@@ -372,16 +372,16 @@ class WarpSand:
             [
                 *(self._roots, self._root_first, self._slot_array, self._row_first, self._columns),
                 *(m.opt.timestep, m.opt.sleep_tolerance, m.dof_length),
-                *(d.M, d.qvel, a.foreseen, self.power),
+                *(d.M, d.qvel, a.predicted, self.power),
             ],
             [a.creep, d.qacc],
         )
         if self._memory is not None:
             self._memory.update(m, d, self.height, self._up)
 
-    def _foresee(self, m: Any, d: Any) -> None:
+    def _predict(self, m: Any, d: Any) -> None:
         shape = (self._size[0], self._model.nv)
-        self._launch(foresee, shape, [m.opt.timestep, d.qvel, d.qacc], [self._arrays.foreseen])
+        self._launch(predict, shape, [m.opt.timestep, d.qvel, d.qacc], [self._arrays.predicted])
 
     def _resist_all(self, m: Any, d: Any, *, first: bool, last: bool) -> None:
         """Compute damping at the predicted velocities, its forces and its part of the metric."""
@@ -395,15 +395,15 @@ class WarpSand:
                 *(self.strength, self.density, self.height),
                 *(self._up, self._softness, m.opt.timestep, m.opt.gravity),
                 *(d.xpos, d.xmat, d.xipos, d.subtree_com, d.cvel, d.cdof, d.cdof_dot, d.qvel),
-                *(a.foreseen, a.found, a.gap),
+                *(a.predicted, a.found, a.gap),
             ],
-            [a.share, a.damping, a.kick, self.depth, self.speed, a.limit],
+            [a.share, a.damping, a.start_force, self.depth, self.speed, a.limit],
         )
         of_dofs = [self._dof_slots, self._dof_first]
         self._launch(
             assemble_forces,
             (n, self._model.nv),
-            [self._slot_array, *of_dofs, d.cdof, d.cvel, a.damping, a.kick, a.passive],
+            [self._slot_array, *of_dofs, d.cdof, d.cvel, a.damping, a.start_force, a.passive],
             [d.qfrc_passive],
         )
         self._launch(
