@@ -616,7 +616,7 @@ def test_inertia_acts_along_the_normal_of_leading_elements(law):
     plain = Moved(body("type='ellipsoid' size='.06 .04 .02'"), LAWS[law])
     fast = Moved(plain.sand.model, dataclasses.replace(LAWS[law], inertia=1.1, density=1550.0))
     quaternion, velocity, spin = rng.normal(size=4), rng.normal(size=3), 10 * rng.normal(size=3)
-    state = ([0, 0, -0.01], quaternion, velocity, spin)
+    state = ([0, 0, -0.2], quaternion, velocity, spin)
     normals = plain.sand.elements["normal"] @ matrix(quaternion).T
     areas = plain.sand.elements["area"]
     seen = 0
