@@ -116,7 +116,7 @@ def test_strength_and_density_are_those_of_a_law_made_so(case: str, scheme: str)
     np.testing.assert_array_equal(end_of(model), end_of(plain))
     for other, tuned in ((weaker, {"strength": 0.7}), (denser, {"density": 1.3})):
         expected = end_of(made(False, law=other, scheme=scheme))
-        assert np.abs(expected - end_of(plain)).max() > 1e-6
+        assert np.abs(expected - end_of(plain)).max() > 1e-7
         np.testing.assert_allclose(end_of(model, **tuned), expected, rtol=1e-9, atol=1e-12)
 
 
