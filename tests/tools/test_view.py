@@ -74,7 +74,7 @@ def test_a_model_with_sand_is_shown_with_that(
     add_sand(spec, medium="glass_beads", law="rft2d", name="mine")
     block.write_text(spec.to_xml())
     assert sands_in(ViewCommand(model=block).load()) == ("mine",)
-    assert "sand of its own" in capsys.readouterr().err
+    assert "contains sand" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
