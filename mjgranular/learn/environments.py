@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
+import numpy as np
+
 from mjgranular._util.checks import check_count
 from mjgranular._util.extras import need
 from mjgranular.errors import GranularError, GranularWarning, InputError, RenderError
@@ -112,10 +114,17 @@ def _in_processes(env_id: str, arguments: Mapping[str, Any], num_envs: int) -> A
     from stable_baselines3.common.vec_env import SubprocVecEnv
 
     if _has_vector_form(env_id):
-        raise InputError(f"{env_id} steps in a batch on all cores: leave processes away")
+        raise InputError(f"{env_id} steps in a batch on all cores: omit processes")
+
+    class Processes(SubprocVecEnv):
+        def step_wait(self) -> Any:
+            # In single precision, as a DummyVecEnv has rewards: learning is the same to the bit.
+            observations, rewards, *others = super().step_wait()
+            return observations, np.asarray(rewards, np.float32), *others
+
     # Spawned rather than forked: MuJoCo and numba may hold threads and locks.
     make = partial(_monitored, env_id, dict(arguments))
-    return SubprocVecEnv([make] * num_envs, start_method="spawn")
+    return Processes([make] * num_envs, start_method="spawn")
 
 
 def _monitored(env_id: str, arguments: Mapping[str, Any]) -> Any:
