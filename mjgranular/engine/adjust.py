@@ -3,37 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import cache
-from typing import Any
 
-from mjgranular.engine.block import HEADER_DTYPE
-from mjgranular.engine.layout import Layout
-from mjgranular.engine.tuning import (
-    ACTIVE,
-    DENSITY,
-    HEIGHT,
-    STATE_SIZE,
-    STRENGTH,
-    TUNING_DTYPE,
-)
+from mjgranular.engine.block import HEADER_DTYPE, header_at
+from mjgranular.engine.tuning import ACTIVE, DENSITY, HEIGHT, STATE_SIZE, STRENGTH, TUNING_DTYPE
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
-    NV,
-    SCENE,
-    floats,
-    ints,
-    longs,
-    records,
-    table_at,
-)
-from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.kernel.memory import NV, SCENE, field, floats, ints, longs, records, table_at
+from mjgranular.kernel.records import bodies_of, contacts_of
 
-_header = records(HEADER_DTYPE)
 _tunings = records(TUNING_DTYPE)
+_states, _addresses = field("mjData", "plugin_state"), field("mjModel", "plugin_stateadr")
 _APPLIED = int(HEADER_DTYPE.fields["applied"][1])  # pyright: ignore[reportOptionalSubscript]
 
 
@@ -50,7 +28,7 @@ def is_reasonable(state):
 def invalidate_forces(header):
     """Set forces to NaN: MuJoCo finds them, warns and resets, as with any bad state."""
     table = table_at(header.table)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     forces = floats(header.qfrc, table[NV])
     for slot in range(len(bodies)):
         forces[bodies[slot].last_dof] = math.nan
@@ -60,11 +38,11 @@ def invalidate_forces(header):
 def clear_results(header):
     """Clear the results for sensors and drawings."""
     table = table_at(header.table)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     for slot in range(len(bodies)):
         for k in range(6):
             bodies[slot].wrench[k] = 0.0
-    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    contacts = contacts_of(table)
     for i in range(len(contacts)):
         contacts[i].depth = 0.0
 
@@ -87,37 +65,36 @@ def rescale(header, state):
         floats(scene + 8 * tuning.word, 1)[0] = value
 
 
-@cache
-def adjuster(layout: Layout) -> Any:
-    """Make a compiled function `adjust(block, model, data, instance)` for tunable instances.
+@compiled
+def state_of(model, data, instance):
+    """Return the address of the state of a plugin instance."""
+    return _states(data) + 8 * ints(_addresses(model), instance + 1)[instance]
 
-    It returns whether forces are to be computed. One `mjData` may serve many simulations in turn,
-    so each call compares the state with the one last applied, bit by bit.
+
+@compiled
+def adjust(block, model, data, instance):
+    """Apply the state of a tunable instance; return whether forces are to be computed.
+
+    One `mjData` may serve many simulations in turn, so each call compares the state with the one
+    last applied, bit by bit.
     """
-    plugin_state, stateadr = layout.plugin_state, layout.plugin_stateadr
-
-    @compiled
-    def adjust(block, model, data, instance):
-        header = _header(block, 1)[0]
-        adr = ints(longs(model + stateadr, 1)[0], instance + 1)[instance]
-        address = longs(data + plugin_state, 1)[0] + 8 * adr
-        state, bits = floats(address, STATE_SIZE), longs(address, STATE_SIZE)
-        applied = longs(block + _APPLIED, STATE_SIZE)
-        known = header.tuned != 0
+    header = header_at(block)
+    address = state_of(model, data, instance)
+    state, bits = floats(address, STATE_SIZE), longs(address, STATE_SIZE)
+    applied = longs(block + _APPLIED, STATE_SIZE)
+    known = header.tuned != 0
+    for k in range(STATE_SIZE):
+        known = known and bits[k] == applied[k]
+    if not known:
+        if not is_reasonable(state):
+            header.tuned = 0
+            clear_results(header)
+            invalidate_forces(header)
+            return False
+        rescale(header, state)
+        if state[ACTIVE] == 0.0:
+            clear_results(header)
         for k in range(STATE_SIZE):
-            known = known and bits[k] == applied[k]
-        if not known:
-            if not is_reasonable(state):
-                header.tuned = 0
-                clear_results(header)
-                invalidate_forces(header)
-                return False
-            rescale(header, state)
-            if state[ACTIVE] == 0.0:
-                clear_results(header)
-            for k in range(STATE_SIZE):
-                applied[k] = bits[k]
-            header.tuned = 1
-        return state[ACTIVE] != 0.0
-
-    return adjust
+            applied[k] = bits[k]
+        header.tuned = 1
+    return state[ACTIVE] != 0.0

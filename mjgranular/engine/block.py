@@ -6,26 +6,33 @@ that it needs is in one *block* per `mjData`: a header, the table of addresses t
 all the elements, is not copied.
 
 The assignment of addresses is not repeated here. The sand is bound to a model and an `MjData` as by
-`Sand`, and its tables are relocated as a linker relocates an object file: the address of an array
-of the block becomes an offset in the block, an address in MuJoCo's structs or buffers is looked up
-again in every other simulation, and everything else is a number.
+`Sand`, and its tables are relocated (`relocation`).
 """
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular.engine.layout import Struct
+from mjgranular.engine.relocation import (
+    IN_DATA,
+    IN_MODEL,
+    RELOCATION_DTYPE,
+    Image,
+    Memory,
+    find_relocations,
+    joined,
+    places_of,
+    words_of,
+)
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.kernel import memory
-from mjgranular.kernel.lanes import aligned
+from mjgranular.kernel.compiled import compiled
 from mjgranular.sand.binding import bind
 from mjgranular.sand.prepare import PreparedSand
 from mjgranular.scheme import Scheme
@@ -50,7 +57,7 @@ HEADER_DTYPE = np.dtype(
         ("awake", np.int64),  # address of body_awake
         ("instances", np.int64),  # of all plugins in the model
         ("senses", np.int64),  # whether the model has sensors that may read forces on bodies
-        ("telling", np.int64),  # whether those are being recomputed (`external`)
+        ("updating", np.int64),  # whether those are being recomputed (`external`)
         ("size", np.int64),  # of the block [bytes]
         ("image", np.int64),  # number of the image that it copies
         ("results", np.int64),  # address of a step's results: bodies, contacts
@@ -82,20 +89,8 @@ HEADER_DTYPE = np.dtype(
         ("applied", np.float64, (STATE_SIZE,)),
     ]
 )
-RELOCATION_DTYPE = np.dtype(
-    [
-        ("word", np.int64),  # of the block
-        ("kind", np.int64),
-        ("offset", np.int64),  # in the block or the struct [bytes]
-        ("delta", np.int64),  # added to a pointer [bytes]
-    ]
-)
-NO_RELOCATIONS = np.zeros(0, RELOCATION_DTYPE)
 SHAPE_DTYPE = np.dtype([("address", np.int64), ("value", np.int64)])  # of an int32 in mjModel
-IN_BLOCK, IN_DATA, POINTER_IN_DATA, IN_MODEL, POINTER_IN_MODEL = range(5)
-"""Kinds of relocation. The last two read the model."""
-
-NOT_ASKED = (
+NO_PASSIVE = (
     "with springs and dampers both disabled (opt.disableflags) MuJoCo computes no passive forces, "
     "and sand inside mj_step is one of them: enable one of the two"
 )
@@ -103,40 +98,14 @@ NOT_ASKED = (
 REFUSAL_SIZE = 480
 """Bytes of a message, including its end: MuJoCo cuts at 500."""
 
-_WORD = 8  # bytes
 _numbers = itertools.count(1)
+_headers = memory.records(HEADER_DTYPE)
 
 
-@dataclass(frozen=True)
-class Image:
-    """A block without an `mjData`.
-
-    Attributes:
-        content: its words.
-        relocations: rows of `RELOCATION_DTYPE` that do not read the model.
-        shared: arrays whose addresses are in the content.
-    """
-
-    content: np.ndarray
-    relocations: np.ndarray
-    shared: tuple[np.ndarray, ...] = ()
-
-    def copy_for(self, data: int) -> np.ndarray:
-        """Make the block of the `mjData` at an address; what reads the model is linked later.
-
-        Returns:
-            Words, which must not move as long as the `mjData` lives.
-        """
-        block = aligned(self.content)
-        words = block.view(np.int64)
-        for word, kind, offset, delta in self.relocations.tolist():
-            if kind == IN_BLOCK:
-                words[word] = block.ctypes.data + offset
-            elif kind == IN_DATA:
-                words[word] = data + offset
-            else:
-                words[word] = ctypes.c_int64.from_address(data + offset).value + delta
-        return block
+@partial(compiled, inline=True)
+def header_at(block):
+    """Return the header of the block at an address."""
+    return _headers(block, 1)[0]
 
 
 def make_image(
@@ -151,16 +120,13 @@ def make_image(
     """Make the image of a block.
 
     Args:
-        model: the model.
-        data: an `MjData` of it.
+        model: the model of the sand.
+        data: any `MjData` of it.
         instance: index of the plugin instance; its state is the sand's memory.
         sand: the sand prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
         drawing: fields of the header that say what is drawn, and how.
         canvas: for tracks: their record (`prints.shape`), and arrays for blocks and rectangles.
-
-    Raises:
-        LayoutError: an address is not found in MuJoCo's structs.
     """
     slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
     texts = refusals(sand.scheme)
@@ -173,21 +139,21 @@ def make_image(
     # In the engine forces do not use xfrc_applied, MuJoCo itself handles a bad state, and the last
     # good one is not needed.
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
-    of_data, of_model = Struct.of_data(data), Struct.of_model(model)
+    of_data, of_model = Memory(data, IN_DATA), Memory(model, IN_MODEL)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
     linked = (head, table, binding.scene, workspace.record, shapes, *canvas[:1])
     # Those that read the model are needed at each step, and are part of the block.
-    count = sum(of_model.holds(int(word)) for array in linked for word in _words(array))
+    count = sum(int(word) in of_model for array in linked for word in words_of(array))
     live = np.zeros(count, RELOCATION_DTYPE)
     own = [head, live, shapes, table, binding.bodies, binding.contacts, binding.scene]
     own += [workspace.record, *workspace.arrays.values(), ends := np.zeros(6), *canvas]
-    places = dict(zip((array.ctypes.data for array in own), _places(own), strict=True))
+    places, size = places_of(own)
     for name, value in {
         **drawing,
         "program": sand.program,
         "whole": sand.scheme.whole_state,
         "lead": sand.scheme.lead,
-        "size": sum(map(_padded, own)),
+        "size": size,
         "image": next(_numbers),
         "refusals": texts.ctypes.data,
         "of_model": live.ctypes.data,
@@ -211,24 +177,10 @@ def make_image(
     }.items():
         head[name] = value
 
-    content = np.concatenate([_bytes(array) for array in own])
-    words = content.view(np.int64)
-    relocations = np.array(
-        [
-            (word, *place)
-            for array in linked
-            for word in range(
-                places[array.ctypes.data] // _WORD,
-                (places[array.ctypes.data] + array.nbytes) // _WORD,
-            )
-            if (place := _resolve(int(words[word]), places, of_data, of_model))
-        ],
-        RELOCATION_DTYPE,
-    )
+    relocations = find_relocations(linked, places, (of_data, of_model))
     reads_model = relocations["kind"] >= IN_MODEL
     live[:] = relocations[reads_model]
-    begin = places[live.ctypes.data]
-    content[begin : begin + live.nbytes] = _bytes(live)
+    content = joined(own)
     shared = [sand.packed, slots, geoms, tunings, texts]
     if sand.footprint is not None:
         shared += [sand.footprint.points, sand.footprint.feet]
@@ -249,41 +201,5 @@ def refusals(scheme: Scheme) -> np.ndarray:
     Returns:
         Messages of `REFUSAL_SIZE` bytes.
     """
-    texts = [*(scheme.refusal(status) for status in REFUSED), NOT_ASKED]
+    texts = [*(scheme.refusal(status) for status in REFUSED), NO_PASSIVE]
     return np.array([f"mjgranular: {text}".encode() for text in texts], f"S{REFUSAL_SIZE}")
-
-
-def _words(array: np.ndarray) -> np.ndarray:
-    return array.view(np.uint8).view(np.int64)
-
-
-def _resolve(
-    word: int, places: dict[int, int], of_data: Struct, of_model: Struct
-) -> tuple[int, int, int] | None:
-    """Return kind, offset and delta of the place that a word points to; None for a number.
-
-    Numbers among addresses are always smaller than any address.
-    """
-    if word in places:
-        return IN_BLOCK, places[word], 0
-    for struct, inside in ((of_data, IN_DATA), (of_model, IN_MODEL)):
-        if struct.encloses(word):
-            return inside, word - struct.address, 0
-        if word in struct.buffer:
-            # POINTER_IN_DATA, POINTER_IN_MODEL
-            return inside + 1, *struct.pointer(word, "an array that a program reads")
-    return None
-
-
-def _padded(array: np.ndarray) -> int:
-    return -(-array.nbytes // _WORD) * _WORD
-
-
-def _places(arrays: Sequence[np.ndarray]) -> list[int]:
-    """Return the offsets of arrays stored one after the other [bytes]."""
-    return [sum(map(_padded, arrays[:index])) for index in range(len(arrays))]
-
-
-def _bytes(array: np.ndarray) -> np.ndarray:
-    raw = np.frombuffer(array.tobytes(), np.uint8)
-    return np.pad(raw, (0, _padded(array) - raw.size))

@@ -3,42 +3,24 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from mjgranular.engine.adjust import adjuster, clear_results
-from mjgranular.engine.block import (
-    HEADER_DTYPE,
-    POINTER_IN_MODEL,
-    REFUSAL_SIZE,
-    RELOCATION_DTYPE,
-    SHAPE_DTYPE,
-)
-from mjgranular.engine.external import ASLEEP, sensor_teller
-from mjgranular.engine.handles import (
-    ROW_COUNT,
-    block_finder,
-    row_finder,
-    row_records,
-    rows_address,
-)
-from mjgranular.engine.layout import Layout
-from mjgranular.engine.sensor import sensor_compute
+from mjgranular.engine.adjust import adjust, clear_results, state_of
+from mjgranular.engine.block import HEADER_DTYPE, REFUSAL_SIZE, SHAPE_DTYPE, header_at
+from mjgranular.engine.draw import draw
+from mjgranular.engine.external import ASLEEP, update_sensors
+from mjgranular.engine.handles import ROW_COUNT, find_block, find_row, row_records, rows_address
+from mjgranular.engine.relocation import POINTER_IN_MODEL, RELOCATION_DTYPE
+from mjgranular.engine.sensor import compute_sensors
 from mjgranular.engine.trampolines import FAIL, FORGET, UNPREPARED
 from mjgranular.engine.tuning import INITIAL, STATE_SIZE
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import (
-    address_of,
-    c_function,
-    call_step,
-    publish,
-)
+from mjgranular.kernel.intrinsics import address_of, c_function, call_step, publish
 from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
     CDOF,
     DOF_PARENT,
     NBODY,
@@ -46,6 +28,7 @@ from mjgranular.kernel.memory import (
     SUBTREE_COM,
     UPDATE,
     XIPOS,
+    field,
     floats,
     ints,
     longs,
@@ -53,8 +36,8 @@ from mjgranular.kernel.memory import (
     row_of,
     table_at,
 )
-from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE_FORCES
-from mjgranular.kernel.records import body_records
+from mjgranular.kernel.options import has_passive_forces, options_of
+from mjgranular.kernel.records import bodies_of
 from mjgranular.scheme.status import BAD_TIMESTEP, REFUSED
 
 FUNCTIONS = ("mjv_initGeom", "mjv_connector")
@@ -65,11 +48,12 @@ Callbacks = dict[str, tuple[Any, str]]
 
 _RK4 = int(mujoco.mjtIntegrator.mjINT_RK4)
 _SENSOR = 1 << 1  # mjPLUGIN_SENSOR
+_BEGIN = HEADER_DTYPE.itemsize
 
-_header = records(HEADER_DTYPE)
 _relocations = records(RELOCATION_DTYPE)
 _shapes = records(SHAPE_DTYPE)
 _bytes = records(np.dtype(np.uint8))
+_state_sizes = field("mjModel", "plugin_statenum")
 _fail = c_function(FAIL, "void", "int64")
 _unprepared = c_function(UNPREPARED, "void", "int64")
 _forget = c_function(FORGET, "void", "int64")
@@ -77,7 +61,7 @@ _forget = c_function(FORGET, "void", "int64")
 _OTHER_SHAPE = "mjgranular_other_shape"
 _other_shape = ctypes.create_string_buffer(
     b"mjgranular: the height field that is the sand has other rows or columns in this model than "
-    b"in that of the mjData: make an mjData of its own for each model"
+    b"in that of the mjData: make an mjData for each model"
 )
 publish(_OTHER_SHAPE, ctypes.addressof(_other_shape))
 other_shape = address_of(_OTHER_SHAPE)
@@ -85,13 +69,7 @@ other_shape = address_of(_OTHER_SHAPE)
 
 @partial(compiled, inline=True)
 def link_model(block, model, header):
-    """Fill in the addresses of a block that point into the model.
-
-    Args:
-        block: address.
-        model: mjModel*.
-        header: header of the block.
-    """
+    """Fill in the addresses of a block that point into the model."""
     relocations = _relocations(header.of_model, header.of_model_count)
     for i in range(len(relocations)):
         relocation = relocations[i]
@@ -118,12 +96,9 @@ def add_wrenches(table, qfrc, awake):
     Columns of `cdof` are velocities (angular, linear) about the center of mass of the tree, so the
     moment is taken there. Sleeping trees are skipped, as MuJoCo does.
 
-    Args:
-        table: table of the simulation (`kernel.memory`).
-        qfrc: address of nv forces.
-        awake: address of `body_awake`.
+    `qfrc` is the address of nv forces, `awake` that of `body_awake`.
     """
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     parent = ints(table[DOF_PARENT], table[NV])
     states = ints(awake, table[NBODY])
     for slot in range(len(bodies)):
@@ -134,11 +109,9 @@ def add_wrenches(table, qfrc, awake):
         mx, my, mz = body.wrench[3], body.wrench[4], body.wrench[5]
         if fx == 0.0 and fy == 0.0 and fz == 0.0 and mx == 0.0 and my == 0.0 and mz == 0.0:
             continue
-        centre, origin = (
-            row_of(table[XIPOS], body.body, 3),
-            row_of(table[SUBTREE_COM], body.root, 3),
-        )
-        x, y, z = centre[0] - origin[0], centre[1] - origin[1], centre[2] - origin[2]
+        center = row_of(table[XIPOS], body.body, 3)
+        origin = row_of(table[SUBTREE_COM], body.root, 3)
+        x, y, z = center[0] - origin[0], center[1] - origin[1], center[2] - origin[2]
         mx += y * fz - z * fy
         my += z * fx - x * fz
         mz += x * fy - y * fx
@@ -154,158 +127,138 @@ def add_wrenches(table, qfrc, awake):
             dof = parent[dof]
 
 
-@cache
-def life(layout: Layout) -> Callbacks:
-    """Make the callbacks that create, copy and free simulations, the same for all plugins."""
-    find_row, find_block = row_finder(layout), block_finder(layout)
-    statenum, stateadr = layout.plugin_statenum, layout.plugin_stateadr
-    plugin_state = layout.plugin_state
-
-    @compiled
-    def destroy(data, instance):
-        _forget(data)
-        number = find_row(data, instance)
-        if number == 0:
-            return
-        row = row_records(rows_address(), ROW_COUNT)[number]
-        row.block = 0
-        row.data = 0
-
-    @compiled
-    def copy(to, model, origin, instance):
-        ours, theirs = find_block(to, instance), find_block(origin, instance)
-        if ours == 0 or theirs == 0:
-            return
-        mine, other = _header(ours, 1)[0], _header(theirs, 1)[0]
-        if mine.image != other.image:
-            return
-        into = _bytes(mine.results, mine.results_size)
-        from_ = _bytes(other.results, other.results_size)
-        for i in range(mine.results_size):
-            into[i] = from_[i]
-        mine.tuned = 0
-
-    @compiled
-    def reset(model, state, handle, instance):
-        sizes = ints(longs(model + statenum, 1)[0], instance + 1)
-        if sizes[instance] == STATE_SIZE:
-            numbers = floats(state, STATE_SIZE)
-            for k in range(STATE_SIZE):
-                numbers[k] = INITIAL[k]
-        else:  # the sand's memory: empty
-            numbers = floats(state, sizes[instance])
-            for k in range(len(numbers)):
-                numbers[k] = 0.0
-        # The results of the last step are no longer valid. A handle may be another's (`handles`),
-        # so the row must belong to the `mjData` with this state.
-        if handle <= 0 or handle >= ROW_COUNT:
-            return
-        row = row_records(rows_address(), ROW_COUNT)[handle]
-        if row.data == 0 or row.block == 0 or row.instance != instance:
-            return
-        adr = ints(longs(model + stateadr, 1)[0], instance + 1)[instance]
-        if longs(row.data + plugin_state, 1)[0] + 8 * adr == state:
-            header = _header(row.block, 1)[0]
-            if header.table != 0 and header.program != 0:
-                clear_results(header)
-
-    return {
-        "destroy": (destroy, "void(int64, int32)"),
-        "copy": (copy, "void(int64, int64, int64, int32)"),
-        "reset": (reset, "void(int64, int64, int64, int32)"),
-    }
+@compiled
+def destroy(data, instance):
+    """Free the block of an instance: MuJoCo frees the `mjData`."""
+    _forget(data)
+    number = find_row(data, instance)
+    if number == 0:
+        return
+    row = row_records(rows_address(), ROW_COUNT)[number]
+    row.block = 0
+    row.data = 0
 
 
-@cache
-def sand_callbacks(layout: Layout) -> Callbacks:
-    """Make the compiled functions of `mjgranular.sand`."""
-    find_block, adjust, tell = block_finder(layout), adjuster(layout), sensor_teller(layout)
-    timestep, integrator = layout.timestep, layout.integrator
-    flags = integrator + DISABLEFLAGS_BEHIND_INTEGRATOR
-    begin = HEADER_DTYPE.itemsize
+@compiled
+def copy(to, model, origin, instance):
+    """Copy the results of the last step between two `mjData`."""
+    ours, theirs = find_block(to, instance), find_block(origin, instance)
+    if ours == 0 or theirs == 0:
+        return
+    mine, other = header_at(ours), header_at(theirs)
+    if mine.image != other.image:
+        return
+    into = _bytes(mine.results, mine.results_size)
+    from_ = _bytes(other.results, other.results_size)
+    for i in range(mine.results_size):
+        into[i] = from_[i]
+    mine.tuned = 0
 
-    @compiled
-    def compute(model, data, instance, capability):
-        block = find_block(data, instance)
-        if block == 0:
-            _unprepared(data)
-            return
-        header = _header(block, 1)[0]
-        if header.refused != 0:
-            _fail(block + begin)
-            return
-        if header.program == 0:
-            return
-        if capability == _SENSOR:
-            tell(model, data, instance, block)
-            return
-        header.telling = 0  # it is still set if a user's callback raised
-        if header.tuning_count != 0 and not adjust(block, model, data, instance):
-            return
-        # A batch may run this mjData on another model, or move arrays of the same.
+
+@compiled
+def reset(model, state, handle, instance):
+    """Reset the state of an instance, and clear the results of the last step."""
+    sizes = ints(_state_sizes(model), instance + 1)
+    if sizes[instance] == STATE_SIZE:
+        numbers = floats(state, STATE_SIZE)
+        for k in range(STATE_SIZE):
+            numbers[k] = INITIAL[k]
+    else:  # the sand's memory: empty
+        numbers = floats(state, sizes[instance])
+        for k in range(len(numbers)):
+            numbers[k] = 0.0
+    # A handle may be another's (`handles`), so the row must belong to the `mjData` with this state.
+    if handle <= 0 or handle >= ROW_COUNT:
+        return
+    row = row_records(rows_address(), ROW_COUNT)[handle]
+    if row.data == 0 or row.block == 0 or row.instance != instance:
+        return
+    if state_of(model, row.data, instance) == state:
+        header = header_at(row.block)
+        if header.table != 0 and header.program != 0:
+            clear_results(header)
+
+
+@compiled
+def compute(model, data, instance, capability):
+    """Add the forces of the sand to the passive forces, or update force sensors."""
+    block = find_block(data, instance)
+    if block == 0:
+        _unprepared(data)
+        return
+    header = header_at(block)
+    if header.refused != 0:
+        _fail(block + _BEGIN)
+        return
+    if header.program == 0:
+        return
+    if capability == _SENSOR:
+        update_sensors(model, data, instance, block)
+        return
+    header.updating = 0  # it is still set if a user's callback raised
+    if header.tuning_count != 0 and not adjust(block, model, data, instance):
+        return
+    # A batch may run this mjData on another model, or move arrays of the same.
+    link_model(block, model, header)
+    if not is_of_that_shape(header):
+        _fail(other_shape())
+        return
+    lead = 0.0
+    options = options_of(model)
+    if options.integrator != _RK4 or header.whole != 0:
+        lead = header.lead * options.timestep
+    status = call_step(header.program, header.table, lead)
+    if status <= BAD_TIMESTEP:
+        _fail(header.refusals + REFUSAL_SIZE * (BAD_TIMESTEP - status))
+        return
+    add_wrenches(table_at(header.table), header.qfrc, header.awake)
+
+
+@compiled
+def advance(model, data, instance):
+    """Update the sand's memory at the end of a step.
+
+    Raise an error if MuJoCo computes no passive forces, since it then omits the sand's.
+    """
+    block = find_block(data, instance)
+    if block == 0:
+        return
+    header = header_at(block)
+    if not has_passive_forces(model):
+        if header.refusals != 0:
+            _fail(header.refusals + REFUSAL_SIZE * len(REFUSED))
+    elif header.program != 0:
+        update = table_at(header.table)[UPDATE]
+        if update != 0:
+            call_step(update, header.table, 0.0)
+
+
+@compiled
+def visualize(model, data, options, scene, instance):
+    """Add what the sand draws to a scene."""
+    block = find_block(data, instance)
+    if block == 0:
+        return
+    header = header_at(block)
+    prints = False
+    if header.shape_program != 0:
         link_model(block, model, header)
-        if not is_of_that_shape(header):
-            _fail(other_shape())
-            return
-        lead = 0.0
-        if ints(model + integrator, 1)[0] != _RK4 or header.whole != 0:
-            lead = header.lead * floats(model + timestep, 1)[0]
-        status = call_step(header.program, header.table, lead)
-        if status <= BAD_TIMESTEP:
-            _fail(header.refusals + REFUSAL_SIZE * (BAD_TIMESTEP - status))
-            return
-        add_wrenches(table_at(header.table), header.qfrc, header.awake)
-
-    @compiled
-    def advance(model, data, instance):
-        """Update the sand's memory at the end of a step.
-
-        Raise an error if MuJoCo computes no passive forces, since it then omits the sand's.
-        """
-        block = find_block(data, instance)
-        if block == 0:
-            return
-        header = _header(block, 1)[0]
-        disabled = ints(model + flags, 1)[0]
-        if disabled & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
-            if header.refusals != 0:
-                _fail(header.refusals + REFUSAL_SIZE * len(REFUSED))
-        elif header.program != 0:
-            update = table_at(header.table)[UPDATE]
-            if update != 0:
-                call_step(update, header.table, 0.0)
-
-    return {
-        **life(layout),
-        "compute": (compute, "void(int64, int64, int32, int32)"),
-        "advance": (advance, "void(int64, int64, int32)"),
-    }
+        prints = is_of_that_shape(header)
+    draw(block, scene, model, prints)
 
 
-@cache
-def drawing_callbacks(layout: Layout) -> Callbacks:
-    """Make the drawing callbacks of `mjgranular.sand`, added once something is drawn."""
-    from mjgranular.engine.draw import draw
-
-    find_block = block_finder(layout)
-
-    @compiled
-    def visualize(model, data, options, scene, instance):
-        block = find_block(data, instance)
-        if block == 0:
-            return
-        header = _header(block, 1)[0]
-        prints = False
-        if header.shape_program != 0:
-            link_model(block, model, header)
-            prints = is_of_that_shape(header)
-        draw(block, scene, model, prints)
-
-    return {"visualize": (visualize, "void(int64, int64, int64, int64, int32)")}
-
-
-@cache
-def sensor_callbacks(layout: Layout) -> Callbacks:
-    """Make the compiled functions of `mjgranular.sensor`."""
-    compute = sensor_compute(layout)
-    return {**life(layout), "compute": (compute, "void(int64, int64, int32, int32)")}
+_LIFE: Callbacks = {
+    "destroy": (destroy, "void(int64, int32)"),
+    "copy": (copy, "void(int64, int64, int64, int32)"),
+    "reset": (reset, "void(int64, int64, int64, int32)"),
+}
+SAND: Callbacks = {
+    **_LIFE,
+    "compute": (compute, "void(int64, int64, int32, int32)"),
+    "advance": (advance, "void(int64, int64, int32)"),
+}
+"""Callbacks of `mjgranular.sand`."""
+SENSOR: Callbacks = {**_LIFE, "compute": (compute_sensors, "void(int64, int64, int32, int32)")}
+"""Callbacks of `mjgranular.sensor`."""
+DRAWING: Callbacks = {"visualize": (visualize, "void(int64, int64, int64, int64, int32)")}
+"""Callbacks of `mjgranular.sand` that are added once something is drawn."""

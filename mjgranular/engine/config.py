@@ -48,10 +48,7 @@ DRAWINGS = ("forces", "depth", "surface")
 class Config:
     """Configuration of an instance, parsed.
 
-    Attributes:
-        sand: the sand.
-        draw: names from `DRAWINGS`.
-        tunable: whether the sand has its own state (`engine.tuning`).
+    `draw` has names from `DRAWINGS`; `tunable` sand has its own state (`engine.tuning`).
     """
 
     sand: SandSpec
@@ -69,7 +66,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
     for key, text in given.items():
         if len(text) > LONGEST:
             raise InputError(
-                f"config {key!r}: a text of {len(text)} characters; at most {LONGEST} are read"
+                f"config {key!r}: a string of {len(text)} characters; at most {LONGEST} are read"
             )
     readers = {
         "medium": get_medium,
@@ -96,8 +93,8 @@ def read_config(texts: Mapping[str, str]) -> Config:
     draw, tunable = read.pop("draw", ()), read.pop("tunable", False)
     if tunable and "memory" in read:
         raise InputError(
-            "sand with memory cannot be tunable, as heights lie over a surface that stays where it "
-            "is: leave one of the two out"
+            "sand with memory cannot be tunable, as heights lie over a surface that does not move: "
+            "omit one of the two"
         )
     return Config(SandSpec(**read), draw, tunable)
 
@@ -105,12 +102,7 @@ def read_config(texts: Mapping[str, str]) -> Config:
 def write_config(
     sand: SandSpec, *, draw: Sequence[str] | str = (), tunable: bool = False
 ) -> dict[str, str]:
-    """Return the strings, by key, that `read_config` parses as this sand.
-
-    Args:
-        sand: the sand.
-        draw: as in `Config`.
-        tunable: as in `Config`.
+    """Return the strings, by key, that `read_config` parses as this sand (`Config`).
 
     Raises:
         InputError: an object has no name to be written by, or nothing is selected.
@@ -133,7 +125,9 @@ def write_config(
     for key, value in {**vars(sand), "draw": draw, "tunable": tunable}.items():
         empty = isinstance(value, Sequence) and not value
         if empty and key in _CHOICES:
-            raise InputError(f"{key}: no names are nothing that could meet the sand; None is all")
+            raise InputError(
+                f"{key}: no names select nothing that could meet the sand; use None for all"
+            )
         if value is not None and value is not False and not empty:
             texts[key] = writers[key](value)
     read_config(texts)
@@ -177,8 +171,8 @@ def _write_medium(medium: str | Path | Medium) -> str:
         return str(medium)
     if media.get(medium.name) is not medium:
         raise InputError(
-            f"the medium {medium.name!r} has to be known by its name to be written in MJCF: "
-            "call register_medium with it before, or give the path of a YAML file"
+            f"the medium {medium.name!r} must be registered to be written in MJCF: call "
+            "register_medium with it before, or give the path of a YAML file"
         )
     return medium.name
 
@@ -196,7 +190,7 @@ def _write_part(part: Any, register: Registry[Any], kind: str, how: str | None) 
             return name
         if type(part) is cls:
             return " ".join([name, *(_write_field(part, field.name) for field in fields(part))])
-    hint = f"make it known with {how}" if how else f"there are: {', '.join(register)}"
+    hint = f"register it with {how}" if how else f"there are: {', '.join(register)}"
     raise InputError(
         f"{type(part).__name__} is not a {kind} that can be written in MJCF by name; {hint}"
     )

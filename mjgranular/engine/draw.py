@@ -6,21 +6,16 @@ import math
 
 import mujoco
 import numpy as np
-from mujoco.introspect.ast_nodes import ArrayType
 
-from mjgranular.engine.block import HEADER_DTYPE
+from mjgranular.engine.block import header_at
 from mjgranular.engine.config import DRAWINGS
-from mjgranular.engine.layout import LayoutError, described_fields
 from mjgranular.engine.tuning import ACTIVE
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import c_function, call_step
+from mjgranular.kernel.intrinsics import c_function, call_step
 from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
     SCENE,
     XIPOS,
+    field,
     floats,
     ints,
     longs,
@@ -28,29 +23,14 @@ from mjgranular.kernel.memory import (
     row_of,
     table_at,
 )
-from mjgranular.kernel.records import body_records, contact_records
-from mjgranular.kernel.vector import cross, dot, read_vector, vector
+from mjgranular.kernel.records import bodies_of, contacts_of
+from mjgranular.kernel.structs import record_of
+from mjgranular.kernel.vector import cross, dot, read_vector, vector, write_vector
 from mjgranular.prints.shape import FRAME_DTYPE, canvases
 from mjgranular.surface.plane import PLANE_DTYPE
 
-_KINDS = {"int": np.int32, "float": np.float32, "mjtByte": np.uint8, "char": np.uint8}
-
-
-def _geom_dtype() -> np.dtype:
-    """Return `mjvGeom` as a record, from MuJoCo's own description."""
-    fields = []
-    for field in described_fields("mjvGeom"):
-        kind, shape = field.type, ()
-        if isinstance(kind, ArrayType):
-            kind, shape = kind.inner_type, kind.extents
-        fields.append((field.name, _KINDS[str(kind)], shape))
-    return np.dtype(fields, align=True)
-
-
-GEOM_DTYPE = _geom_dtype()
+GEOM_DTYPE = record_of("mjvGeom")
 _SIZE = GEOM_DTYPE.itemsize
-# Of mjvScene: maxgeom and ngeom are its first two integers, followed by the pointer to the geoms.
-_MOST, _COUNT, _GEOMS = 0, 1, 1
 
 _ARROW, _SPHERE = int(mujoco.mjtGeom.mjGEOM_ARROW), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 _PLANE, _SKIN = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_SKIN)
@@ -58,50 +38,31 @@ _FIELD, _OF_SKIN = int(mujoco.mjtGeom.mjGEOM_HFIELD), int(mujoco.mjtObj.mjOBJ_SK
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _FORCES, _DEPTH, _SURFACE = (1 << bit for bit in range(len(DRAWINGS)))
 
-_header = records(HEADER_DTYPE)
 _geoms = records(GEOM_DTYPE)
 _bytes = records(np.dtype(np.uint8))
 _planes = records(PLANE_DTYPE)
 _frames = records(FRAME_DTYPE)
+_most, _count = field("mjvScene", "maxgeom"), field("mjvScene", "ngeom")
+_geoms_of = field("mjvScene", "geoms")
 _init = c_function("mjv_initGeom", "void", "int64", "int32", "int64", "int64", "int64", "int64")
 _connect = c_function("mjv_connector", "void", "int64", "int32", "float64", "int64", "int64")
-
-
-def check_scene(model: mujoco.MjModel) -> None:
-    """Check that the layout of scenes is as described.
-
-    Raises:
-        LayoutError: it is not.
-    """
-    scene = mujoco.MjvScene(model, 2)
-    first, second = (scene.geoms[i] for i in range(2))
-    stride = second.pos.ctypes.data - first.pos.ctypes.data
-    fields = GEOM_DTYPE.fields or {}
-    spread = first.rgba.ctypes.data - first.pos.ctypes.data
-    names = [field.name for field in described_fields("mjvScene")[:3]]
-    if (
-        stride != GEOM_DTYPE.itemsize
-        or spread != fields["rgba"][1] - fields["pos"][1]
-        or names != ["maxgeom", "ngeom", "geoms"]
-    ):
-        raise LayoutError("mjvGeom")
 
 
 @compiled
 def add_geom(scene, kind):
     """Add a geom to a scene; return its address, 0 if the scene is full."""
-    counts = ints(scene, 2)
-    if counts[_COUNT] >= counts[_MOST]:
+    counts = ints(_count(scene), 1)
+    if counts[0] >= ints(_most(scene), 1)[0]:
         return 0
-    address = longs(scene, 2)[_GEOMS] + counts[_COUNT] * _SIZE
+    address = _geoms_of(scene) + counts[0] * _SIZE
     raw = _bytes(address, _SIZE)
     for i in range(len(raw)):
         raw[i] = 0
     _init(address, kind, 0, 0, 0, 0)
     geom = _geoms(address, 1)[0]
-    geom.objid, geom.segid = -1, counts[_COUNT]
+    geom.objid, geom.segid = -1, counts[0]
     geom.category = _DECOR
-    counts[_COUNT] += 1
+    counts[0] += 1
     return address
 
 
@@ -161,17 +122,23 @@ def look_like_sand(geom, header):
 
 
 @compiled
-def turn(geom, along, across, normal):
-    """Align a geom with the given axes in the world."""
-    axes = geom.mat
-    axes[0], axes[1], axes[2] = along.x, across.x, normal.x
-    axes[3], axes[4], axes[5] = along.y, across.y, normal.y
-    axes[6], axes[7], axes[8] = along.z, across.z, normal.z
+def add_sand(scene, header, kind, center, along, across, normal):
+    """Add a geom of sand with the given axes in the world; return its address, 0 if none fits."""
+    address = add_geom(scene, kind)
+    if address != 0:
+        geom = _geoms(address, 1)[0]
+        look_like_sand(geom, header)
+        write_vector(geom.pos, 0, center)
+        axes = geom.mat
+        axes[0], axes[1], axes[2] = along.x, across.x, normal.x
+        axes[3], axes[4], axes[5] = along.y, across.y, normal.y
+        axes[6], axes[7], axes[8] = along.z, across.z, normal.z
+    return address
 
 
 @compiled
 def add_surface(scene, header, table, bodies):
-    """Add the plane of sand at its height, around the first body, as `look.PlaneLook.add`."""
+    """Add the plane of sand at its height, around the first body, as `look.PlaneLook.add` does."""
     plane = _planes(table[SCENE] + header.plane, 1)[0]
     normal = read_vector(plane.normal, 0)
     length = math.sqrt(normal.x * normal.x + normal.z * normal.z)
@@ -185,16 +152,13 @@ def add_surface(scene, header, table, bodies):
     y0 = math.floor(y0 / header.unit + 0.5) * header.unit
     for i in range(header.tile_count):
         tile = row_of(header.tiles, i, 4)
-        address = add_geom(scene, _PLANE)
+        x, y = x0 + tile[0] * header.unit, y0 + tile[1] * header.unit
+        center = x * along + y * across + (plane.offset - header.lowered) * normal
+        address = add_sand(scene, header, _PLANE, center, along, across, normal)
         if address == 0:
             return
-        x, y = x0 + tile[0] * header.unit, y0 + tile[1] * header.unit
-        place = x * along + y * across + (plane.offset - header.lowered) * normal
-        geom = _geoms(address, 1)[0]
-        look_like_sand(geom, header)
-        geom.size[0], geom.size[1] = tile[2] * header.unit, tile[3] * header.unit
-        geom.pos[0], geom.pos[1], geom.pos[2] = place.x, place.y, place.z
-        turn(geom, along, across, normal)
+        size = _geoms(address, 1)[0].size
+        size[0], size[1] = tile[2] * header.unit, tile[3] * header.unit
 
 
 @compiled
@@ -218,43 +182,32 @@ def add_prints(scene, header, table, bodies, model):
     geom.objtype, geom.objid, geom.texcoord = _OF_SKIN, header.skin, 1
     geom.texrepeat[0] = geom.texrepeat[1] = 1.0 / header.unit
     if header.ground >= 0 and canvas.held == 0:
-        address = add_geom(scene, _FIELD)
+        center = origin + canvas.sunk * normal
+        address = add_sand(scene, header, _FIELD, center, along, across, normal)
         if address != 0:
-            geom = _geoms(address, 1)[0]
-            look_like_sand(geom, header)
-            geom.dataid = header.ground_data
-            place = origin + canvas.sunk * normal
-            geom.pos[0], geom.pos[1], geom.pos[2] = place.x, place.y, place.z
-            turn(geom, along, across, normal)
+            _geoms(address, 1)[0].dataid = header.ground_data
     rectangles = floats(canvas.rectangles, 4 * canvas.room)
     for i in range(canvas.count):
-        address = add_geom(scene, _PLANE)
+        center = origin + rectangles[4 * i] * along + rectangles[4 * i + 1] * across
+        address = add_sand(scene, header, _PLANE, center, along, across, normal)
         if address == 0:
             return
-        place = origin + rectangles[4 * i] * along + rectangles[4 * i + 1] * across
-        geom = _geoms(address, 1)[0]
-        look_like_sand(geom, header)
-        geom.size[0], geom.size[1] = rectangles[4 * i + 2], rectangles[4 * i + 3]
-        geom.pos[0], geom.pos[1], geom.pos[2] = place.x, place.y, place.z
-        turn(geom, along, across, normal)
+        size = _geoms(address, 1)[0].size
+        size[0], size[1] = rectangles[4 * i + 2], rectangles[4 * i + 3]
 
 
 @compiled
 def draw(block, scene, model, prints):
     """Add what a block draws: sand, an arrow for each body, a dot for each element in it.
 
-    Args:
-        block: address.
-        scene: mjvScene*.
-        model: mjModel*.
-        prints: whether the sand is drawn with tracks.
+    Block, scene and model are addresses; `prints` is true if the sand is drawn with tracks.
     """
-    header = _header(block, 1)[0]
+    header = header_at(block)
     if header.draw == 0:
         return
     table = table_at(header.table)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
-    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    bodies = bodies_of(table)
+    contacts = contacts_of(table)
     slots = longs(header.slots, len(contacts))
     if header.draw & _SURFACE and (header.tuned == 0 or header.applied[ACTIVE] != 0.0):
         if prints:

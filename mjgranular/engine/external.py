@@ -13,52 +13,37 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import mujoco
 
 from mjgranular._util.checks import check_data, check_model
-from mjgranular.engine.block import HEADER_DTYPE
-from mjgranular.engine.handles import block_finder
-from mjgranular.engine.instances import NAME, instance_of, sands_in
-from mjgranular.engine.layout import Layout, find_layout
+from mjgranular.engine.block import header_at
+from mjgranular.engine.handles import find_block
+from mjgranular.engine.instances import instance_of, sands_in
 from mjgranular.kernel.compiled import compiled, entry
 from mjgranular.kernel.engine import forces_on_bodies, sensors_of_acceleration
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    NBODY,
-    ints,
-    longs,
-    records,
-    row_of,
-    table_at,
-)
-from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE_FORCES
-from mjgranular.kernel.records import body_records
+from mjgranular.kernel.memory import NBODY, field, ints, row_of, table_at
+from mjgranular.kernel.options import has_passive_forces
+from mjgranular.kernel.records import bodies_of
 
 ASLEEP = int(mujoco.mjtSleepState.mjS_ASLEEP) if hasattr(mujoco, "mjtSleepState") else 0
 """Value of `body_awake` for bodies that MuJoCo skips."""
 
-_header = records(HEADER_DTYPE)
+_plugins = field("mjModel", "plugin")
 
 
 @compiled
-def lay_wrenches(header):
-    """Add the wrenches of a sand to `xfrc_applied`, and save what was there.
-
-    Returns:
-        Whether there are any.
-    """
+def add_wrenches_of(header):
+    """Add the wrenches of a sand to `xfrc_applied`, after saving it; return if there are any."""
     table = table_at(header.table)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     states = ints(header.awake, table[NBODY])
     some = False
     for slot in range(len(bodies)):
         body = bodies[slot]
         row = row_of(header.xfrc, body.body, 6)
         for k in range(6):
-            body.own[k] = row[k]
+            body.user_wrench[k] = row[k]
         if states[body.body] != ASLEEP:
             for k in range(6):
                 some = some or body.wrench[k] != 0.0
@@ -67,77 +52,62 @@ def lay_wrenches(header):
 
 
 @compiled
-def lift_wrenches(header):
-    """Restore what `lay_wrenches` saved."""
+def remove_wrenches_of(header):
+    """Restore what `add_wrenches_of` saved."""
     table = table_at(header.table)
-    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    bodies = bodies_of(table)
     for slot in range(len(bodies)):
         body = bodies[slot]
         row = row_of(header.xfrc, body.body, 6)
         for k in range(6):
-            row[k] = body.own[k]
+            row[k] = body.user_wrench[k]
 
 
-@cache
-def external_forces(layout: Layout) -> Any:
-    """Make a compiled function `include(model, data, first)`: forces on bodies with sand.
+@compiled
+def include_sand(model, data, first):
+    """Include the wrenches of all sands in the external forces; return whether there are any.
 
-    It takes the index of the first instance of sand, and returns whether any of its forces exist.
+    The first of their instances has the index `first`.
     """
-    find_block = block_finder(layout)
-    plugin, flags = layout.plugin, layout.integrator + DISABLEFLAGS_BEHIND_INTEGRATOR
-
-    @compiled
-    def include(model, data, first):
-        if ints(model + flags, 1)[0] & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
-            return False
-        block = find_block(data, first)
-        if block == 0:
-            return False
-        count = _header(block, 1)[0].instances
-        kinds = ints(longs(model + plugin, 1)[0], count)
-        some = False
-        for instance in range(first, count):
-            block = find_block(data, instance) if kinds[instance] == kinds[first] else 0
-            if block != 0 and _header(block, 1)[0].program != 0:
-                some = lay_wrenches(_header(block, 1)[0]) or some
-        if some:
-            forces_on_bodies(model, data)
-        for instance in range(count - 1, first - 1, -1):  # the last of two on a body goes first
-            block = find_block(data, instance) if kinds[instance] == kinds[first] else 0
-            if block != 0 and _header(block, 1)[0].program != 0:
-                lift_wrenches(_header(block, 1)[0])
-        return some
-
-    return include
+    block = find_block(data, first)
+    if block == 0 or not has_passive_forces(model):
+        return False
+    count = header_at(block).instances
+    kinds = ints(_plugins(model), count)
+    some = False
+    for instance in range(first, count):
+        block = find_block(data, instance) if kinds[instance] == kinds[first] else 0
+        if block != 0 and header_at(block).program != 0:
+            some = add_wrenches_of(header_at(block)) or some
+    if some:
+        forces_on_bodies(model, data)
+    for instance in range(count - 1, first - 1, -1):  # the last of two on a body goes first
+        block = find_block(data, instance) if kinds[instance] == kinds[first] else 0
+        if block != 0 and header_at(block).program != 0:
+            remove_wrenches_of(header_at(block))
+    return some
 
 
-@cache
-def sensor_teller(layout: Layout) -> Any:
-    """Make a compiled function `tell(model, data, instance, block)` that updates force sensors.
+@compiled
+def update_sensors(model, data, instance, block):
+    """Compute force sensors again, with the forces of the sand.
 
-    MuJoCo calls it for each sand, after its own sensors; the first call handles all sands.
+    MuJoCo calls this for each sand, after its own sensors; the first call handles all sands.
     """
-    include, plugin = external_forces(layout), layout.plugin
-
-    @compiled
-    def tell(model, data, instance, block):
-        kinds = ints(longs(model + plugin, 1)[0], instance + 1)
-        for other in range(instance):
-            if kinds[other] == kinds[instance]:
-                return
-        header = _header(block, 1)[0]
-        if header.senses == 0:  # not needed, and it takes a tenth of a small robot's step
+    kinds = ints(_plugins(model), instance + 1)
+    for other in range(instance):
+        if kinds[other] == kinds[instance]:
             return
-        if header.telling != 0:  # called from the call below
-            header.telling = 0
-            return
-        if include(model, data, instance):
-            header.telling = 1
-            sensors_of_acceleration(model, data)
-            header.telling = 0
-
-    return tell
+    header = header_at(block)
+    if header.senses == 0:  # not needed, and it takes a tenth of a small robot's step
+        return
+    if header.updating != 0:  # called from the call below
+        header.updating = 0
+        return
+    if include_sand(model, data, instance):
+        header.updating = 1
+        sensors_of_acceleration(model, data)
+        header.updating = 0
 
 
 def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -145,10 +115,6 @@ def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 
     They are those of the last `mj_forward` or `mj_step`, which write them to `cfrc_int` and
     `cfrc_ext` themselves if a sensor reads forces. MuJoCo's own function omits the sand.
-
-    Args:
-        model: with or without sand in it.
-        data: the simulation.
 
     Raises:
         InputError: an argument is not a model or not its data.
@@ -158,16 +124,14 @@ def rne_post_constraint(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     mujoco.mj_rnePostConstraint(model, data)
     names = sands_in(model)
     if names:
-        _includer()(model._address, data._address, instance_of(model, names[0]))
+        _including()(model._address, data._address, instance_of(model, names[0]))
 
 
 @cache
-def _includer() -> Callable[..., int]:
-    """Return the compiled function that includes the forces of the sand."""
-    include = external_forces(find_layout(NAME))
+def _including() -> Callable[..., int]:
+    return entry(_include, "int64(int64, int64, int64)")
 
-    @compiled
-    def call(model, data, first):
-        return int(include(model, data, first))
 
-    return entry(call, "int64(int64, int64, int64)")
+@compiled
+def _include(model, data, first):
+    return int(include_sand(model, data, first))

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.engine.layout import Layout
-from mjgranular.engine.library import library, memory_at
 from mjgranular.errors import InputError
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import address_of, publish
-from mjgranular.kernel.memory import longs, records
+from mjgranular.kernel.engine import library
+from mjgranular.kernel.intrinsics import address_of, publish
+from mjgranular.kernel.memory import field, longs, records
+from mjgranular.kernel.structs import offset_of
 
 ROW_DTYPE = np.dtype(
     [
@@ -36,6 +36,7 @@ _SYMBOL = "mjgranular_rows"
 
 row_records = records(ROW_DTYPE)
 rows_address = address_of(_SYMBOL)
+_handles = field("mjData", "plugin_data")
 
 
 @cache
@@ -45,7 +46,7 @@ def _table() -> np.ndarray:
     address = library().mju_malloc(size)
     ctypes.memset(address, 0, size)
     publish(_SYMBOL, address)
-    rows = memory_at(address, size).view(ROW_DTYPE)
+    rows = np.ctypeslib.as_array((ctypes.c_ubyte * size).from_address(address)).view(ROW_DTYPE)
     rows["used"][0] = 1
     return rows
 
@@ -54,12 +55,12 @@ class HandleTable:
     """The table, as Python writes it, and the blocks of its rows.
 
     An `mjData` may be freed on any thread, with or without Python's lock, so its rows are only
-    flagged then; their blocks are released when the next one is made. Nothing is freed when Python
+    flagged then; their blocks are freed when the next one is made. Nothing is freed when Python
     ends, since simulations may outlive it.
     """
 
-    def __init__(self, layout: Layout) -> None:
-        self._plugin_data = layout.plugin_data
+    def __init__(self) -> None:
+        self._plugin_data = offset_of("mjData", "plugin_data")
         self._rows = _table()
         self._held: dict[int, tuple[Any, ...]] = {}
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._held))
@@ -71,22 +72,22 @@ class HandleTable:
         address.
         """
         self._set_handle(data, instance, 0)
-        self._mark(self._of(data, instance))
+        self._free_rows(self._of(data, instance))
 
-    def vacate(self, data: int) -> None:
+    def release(self, data: int) -> None:
         """Remove all blocks of an `mjData`."""
-        self._mark(self._of(data))
+        self._free_rows(self._of(data))
 
     def put(self, data: int, instance: int, block: np.ndarray, *shared: Any) -> None:
         """Assign a block to an instance in an `mjData` that has none.
 
         Args:
-            data: address of the `mjData`.
+            data: its address.
             instance: index of the plugin instance.
-            block: its words.
+            block: words.
             shared: objects that must live as long as the block.
         """
-        number = self._free()
+        number = self._find_free()
         self._held[number] = (block, *shared)
         row = self._rows[number : number + 1]
         row["block"], row["instance"] = block.ctypes.data, instance
@@ -115,11 +116,11 @@ class HandleTable:
             found &= rows["instance"] == instance
         return np.flatnonzero(found).tolist()
 
-    def _mark(self, numbers: list[int]) -> None:
+    def _free_rows(self, numbers: list[int]) -> None:
         self._rows["block"][numbers] = 0
         self._rows["data"][numbers] = 0
 
-    def _free(self) -> int:
+    def _find_free(self) -> int:
         """Find a free row."""
         self._purge()
         used = int(self._rows["used"][0])
@@ -132,39 +133,27 @@ class HandleTable:
         return used
 
 
-@cache
-def row_finder(layout: Layout) -> Any:
-    """Make a compiled function `find_row(data, instance)`: the index of a row, 0 for none."""
-    plugin_data = layout.plugin_data
-
-    @compiled
-    def find_row(data, instance):
-        rows = row_records(rows_address(), ROW_COUNT)
-        handles = longs(longs(data + plugin_data, 1)[0], instance + 1)
-        handle = handles[instance]
-        if handle == 0:
-            return 0
-        if 0 < handle < ROW_COUNT:
-            row = rows[handle]
-            if row.data == data and row.instance == instance:
-                return handle
-        for i in range(1, rows[0].used):
-            row = rows[i]
-            if row.data == data and row.instance == instance:
-                handles[instance] = i
-                return i
+@compiled
+def find_row(data, instance):
+    """Return the index of the row of an instance in an `mjData`; 0 if there is none."""
+    rows = row_records(rows_address(), ROW_COUNT)
+    handles = longs(_handles(data), instance + 1)
+    handle = handles[instance]
+    if handle == 0:
         return 0
+    if 0 < handle < ROW_COUNT:
+        row = rows[handle]
+        if row.data == data and row.instance == instance:
+            return handle
+    for i in range(1, rows[0].used):
+        row = rows[i]
+        if row.data == data and row.instance == instance:
+            handles[instance] = i
+            return i
+    return 0
 
-    return find_row
 
-
-@cache
-def block_finder(layout: Layout) -> Any:
-    """Make a compiled function `find_block(data, instance)`: the address of a block, 0 for none."""
-    find_row = row_finder(layout)
-
-    @compiled
-    def find_block(data, instance):
-        return row_records(rows_address(), ROW_COUNT)[find_row(data, instance)].block
-
-    return find_block
+@compiled
+def find_block(data, instance):
+    """Return the address of the block of an instance in an `mjData`; 0 if there is none."""
+    return row_records(rows_address(), ROW_COUNT)[find_row(data, instance)].block

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
 
 import mujoco
@@ -9,8 +10,8 @@ import numpy as np
 
 from mjgranular._util.checks import check_data, check_model
 from mjgranular.engine.config import KEYS, read_config
-from mjgranular.engine.library import config_texts, instance_name, plugin_slot
 from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.kernel.engine import library
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.heights import Heights, heights_of
@@ -24,6 +25,34 @@ from mjgranular.surface.choice import surface_of
 
 NAME = "mjgranular.sand"
 """Name of the plugin."""
+
+
+def plugin_slot(name: str) -> int:
+    """Return the index by which models refer to a plugin; -1 if MuJoCo has none of that name."""
+    slot = ctypes.c_int(-1)
+    library().mjp_getPlugin(name.encode(), ctypes.addressof(slot))
+    return slot.value
+
+
+def instance_name(model: int, instance: int) -> str:
+    """Return the name of an instance in the model at an address, or its index if it has none."""
+    name = library().mj_id2name(model, int(mujoco.mjtObj.mjOBJ_PLUGIN), instance)
+    return _text_of(name) or str(instance)
+
+
+def config_texts(model: int, instance: int, keys: tuple[str, ...]) -> dict[str, str]:
+    """Return the configuration strings of an instance by key, "" for missing ones."""
+    read = library().mj_getPluginConfig
+    return {key: _text_of(read(model, instance, key.encode())) for key in keys}
+
+
+def _text_of(raw: bytes | None) -> str:
+    """Decode a string of MuJoCo, "" for none, with escapes for bytes that are not UTF-8.
+
+    A model file may contain any bytes; MuJoCo's Python bindings raise `UnicodeDecodeError` for
+    them.
+    """
+    return (raw or b"").decode(errors="backslashreplace")
 
 
 def sands_in(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -67,10 +96,6 @@ def material_in(
 ) -> tuple[Medium, Law, Surface, Memory | None]:
     """Return the sand that a model has inside `mj_step`, with its defaults resolved.
 
-    Args:
-        model: the model.
-        name: name of the instance.
-
     Returns:
         Its medium, law with its constants, surface without memory, and memory.
 
@@ -94,7 +119,7 @@ def relief_of(
     Args:
         model: the model.
         data: the simulation.
-        name: name of the instance.
+        name: name of the instance of sand.
         middle: center of the returned square, along the axes of the surface's plane [m]; None for
             the center of the bodies that meet the sand.
 

@@ -12,29 +12,31 @@ import ctypes
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from mujoco.introspect.ast_nodes import PointerType
 
 from mjgranular._util.names import name_of
 from mjgranular.engine import sensor
-from mjgranular.engine.block import HEADER_DTYPE, NO_RELOCATIONS, NOT_ASKED, Image, make_image
+from mjgranular.engine.block import HEADER_DTYPE, NO_PASSIVE, make_image
 from mjgranular.engine.config import DRAWINGS, KEYS, named, read_config
 from mjgranular.engine.handles import HandleTable
-from mjgranular.engine.instances import NAME
-from mjgranular.engine.layout import Layout, LayoutError, Struct
-from mjgranular.engine.library import config_texts, instance_name, library, plugin_slot
+from mjgranular.engine.instances import NAME, config_texts, instance_name, plugin_slot
 from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.engine.preparing import prepare_in_worker
-from mjgranular.engine.sensor import Sensors, Sites
+from mjgranular.engine.relocation import NO_RELOCATIONS, Image
 from mjgranular.engine.tuning import NO_TUNINGS, STATE_SIZE, make_tunings
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.kernel.compiled import program_address
-from mjgranular.kernel.fork import LOADER
-from mjgranular.kernel.options import DISABLEFLAGS_BEHIND_INTEGRATOR, NO_PASSIVE_FORCES
+from mjgranular.kernel.engine import library
+from mjgranular.kernel.options import NO_PASSIVE_FORCES
+from mjgranular.kernel.structs import array_size, check_layout, fields_of, offset_of, read_struct
+from mjgranular.kernel.threads import LOADER
 from mjgranular.medium import media
 from mjgranular.prints.cover import SIGNATURE, make_canvas, room_of
 from mjgranular.prints.look import NOT_SHOWN, TILE, TILES, PlaneLook, radius_of
@@ -51,11 +53,12 @@ _KEPT = 32  # images of past models: they cost memory, and save another preparat
 _PREFIXES = (
     "body_", "geom_", "jnt_", "dof_", "hfield_", "mesh_vert", "mesh_face", "mesh_pos", "mesh_quat",
 )  # fmt: skip
-_SWITCHES = 64  # bytes of `opt` from the integrator on: solver, Jacobian, flags
+_SWITCHES = list(fields_of("mjOption"))
+_SWITCHES = _SWITCHES[_SWITCHES.index("integrator") :]  # solver, Jacobian, flags
 _NO_CONTACTS = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
 _SENSORS = ("sensor_plugin", "sensor_objtype", "sensor_objid", "sensor_adr")
 _SITES = ("site_bodyid", "site_type", "site_size")
-_NAMES = ("qpos0", "plugin", *_SENSORS, *_SITES, "sensor_type", "sensor_needstage")
+_NAMES = ("qpos0", "plugin", *_SENSORS, *_SITES, "sensor_type", "sensor_needstage", "names")
 _NO_MATTER = (
     "hfield_data", "geom_rgba", "geom_user", "geom_matid", "body_user", "plugin", *_SENSORS,
     *_SITES,
@@ -101,15 +104,12 @@ class Loader:
     """Make blocks for each new `mjData`.
 
     Args:
-        layout: layout of MuJoCo's structs.
         draw: called once, before the first sand that is drawn exists.
     """
 
-    def __init__(self, layout: Layout, draw: Callable[[], None]) -> None:
-        self._layout = layout
-        self._handles = HandleTable(layout)
+    def __init__(self, draw: Callable[[], None]) -> None:
+        self._handles = HandleTable()
         self._prepared: OrderedDict[bytes, Prepared] = OrderedDict()
-        self._fields: OrderedDict[bytes, dict[str, tuple[int, int]]] = OrderedDict()
         self._draw = draw
         self._draws = False
 
@@ -121,14 +121,14 @@ class Loader:
         """
         with LOADER:
             self._handles.clear(data, instance)
-            sands = self._sands(model)
+            sands = _sands(model)
             if instance in sands.values():
-                if instance in self._array(model, "sensor_plugin"):
+                if instance in _array(model, "sensor_plugin"):
                     raise InputError(
-                        "a sensor refers to the sand itself, which measures nothing: sensors of it "
-                        f"are those of the plugin {SENSOR}"
+                        "a sensor refers to the sand itself, which measures nothing: use an "
+                        f"instance of the plugin {SENSOR}"
                     )
-                self._refuse_twice(model, instance, sands)
+                self._check_overlap(model, instance, sands)
                 content = self._prepare(model, instance).image
             else:
                 content = self._sensor(model, instance, sands)
@@ -143,7 +143,7 @@ class Loader:
             message = np.frombuffer(text.ljust(len(text) // 8 * 8 + 8, b"\0"), np.float64)
             self._handles.put(data, instance, np.concatenate([head.view(np.float64), message]))
 
-    def leave_empty(self, data: int, instance: int) -> None:
+    def clear_slot(self, data: int, instance: int) -> None:
         """Assign a block that does nothing to an instance of the model that prepares the sand.
 
         No lock is taken: the thread that waits for the preparation holds it.
@@ -151,12 +151,12 @@ class Loader:
         self._handles.clear(data, instance)
         self._handles.put(data, instance, np.zeros(1, HEADER_DTYPE))
 
-    def abandon(self, data: int) -> None:
+    def release(self, data: int) -> None:
         """Drop all blocks of an `mjData` that MuJoCo is about to discard."""
         with LOADER:
-            self._handles.vacate(data)
+            self._handles.release(data)
 
-    def _refuse_twice(self, model: int, instance: int, sands: dict[str, int]) -> None:
+    def _check_overlap(self, model: int, instance: int, sands: dict[str, int]) -> None:
         """Check that two sands in one place do not act on the same body.
 
         Raises:
@@ -172,26 +172,19 @@ class Loader:
             if other != instance and common and together:
                 raise InputError(
                     f"the sand {name!r} acts on body {mine.bodies[min(common)]!r} too, in the "
-                    f"same place ({mine.place}): the body would be resisted twice; say with "
-                    "bodies=... or geoms=... which meet each of them, or tunable=true if both are "
-                    "meant"
+                    f"same place ({mine.place}): the body would be resisted twice; use bodies=... "
+                    "or geoms=... to select what meets each of them, or tunable=true to keep both"
                 )
 
     def _sensor(self, model: int, instance: int, sands: dict[str, int]) -> Image:
         texts = config_texts(model, instance, SENSOR_KEYS)
         sand = sensor.find_sand(texts["sand"], sands)
         prepared = self._prepare(model, sand)
-        sensors = {
-            field.name: self._array(model, f"sensor_{field.name}") for field in fields(Sensors)
-        }
-        sites = {field.name: self._array(model, f"site_{field.name}") for field in fields(Sites)}
-        sites["size"] = sites["size"].view(np.float64)
         readings = sensor.make_readings(
             instance,
             sand,
             texts["measure"],
-            Sensors(**sensors),
-            Sites(**sites),
+            lambda name: _array(model, name),
             prepared.bodies,
             prepared.geoms,
         )
@@ -200,43 +193,19 @@ class Loader:
         content = np.concatenate([head.view(np.float64), readings.view(np.float64)])
         return Image(content, NO_RELOCATIONS)
 
-    def _sands(self, model: int) -> dict[str, int]:
-        """Return the instances of sand in a model by name."""
-        slots = self._array(model, "plugin")
-        ours = np.flatnonzero(slots == plugin_slot(NAME))
-        return {instance_name(model, int(i)): int(i) for i in ours}
-
-    def _array(self, model: int, name: str) -> np.ndarray:
-        """Return a copy of an array of integers of a model."""
-        known = self._fields_of(model)
-        if name not in known:
-            return np.zeros(0, np.int32)
-        offset, size = known[name]
-        return np.frombuffer(ctypes.string_at(_pointer(model + offset), size), np.int32)
-
-    def _sizes(self, model: int) -> bytes:
-        return ctypes.string_at(model, self._layout.timestep)
-
-    def _fields_of(self, model: int) -> dict[str, tuple[int, int]]:
-        sizes = self._sizes(model)
-        if sizes not in self._fields:
-            self._fields[sizes] = prepare_in_worker(lambda: _fields(_copy(model)))
-            while len(self._fields) > _KEPT:
-                self._fields.popitem(last=False)
-        self._fields.move_to_end(sizes)
-        return self._fields[sizes]
-
     def _prepare(self, model: int, instance: int) -> Prepared:
         texts = config_texts(model, instance, KEYS)
-        key = self._key(model, instance, texts)
+        key = _key(model, instance, texts)
         prepared = self._prepared.get(key)
         if prepared is None:
             prepared = prepare_in_worker(lambda: self._make(key, model, instance, texts))
         else:
             self._prepared.move_to_end(key)
-        hidden = self._hide(model, prepared.hidden)
-        if self._disable_contacts(model, prepared.disabled) or hidden:
-            self._keep(self._key(model, instance, texts), prepared)
+        changed = [_write(model, "geom_group", prepared.hidden, NOT_SHOWN)]
+        for name in ("geom_contype", "geom_conaffinity"):
+            changed.append(_write(model, name, prepared.disabled, 0))
+        if any(changed):
+            self._keep(_key(model, instance, texts), prepared)
         return prepared
 
     def _make(self, key: bytes, model: int, instance: int, texts: dict[str, str]) -> Prepared:
@@ -253,49 +222,63 @@ class Loader:
         while len(self._prepared) > _KEPT:
             self._prepared.popitem(last=False)
 
-    def _key(self, model: int, instance: int, texts: dict[str, str]) -> bytes:
-        """Return a digest of everything that the sand is made of."""
-        digest = hashlib.blake2b(self._sizes(model), digest_size=16)
-        digest.update(self._switches(model))
-        digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
-        if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it depends on the time step
-            digest.update(ctypes.string_at(model + self._layout.timestep, 8))
-        for name, (offset, size) in self._fields_of(model).items():
-            if not name.startswith(_NO_MATTER):
-                digest.update(ctypes.string_at(_pointer(model + offset), size))
-        return digest.digest()
 
-    def _switches(self, model: int) -> bytes:
-        """Return the options from the integrator on, without the flag that disables contacts.
+def _key(model: int, instance: int, texts: dict[str, str]) -> bytes:
+    """Return a digest of everything that the sand is made of.
 
-        Preparing sand does not use contacts, and MuJoCo's compiler makes an `mjData` with that flag
-        set before the user's first one.
-        """
-        text = ctypes.string_at(model + self._layout.integrator, _SWITCHES)
-        switches = np.frombuffer(text, np.int32).copy()
-        switches[DISABLEFLAGS_BEHIND_INTEGRATOR // switches.itemsize] &= ~_NO_CONTACTS
-        return switches.tobytes()
+    Preparing sand does not use contacts, and MuJoCo's compiler makes an `mjData` with the flag set
+    that disables them before the user's first one. So this flag is ignored.
+    """
+    options = read_struct("mjOption", model + offset_of("mjModel", "opt")).copy()
+    options["disableflags"] &= ~_NO_CONTACTS
+    digest = hashlib.blake2b(_sizes(model), digest_size=16)
+    for name in _SWITCHES:
+        digest.update(options[name].tobytes())
+    digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
+    if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it depends on the time step
+        digest.update(options["timestep"].tobytes())
+    for name, (offset, size) in _arrays(_sizes(model)).items():
+        if not name.startswith(_NO_MATTER):
+            digest.update(ctypes.string_at(_pointer(model + offset), size))
+    return digest.digest()
 
-    def _hide(self, model: int, geoms: tuple[int, ...]) -> bool:
-        """Hide geoms that are drawn in another way; return whether any was visible."""
-        changed = False
-        for geom in geoms:
-            group = _pointer(model + self._fields_of(model)["geom_group"][0]) + 4 * geom
-            if ctypes.c_int32.from_address(group).value != NOT_SHOWN:
-                ctypes.c_int32.from_address(group).value = NOT_SHOWN
-                changed = True
-        return changed
 
-    def _disable_contacts(self, model: int, geoms: tuple[int, ...]) -> bool:
-        """Disable contacts of geoms; return whether any were enabled."""
-        changed = False
-        for name in ("geom_contype", "geom_conaffinity"):
-            for geom in geoms:
-                bits = _pointer(model + self._fields_of(model)[name][0]) + 4 * geom
-                if ctypes.c_int32.from_address(bits).value:
-                    ctypes.c_int32.from_address(bits).value = 0
-                    changed = True
-        return changed
+def _sizes(model: int) -> bytes:
+    """Return the sizes of a model: everything in the struct before its options."""
+    return ctypes.string_at(model, offset_of("mjModel", "opt"))
+
+
+@lru_cache(_KEPT)
+def _arrays(sizes: bytes) -> dict[str, tuple[int, int]]:
+    """Return the arrays of a model that sand is made of: offset of the pointer, size [bytes]."""
+    return {
+        name: (offset_of("mjModel", name), array_size("mjModel", name, sizes))
+        for name, field in fields_of("mjModel").items()
+        if isinstance(field.type, PointerType) and (name.startswith(_PREFIXES) or name in _NAMES)
+    }
+
+
+def _array(model: int, name: str) -> np.ndarray:
+    """Return a copy of an array of numbers of a model."""
+    offset, size = _arrays(_sizes(model))[name]
+    kind = np.float64 if name == "site_size" else np.int32
+    return np.frombuffer(ctypes.string_at(_pointer(model + offset), size), kind)
+
+
+def _write(model: int, name: str, places: Sequence[int], value: int) -> bool:
+    """Write to some integers of an array of a model; return whether any was different."""
+    begin, changed = _pointer(model + offset_of("mjModel", name)), False
+    for place in places:
+        number = ctypes.c_int32.from_address(begin + 4 * place)
+        changed = changed or number.value != value
+        number.value = value
+    return changed
+
+
+def _sands(model: int) -> dict[str, int]:
+    """Return the instances of sand in a model by name."""
+    ours = np.flatnonzero(_array(model, "plugin") == plugin_slot(NAME))
+    return {instance_name(model, int(i)): int(i) for i in ours}
 
 
 def _pointer(address: int) -> int:
@@ -320,28 +303,6 @@ def _medium_now(text: str) -> object:
     return id(media.get(text))
 
 
-def _fields(model: mujoco.MjModel) -> dict[str, tuple[int, int]]:
-    """Find the arrays of a model that sand is made of: offset of the pointer, size [bytes].
-
-    Raises:
-        LayoutError: a field is not found.
-    """
-    struct = Struct.of_model(model)
-    names = [name for name in dir(model) if name.startswith(_PREFIXES) or name in _NAMES]
-    found = {}
-    for name in names:
-        array = getattr(model, name)
-        if isinstance(array, np.ndarray) and array.nbytes:
-            found[name] = struct.field(array, name), array.nbytes
-    # Python has no address of the names: in mjmodel.h they precede the map of their hashes.
-    before = struct.field(model.names_map, "names_map") - 8
-    text = bytes(model.names)
-    if ctypes.string_at(_pointer(model._address + before), len(text)) != text:
-        raise LayoutError("names")
-    found["names"] = before, len(text)
-    return found
-
-
 def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Prepared:
     """Prepare the sand of an instance from its configuration, for a model, which is modified.
 
@@ -349,7 +310,7 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
         InputError: a string cannot be parsed, or does not fit the model.
     """
     if model.opt.disableflags & NO_PASSIVE_FORCES == NO_PASSIVE_FORCES:
-        raise InputError(NOT_ASKED)
+        raise InputError(NO_PASSIVE)
     config = read_config(texts)
     try:
         sand = prepare(model, config.sand, within=True)
@@ -365,10 +326,10 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
     size = sand.surface.state_size + (STATE_SIZE if config.tunable else 0)
     if model.plugin_statenum[instance] != size:
         raise InputError(
-            f"the model has room for {model.plugin_statenum[instance]} numbers of the sand's "
-            f"state, which has {size}: compile it anew"
+            f"the model has {model.plugin_statenum[instance]} numbers for the sand's state, which "
+            f"has {size}: compile the model again"
         )
-    name = _name_of_instance(model, instance)
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, instance) or ""
     drawing, canvas = _drawing(model, config.draw, sand, name)
     bodies, geoms = (dict.fromkeys(sand.elements[key].tolist()) for key in ("body", "geom"))
     return Prepared(
@@ -381,10 +342,6 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
         draws=bool(drawing["draw"]),
         origin=sand.medium,
     )
-
-
-def _name_of_instance(model: mujoco.MjModel, instance: int) -> str:
-    return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PLUGIN, instance) or ""
 
 
 def _place_of(surface: Surface) -> str:
@@ -412,9 +369,7 @@ def _drawing(
         chosen -= {"surface"}
     if not chosen:
         return {"draw": 0}, ()
-    from mjgranular.engine.draw import check_scene
-
-    check_scene(model)
+    check_layout("mjvGeom")
     found: dict[str, Any] = {
         "draw": sum(1 << DRAWINGS.index(drawing) for drawing in chosen),
         "arrow_scale": model.vis.map.force / model.stat.meanmass,
@@ -431,7 +386,7 @@ def _drawing(
     unit = 2 * radius_of(model) if isinstance(surface, Plane) else TILE
     canvas = make_canvas(record, sand.surface.memory, unit)
     material = int(model.skin_matid[skin])
-    role, pointer = int(mujoco.mjtTextureRole.mjTEXROLE_RGB), Struct.of_model(model)
+    role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
     fields = record.dtype.fields
     found |= {
         "frame": fields["origin"][1],
@@ -439,7 +394,7 @@ def _drawing(
             shape_of(sand.surface, record["base"].dtype), SIGNATURE, "prints, as they are drawn"
         ),
         "skin": skin,
-        "skin_pointer": pointer.field(model.skin_vert, "skin_vert"),
+        "skin_pointer": offset_of("mjModel", "skin_vert"),
         "skin_offset": 12 * int(model.skin_vertadr[skin]),
         "material": material,
         "picture": int(model.mat_texid[material, role]) if material >= 0 else -1,

@@ -19,29 +19,25 @@ from typing import Any
 import mujoco
 
 from mjgranular.engine.config import KEYS, STATE_KEYS, read_config
-from mjgranular.engine.instances import NAME
-from mjgranular.engine.layout import LayoutError, find_layout, laid_out
-from mjgranular.engine.library import config_texts, instance_name, library
+from mjgranular.engine.instances import NAME, config_texts, instance_name
 from mjgranular.engine.measures import MEASURES, SENSOR, SENSOR_KEYS
 from mjgranular.engine.preparing import is_preparing, prepare_in_worker
 from mjgranular.engine.trampolines import (
     ERROR,
     FINE,
     INTERRUPT,
-    NONE,
     Answer,
-    Size,
     make_trampolines,
-    pausing,
     raise_later,
 )
 from mjgranular.engine.tuning import STATE_SIZE
 from mjgranular.errors import GranularError
 from mjgranular.kernel.compiled import program_address
 from mjgranular.kernel.compiler import CompilerError
-from mjgranular.kernel.fork import ENGINE
-from mjgranular.kernel.machine import publish_functions
-from mjgranular.kernel.worker import is_main
+from mjgranular.kernel.engine import library
+from mjgranular.kernel.intrinsics import publish_functions
+from mjgranular.kernel.structs import LayoutError, check_layout
+from mjgranular.kernel.threads import ENGINE, is_main
 from mjgranular.relief.memory import as_memory
 
 _logger = logging.getLogger(__name__)
@@ -54,7 +50,9 @@ _CALLBACKS = (
     "nstate", "nsensordata", "init", "destroy", "copy", "reset", "compute", "advance", "visualize",
 )  # fmt: skip
 
-_FAILED = ctypes.create_string_buffer(b"mjgranular: preparing sand failed, and so did saying why")
+_FAILED = ctypes.create_string_buffer(
+    b"mjgranular: preparing sand failed, and so did reporting the reason"
+)
 
 
 class PluginStruct(ctypes.Structure):
@@ -72,6 +70,10 @@ class PluginStruct(ctypes.Structure):
     )
 
 
+def _count_nothing(model: int, instance: int, place: int) -> None:
+    """Write no number: MuJoCo reads 0."""
+
+
 @dataclass(frozen=True)
 class Plugin:
     """Description of a plugin for MuJoCo, without its functions."""
@@ -80,8 +82,8 @@ class Plugin:
     keys: tuple[str, ...]
     capability: int
     stage: int = 0
-    count_state: Callable[[int, int, int], object] | None = None
-    nsensordata: Size = NONE
+    count_state: Callable[[int, int, int], None] = _count_nothing
+    count_values: Callable[[int, int, int], None] = _count_nothing
 
 
 class Engine:
@@ -109,9 +111,8 @@ class Engine:
         struct.attributes = (ctypes.c_char_p * len(texts))(*texts)
         struct.capabilityflags = plugin.capability
         struct.needstage = plugin.stage
-        trampolines = make_trampolines(
-            plugin.name, partial(self._init, plugin), plugin.count_state, plugin.nsensordata
-        )
+        counts = {"nstate": plugin.count_state, "nsensordata": plugin.count_values}
+        trampolines = make_trampolines(plugin.name, partial(self._init, plugin), counts)
         for callback, address in trampolines.items():
             setattr(struct, callback, address)
         lib.mjp_registerPlugin(ctypes.addressof(struct))
@@ -136,10 +137,7 @@ class Engine:
 
     def _serve(self, plugin: Plugin, model: int, data: int, instance: int) -> None:
         if is_preparing():
-            if self._loader is None:
-                pausing.value = data
-            else:
-                self._loader.leave_empty(data, instance)
+            self._loader.clear_slot(data, instance)
             return
         if plugin.name not in self._active:
             prepare_in_worker(lambda: self._activate(plugin))
@@ -158,18 +156,17 @@ class Engine:
             reason = str(error) if isinstance(error, GranularError) else repr(error)
             text = f"mjgranular {instance_name(model, instance)!r}: {reason}"
             if now:
-                self._message.text = ctypes.create_string_buffer(
-                    _cut(text)
-                )  # must outlive this call
+                # It must outlive this call.
+                self._message.text = ctypes.create_string_buffer(_cut(text))
                 answer[1] = ctypes.addressof(self._message.text)
                 if self._loader is not None:
-                    self._loader.abandon(data)
+                    self._loader.release(data)
             elif self._loader is not None:
                 self._loader.refuse(model, data, instance, _cut(text))
             else:
                 _logger.error("%s", text)
         except Exception:
-            _logger.debug("telling why failed", exc_info=True)
+            _logger.debug("reporting the error failed", exc_info=True)
 
     def _activate(self, plugin: Plugin) -> None:
         """Compile the functions that MuJoCo calls, and activate them.
@@ -192,25 +189,21 @@ class Engine:
             self._active.add(plugin.name)
 
     def _compile(self, plugin: Plugin) -> None:
-        with laid_out("something"):
-            from mjgranular.engine import callbacks
-            from mjgranular.engine.loader import Loader
+        for struct in ("mjModel", "mjData", "mjOption"):
+            check_layout(struct)
+        from mjgranular.engine import callbacks
+        from mjgranular.engine.loader import Loader
 
-            publish_functions(library(), callbacks.FUNCTIONS)
-            try:
-                layout = find_layout(NAME)
-            finally:
-                pausing.value = 0
-        made = {NAME: callbacks.sand_callbacks, SENSOR: callbacks.sensor_callbacks}[plugin.name]
+        publish_functions(library(), callbacks.FUNCTIONS)
         if self._loader is None:
-            self._loader = Loader(layout, self._draw)
-        self._put(plugin.name, made(layout))
+            self._loader = Loader(self._draw)
+        self._put(plugin.name, callbacks.SAND if plugin.name == NAME else callbacks.SENSOR)
 
     def _draw(self) -> None:
         """Activate drawing."""
         from mjgranular.engine import callbacks
 
-        self._put(NAME, callbacks.drawing_callbacks(find_layout(NAME)))
+        self._put(NAME, callbacks.DRAWING)
 
     def _put(self, plugin: str, callbacks: Mapping[str, tuple[Any, str]]) -> None:
         """Compile functions and have MuJoCo call them."""
@@ -225,10 +218,10 @@ class Engine:
 
 def _cut(text: str) -> bytes:
     """Encode a message for MuJoCo, cut between characters so that it can be decoded."""
-    whole = text.replace("\0", "\\0").encode(errors="backslashreplace")
-    if len(whole) <= _LONGEST:
-        return whole
-    return whole[: _LONGEST - 3].decode(errors="ignore").encode() + b"..."
+    encoded = text.replace("\0", "\\0").encode(errors="backslashreplace")
+    if len(encoded) <= _LONGEST:
+        return encoded
+    return encoded[: _LONGEST - 3].decode(errors="ignore").encode() + b"..."
 
 
 def _errors_are_caught() -> bool:
@@ -252,10 +245,10 @@ def _check_struct(lib: ctypes.CDLL) -> None:
     Raises:
         LayoutError: the size differs.
     """
-    room = (ctypes.c_ubyte * 1024)(*([0xFF] * 1024))
-    lib.mjp_defaultPlugin(ctypes.addressof(room))
-    if bytes(room).find(0xFF) != ctypes.sizeof(PluginStruct):
-        raise LayoutError("a struct mjpPlugin of the known size")
+    memory = (ctypes.c_ubyte * 1024)(*([0xFF] * 1024))
+    lib.mjp_defaultPlugin(ctypes.addressof(memory))
+    if bytes(memory).find(0xFF) != ctypes.sizeof(PluginStruct):
+        raise LayoutError("mjpPlugin")
 
 
 def _count_state(model: int, instance: int, place: int) -> None:
@@ -272,8 +265,13 @@ def _count_state(model: int, instance: int, place: int) -> None:
     ctypes.c_int64.from_address(place).value = size
 
 
+def _count_values(model: int, instance: int, place: int) -> None:
+    """Write the number of values of an instance of the sensor; preparing it reports errors."""
+    measure = config_texts(model, instance, SENSOR_KEYS)["measure"]
+    ctypes.c_int64.from_address(place).value = MEASURES.get(measure, 1)
+
+
 _PLUGINS = (
-    # Preparing the sand reports values that are neither true nor false.
     Plugin(
         NAME,
         KEYS,
@@ -281,7 +279,7 @@ _PLUGINS = (
         _ACCELERATION,
         count_state=_count_state,
     ),
-    Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, nsensordata=Size("measure", MEASURES, 1)),
+    Plugin(SENSOR, SENSOR_KEYS, _SENSOR, _VELOCITY, count_values=_count_values),
 )
 
 

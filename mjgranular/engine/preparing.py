@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from mjgranular.kernel.worker import run_in_worker
+from mjgranular.kernel.threads import run_in_worker
 
 T = TypeVar("T")
 

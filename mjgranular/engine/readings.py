@@ -8,19 +8,17 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from mjgranular.engine.block import HEADER_DTYPE
-from mjgranular.engine.handles import block_finder
-from mjgranular.engine.instances import NAME, instance_of
-from mjgranular.engine.layout import find_layout
+from mjgranular.engine.block import header_at
+from mjgranular.engine.handles import find_block
+from mjgranular.engine.instances import instance_of
 from mjgranular.engine.measures import MEASURES
 from mjgranular.engine.sensor import DEPTH, FORCE, POWER, SPEED, measure_sand
 from mjgranular.kernel.compiled import compiled, entry
-from mjgranular.kernel.memory import floats, records
+from mjgranular.kernel.memory import floats
 
 COUNT = 6
 """Numbers per sand: force [N], depth [m], power [W], speed [m/s]."""
 
-_header = records(HEADER_DTYPE)
 assert tuple(MEASURES) == ("force", "moment", "depth", "power", "speed", "touch")
 
 
@@ -55,18 +53,16 @@ class SandReadings:
 
 @cache
 def _reader() -> Callable[..., int]:
-    """Return the compiled function that reads one sand."""
-    find_block = block_finder(find_layout(NAME))
+    return entry(_read, "int64(int64, int64, int64)")
 
-    @compiled
-    def read(data, instance, together):
-        block = find_block(data, instance)
-        if block == 0 or _header(block, 1)[0].table == 0:
-            return 0
-        measure_sand(block, FORCE, -1, floats(together, 3))
-        measure_sand(block, DEPTH, -1, floats(together + 24, 1))
-        measure_sand(block, POWER, -1, floats(together + 32, 1))
-        measure_sand(block, SPEED, -1, floats(together + 40, 1))
-        return 1
 
-    return entry(read, "int64(int64, int64, int64)")
+@compiled
+def _read(data, instance, together):
+    block = find_block(data, instance)
+    if block == 0 or header_at(block).table == 0:
+        return 0
+    measure_sand(block, FORCE, -1, floats(together, 3))
+    measure_sand(block, DEPTH, -1, floats(together + 24, 1))
+    measure_sand(block, POWER, -1, floats(together + 32, 1))
+    measure_sand(block, SPEED, -1, floats(together + 40, 1))
+    return 1

@@ -7,34 +7,20 @@ without such sensors does not pay for them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
 
-from mjgranular.engine.block import HEADER_DTYPE
-from mjgranular.engine.handles import block_finder
-from mjgranular.engine.layout import Layout
+from mjgranular.engine.block import HEADER_DTYPE, header_at
+from mjgranular.engine.handles import find_block
 from mjgranular.engine.measures import MEASURES
-from mjgranular.engine.touch import touch_sensor
 from mjgranular.engine.trampolines import UNPREPARED
 from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import c_function
-from mjgranular.kernel.memory import (
-    BODIES,
-    BODY_COUNT,
-    CONTACTS,
-    ELEMENT_COUNT,
-    floats,
-    longs,
-    records,
-    table_at,
-)
-from mjgranular.kernel.records import body_records, contact_records
+from mjgranular.kernel.intrinsics import c_function
+from mjgranular.kernel.memory import field, floats, longs, records, row_of, table_at
+from mjgranular.kernel.records import bodies_of, contacts_of
 
 FORCE, MOMENT, DEPTH, POWER, SPEED, TOUCH = range(len(MEASURES))
 
@@ -51,40 +37,23 @@ READING_DTYPE = np.dtype(
     ]
 )
 
-_header = records(HEADER_DTYPE)
 _readings = records(READING_DTYPE)
 _unprepared = c_function(UNPREPARED, "void", "int64")
+_values = field("mjData", "sensordata")
+_positions, _orientations = field("mjData", "site_xpos"), field("mjData", "site_xmat")
 
+_BEGIN, _STRIDE = HEADER_DTYPE.itemsize, READING_DTYPE.itemsize
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _BODIES = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_XBODY))
 _GEOM, _SITE = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtObj.mjOBJ_SITE)
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """The sensors of a model, as far as needed: arrays of `mjModel` without `sensor_`."""
-
-    plugin: np.ndarray
-    objtype: np.ndarray
-    objid: np.ndarray
-    adr: np.ndarray
-
-
-@dataclass(frozen=True)
-class Sites:
-    """The sites of a model: arrays of `mjModel` without `site_`."""
-
-    bodyid: np.ndarray
-    type: np.ndarray
-    size: np.ndarray
+_SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+_CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 def find_sand(name: str, sands: Mapping[str, int]) -> int:
-    """Return the index of the instance that a sensor reads.
-
-    Args:
-        name: name of the instance; "" for the only one.
-        sands: instances of `mjgranular.sand` by name.
+    """Return the index of the instance that a sensor reads, by its name; "" is the only one.
 
     Raises:
         InputError: no such instance, or no name although there are several.
@@ -105,8 +74,7 @@ def make_readings(
     instance: int,
     sand: int,
     measure: str,
-    sensors: Sensors,
-    sites: Sites,
+    array: Callable[[str], np.ndarray],
     bodies: Mapping[int, str],
     geoms: Mapping[int, str],
 ) -> np.ndarray:
@@ -116,8 +84,7 @@ def make_readings(
         instance: index of the instance of this plugin.
         sand: index of the instance of the sand.
         measure: name of the measure.
-        sensors: sensors of the model.
-        sites: sites of the model.
+        array: returns an array of the model by its name.
         bodies: names of the sand's bodies by their ids, in its order.
         geoms: names of the geoms that have its elements, by their ids.
 
@@ -127,27 +94,28 @@ def make_readings(
     if measure not in MEASURES:
         raise InputError(f"config 'measure': {UnknownNameError('measure', measure, MEASURES)}")
     kind = list(MEASURES).index(measure)
-    mine = np.flatnonzero(sensors.plugin == instance)
+    mine = np.flatnonzero(array("sensor_plugin") == instance)
+    addresses, types, ids = (array(f"sensor_{key}") for key in ("adr", "objtype", "objid"))
     rows = np.zeros(len(mine), READING_DTYPE)
     for row, number in zip(rows, mine, strict=True):
-        row["sand"], row["measure"], row["at"] = sand, kind, sensors.adr[number]
+        row["sand"], row["measure"], row["at"] = sand, kind, addresses[number]
         row["slot"] = row["geom"] = row["site"] = -1
-        objtype, object = int(sensors.objtype[number]), int(sensors.objid[number])
+        objtype, object = int(types[number]), int(ids[number])
         if objtype in _BODIES:
             row["slot"] = _place("body", object, bodies)
         elif objtype == _GEOM and kind == TOUCH:
             _place("geom", object, geoms)
             row["geom"] = object
         elif objtype == _SITE and kind == TOUCH:
-            row["slot"] = _place("body", int(sites.bodyid[object]), bodies)
-            row["site"], row["kind"] = object, sites.type[object]
-            row["size"] = sites.size[3 * object : 3 * object + 3]
+            row["slot"] = _place("body", int(array("site_bodyid")[object]), bodies)
+            row["site"], row["kind"] = object, array("site_type")[object]
+            row["size"] = array("site_size")[3 * object : 3 * object + 3]
         elif objtype != _UNKNOWN:
             others = "body, geom or site" if kind == TOUCH else "body"
-            raise InputError(f"objtype must be {others}, or left out for all bodies together")
+            raise InputError(f"objtype must be {others}; omit it for all bodies together")
         if kind == MOMENT and row["slot"] < 0:
             raise InputError(
-                "a moment is about the centre of mass of one body: objtype and objname"
+                "a moment is about the center of mass of one body: give objtype and objname"
             )
     return rows
 
@@ -170,16 +138,12 @@ def _place(kind: str, number: int, names: Mapping[int, str]) -> int:
 def measure_sand(block, measure, slot, values):
     """Compute a measure from the results of a sand's last step.
 
-    Args:
-        block: block of the sand.
-        measure: index of the measure.
-        slot: row of the body, -1 for all.
-        values: array for the result.
+    The slot is the row of a body, -1 for all; the result is written to `values`.
     """
-    header = _header(block, 1)[0]
+    header = header_at(block)
     table = table_at(header.table)
     if measure in (FORCE, MOMENT):
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
+        bodies = bodies_of(table)
         first = 3 if measure == MOMENT else 0
         for k in range(3):
             values[k] = 0.0
@@ -188,7 +152,7 @@ def measure_sand(block, measure, slot, values):
                 for k in range(3):
                     values[k] += bodies[i].wrench[first + k]
         return
-    contacts = contact_records(table[CONTACTS], table[ELEMENT_COUNT])
+    contacts = contacts_of(table)
     slots = longs(header.slots, len(contacts))
     depth, power, square = -math.inf, 0.0, 0.0
     for i in range(len(contacts)):
@@ -207,32 +171,78 @@ def measure_sand(block, measure, slot, values):
         values[0] = depth if measure == DEPTH else power
 
 
-@cache
-def sensor_compute(layout: Layout) -> Any:
-    """Make the compiled `compute` of the plugin."""
-    find_block, touch = block_finder(layout), touch_sensor(layout)
-    sensordata = layout.sensordata
-    begin, stride = HEADER_DTYPE.itemsize, READING_DTYPE.itemsize
+@compiled
+def is_inside(kind, size, x, y, z):
+    """Return True if a point in the frame of a site is inside its volume.
 
-    @compiled
-    def compute(model, data, instance, capability):
-        block = find_block(data, instance)
-        if block == 0:
-            _unprepared(data)
-            return
-        if _header(block, 1)[0].size == 0:
-            return
-        rows = _readings(block + begin, (_header(block, 1)[0].size - begin) // stride)
-        readings = longs(data + sensordata, 1)[0]
-        for i in range(len(rows)):
-            row = rows[i]
-            sand = find_block(data, row.sand)
-            if sand != 0 and _header(sand, 1)[0].table != 0:
-                size = 3 if row.measure in (FORCE, MOMENT) else 1
-                values = floats(readings + 8 * row.at, size)
-                if row.measure == TOUCH:
-                    values[0] = touch(data, sand, row)
-                else:
-                    measure_sand(sand, row.measure, row.slot, values)
+    The kind of the site is sphere, capsule, ellipsoid, cylinder, else box; its size is 3 numbers.
+    """
+    if kind == _SPHERE:
+        return x * x + y * y + z * z <= size[0] * size[0]
+    if kind == _CAPSULE:
+        beyond = max(abs(z) - size[1], 0.0)
+        return x * x + y * y + beyond * beyond <= size[0] * size[0]
+    if kind == _ELLIPSOID:
+        return (x / size[0]) ** 2 + (y / size[1]) ** 2 + (z / size[2]) ** 2 <= 1.0
+    if kind == _CYLINDER:
+        return x * x + y * y <= size[0] * size[0] and abs(z) <= size[1]
+    return abs(x) <= size[0] and abs(y) <= size[1] and abs(z) <= size[2]
 
-    return compute
+
+@compiled
+def touch(data, block, row):
+    """Return the sum of the magnitudes of forces [N] for a row of `READING_DTYPE`.
+
+    MuJoCo's touch sensor sums the normal forces of contacts within a site's volume. Sand makes no
+    contacts. Here the forces on elements are summed, for a geom or within a site: forces that press
+    on two sides of a body do not cancel.
+    """
+    header = header_at(block)
+    table = table_at(header.table)
+    contacts = contacts_of(table)
+    slots, geoms = longs(header.slots, len(contacts)), longs(header.geoms, len(contacts))
+    number = max(row.site, 0)
+    place = row_of(_positions(data), number, 3)
+    turn = row_of(_orientations(data), number, 9)
+    total = 0.0
+    for i in range(len(contacts)):
+        contact = contacts[i]
+        mine = row.slot < 0 or row.slot == slots[i]
+        mine = mine and (row.geom < 0 or row.geom == geoms[i]) and contact.depth > 0.0
+        if mine and row.site >= 0:
+            a = contact.point[0] - place[0]
+            b = contact.point[1] - place[1]
+            c = contact.point[2] - place[2]
+            mine = is_inside(
+                row.kind,
+                row.size,
+                turn[0] * a + turn[3] * b + turn[6] * c,
+                turn[1] * a + turn[4] * b + turn[7] * c,
+                turn[2] * a + turn[5] * b + turn[8] * c,
+            )
+        if mine:
+            force = contact.force
+            total += math.sqrt(force[0] * force[0] + force[1] * force[1] + force[2] * force[2])
+    return total
+
+
+@compiled
+def compute_sensors(model, data, instance, capability):
+    """Compute the values of an instance: `compute` of the plugin."""
+    block = find_block(data, instance)
+    if block == 0:
+        _unprepared(data)
+        return
+    if header_at(block).size == 0:
+        return
+    rows = _readings(block + _BEGIN, (header_at(block).size - _BEGIN) // _STRIDE)
+    for i in range(len(rows)):
+        row = rows[i]
+        sand = find_block(data, row.sand)
+        if sand != 0 and header_at(sand).table != 0:
+            size = 3 if row.measure in (FORCE, MOMENT) else 1
+            values = floats(_values(data) + 8 * row.at, size)
+            if row.measure == TOUCH:
+                values[0] = touch(data, sand, row)
+            else:
+                measure_sand(sand, row.measure, row.slot, values)

@@ -58,7 +58,7 @@ def add_sand(
     check_spec(spec, "add_sand")
     check_switch("tunable", tunable)
     if name is not None and not (isinstance(name, str) and name):
-        raise InputError(f"an instance's name is a text, not {kind_of(name)}")
+        raise InputError(f"the name of an instance must be a string, not {kind_of(name)}")
     check_registered()
     sand = combined(sand, fields)
     config = write_config(sand, draw=draw, tunable=tunable)
@@ -93,13 +93,7 @@ def show_surface(spec: mujoco.MjSpec, sand: SandSpec) -> None:
 
 
 def show_prints(spec: mujoco.MjSpec, sand: SandSpec, name: str = "sand") -> None:
-    """Add the geometry that draws tracks for a sand with memory; nothing without memory.
-
-    Args:
-        spec: the model to be.
-        sand: the sand.
-        name: name of its instance.
-    """
+    """Add the geometry that draws tracks for a sand with memory; nothing without memory."""
     memory = as_memory(sand.memory)
     if memory is None:
         return

@@ -3,8 +3,7 @@
 A Python function that MuJoCo called directly could fail before its first line, if a signal has
 arrived; MuJoCo would then read a random result. Trampolines have Python write its answer to
 separate memory. Without an answer the sand is not prepared, and a step is an error of MuJoCo.
-Messages are passed as strings, never as formats. What needs no Python, such as the number of values
-of an instance, is computed without it.
+Messages are passed as strings, never as formats.
 
 An interrupt is not an error of MuJoCo: Python would raise that error first, and the interrupt
 somewhere in its handler. So `init` returns success, the rest of MuJoCo's call runs without sand,
@@ -18,11 +17,11 @@ import ctypes
 import signal
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
-from mjgranular.engine.library import library
-from mjgranular.kernel.machine import load_functions, publish, publish_functions
+from mjgranular.kernel.engine import library
+from mjgranular.kernel.intrinsics import load_functions, publish, publish_functions
 
 FAIL = "mjgranular_fail"
 """Name of `fail(text)`: raise an error of MuJoCo; does not return."""
@@ -35,8 +34,7 @@ FORGET = "mjgranular_forget"
 """Name of `forget(data)`, called when an `mjData` is freed: another may get its address."""
 
 pausing = ctypes.c_int64(0)
-"""Address of the `mjData` that runs without sand, 0 for none: while an interrupt is pending, and
-while the layout of MuJoCo's memory is determined."""
+"""Address of the `mjData` that runs without sand while an interrupt is pending; 0 for none."""
 
 _PYTHON = (
     "PyGILState_Ensure",
@@ -70,8 +68,8 @@ define void @mjgranular_unprepared(i64 %data) {
   %cell = inttoptr i64 PAUSING to ptr
   %pausing = load volatile i64, ptr %cell
   %meant = icmp eq i64 %pausing, %data
-  br i1 %meant, label %leave, label %tell
-tell:
+  br i1 %meant, label %leave, label %raise
+raise:
   call void (ptr, ...) @mju_error(ptr @says, ptr @why)
   br label %leave
 leave:
@@ -102,27 +100,6 @@ define void @mjgranular_destroy(i64 %data, i32 %instance) {
 
 define void @mjgranular_reset(i64 %model, i64 %state, i64 %handle, i32 %instance) {
   ret void
-}
-
-define i1 @mjgranular_equal(ptr %a, ptr %b) {
-begin:
-  br label %next
-next:
-  %i = phi i64 [0, %begin], [%j, %more]
-  %p = getelementptr i8, ptr %a, i64 %i
-  %q = getelementptr i8, ptr %b, i64 %i
-  %x = load i8, ptr %p
-  %y = load i8, ptr %q
-  %same = icmp eq i8 %x, %y
-  br i1 %same, label %more, label %no
-more:
-  %j = add i64 %i, 1
-  %end = icmp eq i8 %x, 0
-  br i1 %end, label %yes, label %next
-yes:
-  ret i1 true
-no:
-  ret i1 false
 }
 """
 
@@ -198,28 +175,25 @@ signal:
 done:
   call void @PyGILState_Release(i32 %held)
   %error = icmp eq i64 %said, ERROR
-  br i1 %error, label %tell, label %leave
-tell:
+  br i1 %error, label %raise, label %leave
+raise:
   call void @mjgranular_fail(i64 %with)
   br label %leave
 leave:
   ret i32 0
 }
-
-declare ptr @mj_getPluginConfig(i64, i32, ptr)
-declare i1 @mjgranular_equal(ptr, ptr)
 """
 
 _COUNT = r"""
-@format_of_count = private constant [4 x i8] c"LiL\00"
+@FIELD_format = private constant [4 x i8] c"LiL\00"
 
-define i32 @NAME_nstate(i64 %model, i32 %instance) {
+define i32 @NAME_FIELD(i64 %model, i32 %instanceMORE) {
   %answer = alloca i64
   store volatile i64 0, ptr %answer
   %place = ptrtoint ptr %answer to i64
   %function = inttoptr i64 FUNCTION to ptr
   %held = call i32 @PyGILState_Ensure()
-  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %function, ptr @format_of_count,
+  %made = call ptr (ptr, ptr, ...) @PyObject_CallFunction(ptr %function, ptr @FIELD_format,
     i64 %model, i32 %instance, i64 %place)
   %failed = icmp eq ptr %made, null
   br i1 %failed, label %lost, label %counted
@@ -242,25 +216,6 @@ _WHY = (
     "mjgranular: the sand of this mjData was not prepared, as that failed or was interrupted: "
     "make a new mjData"
 )
-
-
-@dataclass(frozen=True)
-class Size:
-    """Number of values of an instance, by its configuration.
-
-    Attributes:
-        key: key of the configuration.
-        sizes: number by its value.
-        otherwise: number for all other values, and for none.
-    """
-
-    key: str
-    sizes: Mapping[str, int]
-    otherwise: int
-
-
-NONE = Size("", {}, 0)
-"""No values, for any configuration."""
 
 
 def raise_later(error: BaseException) -> None:
@@ -288,83 +243,57 @@ def _notice(place: int) -> None:
 def make_trampolines(
     name: str,
     init: Callable[[int, int, int, int], object],
-    count_state: Callable[[int, int, int], object] | None,
-    nsensordata: Size,
+    counts: Mapping[str, Callable[[int, int, int], object]],
 ) -> dict[str, int]:
     """Make the functions of a plugin before any of it is compiled.
 
     Args:
         name: name of the plugin.
         init: `init(model, data, instance, answer)` writes at the address `answer` (`Answer`).
-        count_state: `count_state(model, instance, place)` writes the size of its state at an
-            address; None for no state.
-        nsensordata: number of its readings.
+        counts: for `nstate` and `nsensordata` a function `count(model, instance, place)`, which
+            writes the number of values of an instance at an address.
 
     Returns:
         Addresses by the names of the fields of `mjpPlugin`.
     """
     common = _common()
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(init))  # it lives as long as the process
     name = name.replace(".", "_")
     code = _filled(
         _INIT,
         NAME=name,
-        FUNCTION=id(init),
+        FUNCTION=_immortal(init),
         PAUSING=ctypes.addressof(pausing),
         MAIN=threading.main_thread().ident,
         NOTICE=id(_notice),
         INTERRUPT=INTERRUPT,
         ERROR=ERROR,
     )
-    if count_state is None:
-        code += _size(name, "nstate", NONE, "")
-    else:
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(count_state))
-        code += _filled(_COUNT, NAME=name, FUNCTION=id(count_state))
-    code += _size(name, "nsensordata", nsensordata, ", i32")
-    own = {f"{name}_{field}": field for field in ("init", "nstate", "nsensordata")}
-    found = load_functions(code, own)
-    return common | {own[name]: address for name, address in found.items()}
+    for field, count in counts.items():
+        more = ", i32 %sensor" if field == "nsensordata" else ""
+        code += _filled(_COUNT, NAME=name, FIELD=field, FUNCTION=_immortal(count), MORE=more)
+    fields = {f"{name}_{field}": field for field in ("init", *counts)}
+    found = load_functions(code, fields)
+    return common | {fields[name]: address for name, address in found.items()}
+
+
+def _immortal(function: Any) -> int:
+    """Return the address of a function, which lives as long as the process."""
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(function))
+    return id(function)
 
 
 @cache
 def _common() -> dict[str, int]:
     """Make the functions that all plugins share, registered for compiled code."""
-    publish_functions(library(), ("mju_error", "mj_getPluginConfig"))
+    publish_functions(library(), ["mju_error"])
     publish_functions(ctypes.pythonapi, _PYTHON)
     code = _filled(_COMMON, PAUSING=ctypes.addressof(pausing)).replace("[WHY]", _text(_WHY))
     fields = {f"mjgranular_{field}": field for field in ("compute", "reset", "destroy")}
-    for_kernels = (FAIL, UNPREPARED, FORGET, "mjgranular_equal")
+    for_kernels = (FAIL, UNPREPARED, FORGET)
     found = load_functions(code, (*fields, *for_kernels))
     for name in for_kernels:
         publish(name, found[name])
     return {field: found[name] for name, field in fields.items()}
-
-
-def _size(name: str, field: str, size: Size, more: str) -> str:
-    """Return the code of a function that returns a number."""
-    cases = texts = ""
-    for i, (value, number) in enumerate(size.sizes.items()):
-        texts += f"@{field}_{i} = private constant {_text(value)}\n"
-        cases += f"""case{i}:
-  %is{i} = call i1 @mjgranular_equal(ptr %text, ptr @{field}_{i})
-  br i1 %is{i}, label %found{i}, label %case{i + 1}
-found{i}:
-  ret i32 {number}
-"""
-    return f"""{texts}
-@{field}_key = private constant {_text(size.key)}
-
-define i32 @{name}_{field}(i64 %model, i32 %instance{more}) {{
-  %text = call ptr @mj_getPluginConfig(i64 %model, i32 %instance, ptr @{field}_key)
-  %none = icmp eq ptr %text, null
-  br i1 %none, label %otherwise, label %case0
-{cases}case{len(size.sizes)}:
-  br label %otherwise
-otherwise:
-  ret i32 {size.otherwise}
-}}
-"""
 
 
 def _filled(code: str, **words: object) -> str:

@@ -52,8 +52,7 @@ def make_tunings(sand: PreparedSand, model: mujoco.MjModel) -> np.ndarray:
     law, scene = sand.law, sand.scene
     if not (law.strength_keys or law.density_keys):
         raise InputError(
-            f"the law {law.name!r} does not say what its strength and density are: it needs "
-            "strength_keys or density_keys"
+            f"the law {law.name!r} cannot be tuned: it must have strength_keys or density_keys"
         )
     rows: list[tuple[int, int, float, float]] = []
     for number, keys in ((STRENGTH, law.strength_keys), (DENSITY, law.density_keys)):

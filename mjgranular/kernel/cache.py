@@ -3,9 +3,12 @@
 numba serves a cached function as long as the file that defines it is unchanged, even if files of
 functions that it calls have changed; it accepts any file in its directory; and it cannot
 distinguish functions that one factory made from different parts. So a program's directory is named
-by everything that went into it (`identity`). It is written elsewhere and then renamed, so that it
-exists completely or not at all, even if two processes compile at once. It is passed to numba only
-if each file is as it was written, by this user or the administrator (`folder`).
+by everything that went into it (`digest`). It is written elsewhere and then renamed, so that it
+exists completely or not at all.
+
+Cached machine code runs when it is loaded. So each user has a private directory, and a program is
+loaded only if each of its files is as it was written, by this user or the administrator. Files and
+directories that others can write to are neither read nor written.
 """
 
 from __future__ import annotations
@@ -13,6 +16,8 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import stat
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -22,7 +27,7 @@ from typing import Any, TypeVar
 
 from numba.core import config
 
-from mjgranular.kernel.folder import folders_to_read, folders_to_write, read, restrict
+from mjgranular.errors import warn_user
 
 T = TypeVar("T")
 
@@ -30,23 +35,32 @@ _settings: Any = config
 
 _SUMS = "sums"
 _OLD = 30 * 24 * 3600.0  # s after which programs of other builds are removed; chosen
+_ROOT = 0
+_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+_MOST = 1 << 28  # maximum bytes of a file; that of a program has some hundred thousand
+# Neither follow a link nor block on a pipe.
+_READ = os.O_RDONLY | sum(
+    getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")
+)
+
+_reported: set[Path] = set()
 
 
 def load(build: str, name: str, make: Callable[[], T]) -> T | None:
     """Have numba load a program.
 
     Args:
-        build: digest of the sources (`identity.build`).
+        build: digest of the sources (`digest.build`).
         name: name of the program.
         make: decorates it, with `cache=True`.
 
     Returns:
         The result of `make`; None if no complete program of that name is cached.
     """
-    for root in folders_to_read():
+    for root in _folders_to_read():
         folder = root / build / name
         with suppress(OSError):
-            sums = read(folder / _SUMS)
+            sums = _read(folder / _SUMS)
             if sums and sums == _sums(folder):
                 with _caching(folder):
                     return make()
@@ -54,21 +68,16 @@ def load(build: str, name: str, make: Callable[[], T]) -> T | None:
 
 
 def save(build: str, name: str, make: Callable[[], T]) -> T | None:
-    """Have numba compile a program, and cache it.
-
-    Args:
-        build: digest of the sources.
-        name: name of the program.
-        make: decorates it, with `cache=True`.
+    """Have numba compile a program, and cache it; the arguments are those of `load`.
 
     Returns:
         The result of `make`; None if nothing can be cached.
     """
-    for root in folders_to_write():
+    for root in _folders_to_write():
         try:
             _remove_old(root, build)
             (root / build).mkdir(exist_ok=True)
-            restrict(root / build)
+            _restrict(root / build)
             staging = Path(tempfile.mkdtemp(prefix=f"{name}.", dir=root / build))
         except OSError:
             continue
@@ -88,7 +97,7 @@ def save(build: str, name: str, make: Callable[[], T]) -> T | None:
 
 def can_save() -> bool:
     """Return True if there is a writable cache directory."""
-    return any(True for _ in folders_to_write())
+    return any(True for _ in _folders_to_write())
 
 
 @contextmanager
@@ -104,10 +113,10 @@ def _caching(folder: Path) -> Iterator[None]:
 
 def _publish(staging: Path, folder: Path) -> None:
     for path in staging.rglob("*"):
-        restrict(path)
+        _restrict(path)
     (staging / _SUMS).write_bytes(_sums(staging))
-    restrict(staging / _SUMS)
-    restrict(staging)
+    _restrict(staging / _SUMS)
+    _restrict(staging)
     try:
         staging.rename(folder)
     except OSError:  # it exists, from a faster process, or damaged
@@ -122,7 +131,7 @@ def _sums(folder: Path) -> bytes:
         for name in names:
             path = Path(base, name)
             if path != folder / _SUMS:
-                content = read(path)
+                content = _read(path)
                 checksum = "-" if content is None else hashlib.sha256(content).hexdigest()
                 lines.append(f"{checksum}  {path.relative_to(folder).as_posix()}\n")
     return "".join(sorted(lines)).encode()
@@ -132,3 +141,97 @@ def _remove_old(root: Path, build: str) -> None:
     for folder in root.iterdir():
         if folder.name != build and time.time() - folder.lstat().st_mtime > _OLD:
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _folders() -> Iterator[Path]:
+    """Yield the directories in which every user may have one, the best first."""
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        yield Path(chosen)
+        return
+    yield Path(__file__).resolve().parents[1] / "__pycache__"
+    with suppress(RuntimeError):  # a user without a home directory
+        home = Path.home()
+        caches = {"win32": "AppData/Local", "darwin": "Library/Caches"}.get(sys.platform, ".cache")
+        yield Path(os.environ.get("XDG_CACHE_HOME") or home / caches) / "mjgranular"
+
+
+def _folders_to_read() -> Iterator[Path]:
+    """Yield the directories that this user or the administrator has written."""
+    users = [None] if _user() is None else dict.fromkeys((_user(), _ROOT))
+    for folder in (base / _name(user) for base in _folders() for user in users):
+        with suppress(OSError):
+            if _is_trusted(folder, folder.lstat()):
+                yield folder
+
+
+def _folders_to_write() -> Iterator[Path]:
+    """Find or make directories that this user can write to."""
+    for base in _folders():
+        folder = base / _name(_user())
+        with suppress(OSError):
+            base.mkdir(parents=True, exist_ok=True)
+            if not folder.exists():
+                folder.mkdir(mode=0o700, exist_ok=True)
+                _restrict(folder)
+            if _is_trusted(folder, folder.lstat()):
+                with tempfile.TemporaryFile(dir=folder):
+                    pass
+                yield folder
+
+
+def _name(user: int | None) -> str:
+    return "mjgranular" if user is None else f"mjgranular-{user}"
+
+
+def _user() -> int | None:
+    """Return the id of this user; None on systems where files have no owner."""
+    return os.geteuid() if hasattr(os, "geteuid") else None
+
+
+def _read(path: Path) -> bytes | None:
+    """Return the content of a file; None if the file is not trusted.
+
+    Raises:
+        OSError: it does not exist, or cannot be read.
+    """
+    file = os.open(path, _READ)
+    with os.fdopen(file, "rb") as opened:
+        found = os.fstat(file)
+        if stat.S_ISREG(found.st_mode) and found.st_size <= _MOST and _is_trusted(path, found):
+            return opened.read(_MOST)
+    return None
+
+
+def _restrict(path: Path) -> None:
+    """Remove other users' write access to a file or directory of this user; root's stay readable.
+
+    Raises:
+        OSError: it belongs to another user.
+    """
+    for_all = _user() == _ROOT
+    if path.is_dir():
+        path.chmod(0o755 if for_all else 0o700)
+    else:
+        path.chmod(0o644 if for_all else 0o600)
+
+
+def _is_trusted(path: Path, found: os.stat_result) -> bool:
+    """Return True if only this user or the administrator can have written it; warn if not."""
+    user = _user()
+    if user is None:
+        return True
+    if found.st_uid not in (user, _ROOT):
+        why = f"belongs to another user (number {found.st_uid})"
+    elif stat.S_ISLNK(found.st_mode):
+        why = "is a link"
+    elif found.st_mode & _OTHERS_WRITE:
+        why = "can be written by other users"
+    else:
+        return stat.S_ISDIR(found.st_mode) or stat.S_ISREG(found.st_mode)
+    if path not in _reported:
+        _reported.add(path)
+        warn_user(
+            f"{path} {why}: machine code is neither read from it nor written to it; remove it, or "
+            "set NUMBA_CACHE_DIR to a folder that only you can write to"
+        )
+    return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from types import FunctionType
 from typing import Any
@@ -14,10 +15,11 @@ with compiling():
     from numba.core import config, event
 
 from mjgranular.kernel import cache
-from mjgranular.kernel.announcement import ALWAYS, ONCE, announcement, log
-from mjgranular.kernel.fork import PROGRAMS
-from mjgranular.kernel.identity import build, closure_of, digest, identity
-from mjgranular.kernel.worker import cancellation_point, uninterrupted
+from mjgranular.kernel.digest import build, digest, names_in_closure, stable_name
+from mjgranular.kernel.progress import ALWAYS, ONCE, report_compiling
+from mjgranular.kernel.threads import PROGRAMS, cancellation_point, uninterrupted
+
+_logger = logging.getLogger(__name__)
 
 _OPTIONS: dict[str, Any] = {
     # IEEE arithmetic (no fastmath): both interfaces and all platforms give the same numbers.
@@ -39,7 +41,7 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Any:
         numba's dispatcher, called like `function`. Only whole programs are cached on disk (`entry`,
             `program_address`).
     """
-    made_of = closure_of(function)
+    made_of = names_in_closure(function)
     # numba names machine code by this and by a counter that starts over in every process: without
     # it, code of two kernels from one factory, loaded from the cache, would count as the same.
     name = f"{function.__module__}.{function.__qualname__}"
@@ -119,14 +121,14 @@ def _find_or_make(key: tuple[Any, str, Any], what: str) -> Any:
 
 
 def _load_or_compile(kernel: Any, signature: str, make: Callable[..., Any], what: str) -> Any:
-    name = digest((identity(kernel), signature, make.__name__))
+    name = digest((stable_name(kernel), signature, make.__name__))
 
     def decorate(keep: bool = True) -> Any:
         return make(_call_of(kernel), signature, keep)
 
     found = cache.load(build(), name, decorate)
     if found is None:
-        announcement.show(ONCE if cache.can_save() else ALWAYS, what)
+        report_compiling(ONCE if cache.can_save() else ALWAYS, what)
         found = cache.save(build(), name, decorate)
     return decorate(keep=False) if found is None else found
 
@@ -158,7 +160,7 @@ class _Progress(event.Listener):
 
     def on_start(self, event: Any) -> None:
         cancellation_point()
-        log(event.data["dispatcher"].py_func)
+        _logger.info("compiling %s", event.data["dispatcher"].py_func.__qualname__)
 
     def on_end(self, event: Any) -> None:
         pass

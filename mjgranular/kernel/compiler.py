@@ -1,4 +1,4 @@
-"""Supported versions of numba, and the error for others."""
+"""Supported versions of numba, and errors that are short."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ class CompilerError(GranularError, RuntimeError):
 
     def __init__(self, error: BaseException) -> None:
         installed = _installed()
-        which = "numba is not installed" if installed is None else f"numba {installed} cannot"
-        does = "" if installed is None else " compile the kernels of mjgranular"
+        what = "numba is not installed"
+        if installed is not None:
+            what = f"numba {installed} cannot compile the kernels of mjgranular"
+        reason = (str(error).strip().splitlines() or ["no message"])[0]
         super().__init__(
-            f"{which}{does} ({type(error).__name__}: {_in_short(error)}); tested versions of "
-            f"numba: {TESTED[0]} to {TESTED[1]}"
+            f"{what} ({type(error).__name__}: {reason}); tested versions of numba: "
+            f"{TESTED[0]} to {TESTED[1]}"
         )
 
 
@@ -37,19 +39,18 @@ class KernelError(GranularError, TypeError):
     """
 
     def __init__(self, error: BaseException, what: str) -> None:
-        lines = [_CODES.sub("", line).strip() for line in str(error).splitlines()]
-        news = next((line for line in lines if line and not line.startswith(_NO_NEWS)), "")
-        places = (_PLACE.search(line) for line in lines)
-        found = [f"{place[1]}, line {place[2]}" for place in places if place]
-        where = f", in {found[0]}" if found else ""
+        lines = [_COLORS.sub("", line).strip() for line in str(error).splitlines()]
+        reason = next((line for line in lines if line and not line.startswith(_NO_REASON)), "")
+        place = next(filter(None, map(_PLACE.search, lines)), None)
+        where = f", in {place[1]}, line {place[2]}" if place else ""
         super().__init__(
             f"numba cannot compile the kernels{what and ' for '}{what}: "
-            f"{type(error).__name__}: {news}{where}"
+            f"{type(error).__name__}: {reason}{where}"
         )
 
 
-_CODES = re.compile(r"\x1b\[[0-9;]*m")  # colours of a terminal
-_NO_NEWS = "Failed in nopython mode pipeline"
+_COLORS = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
+_NO_REASON = "Failed in nopython mode pipeline"
 _PLACE = re.compile(r'File "([^"]+)", line (\d+)')
 
 
@@ -82,14 +83,9 @@ def _installed() -> str | None:
 
 
 def _is_tested() -> bool:
-    first, last = map(_numbers, TESTED)
-    return first <= _numbers(_installed() or "0")[:2] <= last
+    first, installed, last = map(_numbers, (TESTED[0], _installed() or "0", TESTED[1]))
+    return first <= installed <= last
 
 
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(number) for number in text.split(".")[:2] if number.isdigit())
-
-
-def _in_short(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0] if lines else "no message"

@@ -13,7 +13,7 @@ from typing import Any
 from numba import types
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import intrinsic
+from mjgranular.kernel.intrinsics import intrinsic
 
 # ln 2 in two parts, the first with trailing zeros: times a small integer it is exact.
 _LN2, _LN2_REST = 0.693147180369123816490, 1.90821492927058770002e-10

@@ -20,7 +20,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import lower_builtin, models, register_model, type_callable
 
-from mjgranular.kernel.machine import intrinsic
+from mjgranular.kernel.intrinsics import intrinsic
 
 LINE = 64
 """Bytes in a cache line, and in the widest vector. Rows that span two lines take up to twice as
@@ -35,6 +35,7 @@ class Lanes(types.Type):
     def __init__(self, count: int) -> None:
         super().__init__(name=f"Lanes({count})")
         self.count = count
+        self.element = _DOUBLE
 
 
 class Mask(types.Type):
@@ -43,18 +44,14 @@ class Mask(types.Type):
     def __init__(self, count: int) -> None:
         super().__init__(name=f"Mask({count})")
         self.count = count
-
-
-@register_model(Mask)
-class _MaskModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Mask) -> None:
-        super().__init__(dmm, fe_type, ir.VectorType(ir.IntType(1), fe_type.count))
+        self.element = ir.IntType(1)
 
 
 @register_model(Lanes)
-class _LanesModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Lanes) -> None:
-        super().__init__(dmm, fe_type, ir.VectorType(_DOUBLE, fe_type.count))
+@register_model(Mask)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, ir.VectorType(fe_type.element, fe_type.count))
 
 
 def lanes_among(args: Any) -> Lanes | None:
@@ -105,10 +102,12 @@ def _define(function: Any, emit: Callable[..., Any], result: type, arguments: in
             lower_builtin(function, *kinds)(lower)
 
 
-def _size(builder: Any, value: Any) -> Any:
+def _call(builder: Any, name: str, value: Any) -> Any:
+    """Emit a call of LLVM's function for numbers or vectors."""
+    width = f"v{value.type.count}" if isinstance(value.type, ir.VectorType) else ""
     kind = ir.FunctionType(value.type, [value.type])
-    name = f"llvm.fabs.v{value.type.count}f64"
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [value])
+    function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.{width}f64")
+    return builder.call(function, [value])
 
 
 for _operator, _name in (
@@ -119,19 +118,14 @@ for _operator, _name in (
 ):
     _define(_operator, lambda builder, a, b, name=_name: getattr(builder, name)(a, b), Lanes, 2)
 _define(operator.neg, lambda builder, a: builder.fneg(a), Lanes, 1)
-_define(abs, _size, Lanes, 1)
-for _operator, _sign in (
+_define(abs, lambda builder, a: _call(builder, "fabs", a), Lanes, 1)
+for _operator, _name in (
     (operator.lt, "<"),
     (operator.le, "<="),
     (operator.gt, ">"),
     (operator.ge, ">="),
 ):
-    _define(
-        _operator,
-        lambda builder, a, b, sign=_sign: builder.fcmp_ordered(sign, a, b),
-        Mask,
-        2,
-    )
+    _define(_operator, lambda builder, a, b, name=_name: builder.fcmp_ordered(name, a, b), Mask, 2)
 
 
 @intrinsic
@@ -162,10 +156,7 @@ def root(typingctx: Any, value: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        width = f"v{value.count}" if isinstance(value, Lanes) else ""
-        kind = ir.FunctionType(args[0].type, [args[0].type])
-        name = f"llvm.sqrt.{width}f64"
-        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), args)
+        return _call(builder, "sqrt", args[0])
 
     return value(value), codegen
 

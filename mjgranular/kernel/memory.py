@@ -14,12 +14,14 @@ from typing import Any
 import mujoco
 import numpy as np
 from llvmlite import ir
+from mujoco.introspect.ast_nodes import PointerType
 from numba import from_dtype, types
 from numba.core import cgutils
 from numba.np.arrayobj import populate_array
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import intrinsic
+from mjgranular.kernel.intrinsics import intrinsic
+from mjgranular.kernel.structs import fields_of, offset_of
 
 # The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
@@ -31,6 +33,8 @@ OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
 STATE, STATE_SIZE, UPDATE = range(23, 26)
 TABLE_SIZE = 26
+
+_WORD = ir.IntType(64)
 
 
 def simulation_table(
@@ -57,9 +61,9 @@ def simulation_table(
         data: its data.
         packed: the law's elements as the program reads them.
         count: number of elements, n.
-        bodies: rows of `sand.binding.BODY_DTYPE`, shape (m,).
+        bodies: rows of `records.BODY_DTYPE`, shape (m,).
         scene: parameters of law, medium and surface, shape (1,).
-        contacts: rows of `sand.binding.CONTACT_DTYPE`, shape (n,).
+        contacts: rows of `records.CONTACT_DTYPE`, shape (n,).
         spans: copied parts of the state (`kernel.snapshot`).
         workspace: record of the scheme's workspace (`Scheme.workspace`).
         options: address of the model's options (`kernel.options`).
@@ -96,27 +100,65 @@ def simulation_table(
     return np.array([*numbers, *addresses, *remembered], dtype=np.int64)
 
 
+def emit_array(
+    context: Any, builder: Any, kind: Any, itemsize: int, address: Any, shape: list[Any]
+) -> Any:
+    """Emit an array in C order at an address.
+
+    Args:
+        context: numba's.
+        builder: numba's.
+        kind: type of the array.
+        itemsize: size of an item [bytes].
+        address: address of the first item.
+        shape: LLVM's integers.
+    """
+    array = context.make_array(kind)(context, builder)
+    strides = [_WORD(itemsize)]
+    for size in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], size))
+    populate_array(
+        array,
+        data=builder.inttoptr(address, array.data.type),
+        shape=shape,
+        strides=strides,
+        itemsize=_WORD(itemsize),
+        meminfo=None,
+    )
+    return array._getvalue()
+
+
 def records(dtype: np.dtype) -> Any:
     """Make a kernel `read(address, size)` that returns the array of such records at an address."""
 
     @intrinsic
     def read(typingctx: Any, address: Any, size: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            array = context.make_array(signature.return_type)(context, builder)
-            width = context.get_constant(types.intp, dtype.itemsize)
-            populate_array(
-                array,
-                data=builder.inttoptr(args[0], array.data.type),
-                shape=[args[1]],
-                strides=[width],
-                itemsize=width,
-                meminfo=None,
-            )
-            return array._getvalue()
+            kind = signature.return_type
+            return emit_array(context, builder, kind, dtype.itemsize, args[0], [args[1]])
 
         return types.Array(from_dtype(dtype), 1, "C")(types.int64, types.int64), codegen
 
     return read
+
+
+def field(struct: str, name: str) -> Any:
+    """Make a kernel `find(address)` for a field of MuJoCo's struct at an address.
+
+    It returns the value of a pointer, and the address of anything else.
+    """
+
+    @intrinsic
+    def find(typingctx: Any, address: Any) -> Any:
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            place = builder.add(args[0], _WORD(offset_of(struct, name)))
+            if isinstance(fields_of(struct)[name].type, PointerType):
+                return builder.load(builder.inttoptr(place, _WORD.as_pointer()))
+            return place
+
+        return types.int64(types.int64), codegen
+
+    return find
 
 
 def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> Any:
@@ -124,12 +166,8 @@ def numbers_of(context: Any, builder: Any, array: Any, args: Any, last: int) -> 
 
     The check is only in builds with bounds checks, as for numba's own indexing.
 
-    Args:
-        context: numba's.
-        builder: numba's.
-        array: type of the array.
-        args: the array, and the first index that is read or written.
-        last: offset of the last index from the first.
+    `args` are the array and the first index that is read or written; `last` is the offset of the
+    last index from the first.
     """
     opened = context.make_array(array)(context, builder, args[0])
     if context.enable_boundscheck:
@@ -149,18 +187,10 @@ def scratch(count: int) -> Any:
     @intrinsic
     def make(typingctx: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            room = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
-            room.align = 64  # a cache line, and the widest vector
-            array = context.make_array(signature.return_type)(context, builder)
-            populate_array(
-                array,
-                data=builder.bitcast(room, ir.DoubleType().as_pointer()),
-                shape=[ir.Constant(ir.IntType(64), count)],
-                strides=[ir.Constant(ir.IntType(64), 8)],
-                itemsize=ir.Constant(ir.IntType(64), 8),
-                meminfo=None,
-            )
-            return array._getvalue()
+            memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), count))
+            memory.align = 64  # a cache line, and the widest vector
+            address = builder.ptrtoint(memory, _WORD)
+            return emit_array(context, builder, signature.return_type, 8, address, [_WORD(count)])
 
         return types.Array(types.float64, 1, "C")(), codegen
 
@@ -176,10 +206,10 @@ def held(typingctx: Any, record: Any) -> Any:
     """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        room = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(8), record.size))
-        room.align = 8
-        cgutils.raw_memcpy(builder, room, args[0], ir.IntType(64)(record.size), 1)
-        return builder.bitcast(room, args[0].type)
+        copy = cgutils.alloca_once(builder, ir.ArrayType(ir.IntType(8), record.size))
+        copy.align = 8
+        cgutils.raw_memcpy(builder, copy, args[0], _WORD(record.size), 1)
+        return builder.bitcast(copy, args[0].type)
 
     return record(record), codegen
 

@@ -29,23 +29,16 @@ def velocity_change(table, last_dof, lead):
     That acceleration is `qacc_warmstart`: zero after a reset, and part of MuJoCo's own integration
     state, so that a copied simulation continues as the original does.
 
-    Args:
-        table: table of the simulation.
-        last_dof: the last degree of freedom in the body's chain, -1 if it has none.
-        lead: time [s].
+    The body's chain ends with the degree of freedom `last_dof`, -1 if it has none.
     """
     return motion_along(table, last_dof, table[WARMSTART], lead)
 
 
 @partial(compiled, inline=True)
 def motion_along(table, last_dof, rates, scale):
-    """Return the spatial velocity of a body from rates of its degrees of freedom.
+    """Return the spatial velocity of a body from `scale` times the rates at an address.
 
-    Args:
-        table: table of the simulation.
-        last_dof: the last degree of freedom in the body's chain, -1 if it has none.
-        rates: address of nv numbers.
-        scale: factor on the rates.
+    The body's chain ends with the degree of freedom `last_dof`, -1 if it has none.
     """
     parent = ints(table[DOF_PARENT], table[NV])
     angular, linear = vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from mjgranular.kernel.memory import records
+from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.memory import BODIES, BODY_COUNT, CONTACTS, ELEMENT_COUNT, records
 
 BODY_DTYPE = np.dtype(
     [
@@ -14,8 +17,8 @@ BODY_DTYPE = np.dtype(
         ("end", np.int64),  # one past its last element: elements come body by body
         ("wrench", np.float64, (6,)),  # force [N], moment about the center of mass [N m], world
         ("change", np.float64, (6,)),  # of its spatial velocity within a scheme's lead
-        ("own", np.float64, (6,)),  # the user's row of xfrc_applied
-        ("written", np.float64, (6,)),  # that row as last written by the sand
+        ("user_wrench", np.float64, (6,)),  # the user's row of xfrc_applied
+        ("last_wrench", np.float64, (6,)),  # that row as last written by the sand
     ]
 )
 # Above the sand only the depth is written.
@@ -31,3 +34,15 @@ CONTACT_DTYPE = np.dtype(
 
 body_records = records(BODY_DTYPE)
 contact_records = records(CONTACT_DTYPE)
+
+
+@partial(compiled, inline=True)
+def bodies_of(table):
+    """Return the records of the bodies of a simulation."""
+    return body_records(table[BODIES], table[BODY_COUNT])
+
+
+@partial(compiled, inline=True)
+def contacts_of(table):
+    """Return the records of the elements of a simulation."""
+    return contact_records(table[CONTACTS], table[ELEMENT_COUNT])

@@ -17,27 +17,14 @@ from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import SNAPSHOT, floats, records
 
 _SPAN_DTYPE = np.dtype([("source", np.int64), ("target", np.int64), ("size", np.int64)])
-_PARTS = {  # of mjSTATE_INTEGRATION, in its order, except for the time, which comes first
-    "QPOS": "qpos",
-    "QVEL": "qvel",
-    "ACT": "act",
-    "HISTORY": "history",
-    "WARMSTART": "qacc_warmstart",
-    "CTRL": "ctrl",
-    "QFRC_APPLIED": "qfrc_applied",
-    "XFRC_APPLIED": "xfrc_applied",
-    "EQ_ACTIVE": "eq_active",
-    "MOCAP_POS": "mocap_pos",
-    "MOCAP_QUAT": "mocap_quat",
-    "USERDATA": "userdata",
-    "PLUGIN": "plugin_state",
-    "PLASTIC": "plastic",
-}
-# MuJoCo before 4.0 has no plasticity.
-_PARTS = {
-    part: name for part, name in _PARTS.items() if hasattr(mujoco.mjtState, f"mjSTATE_{part}")
-}
-_STATE = sum(int(getattr(mujoco.mjtState, f"mjSTATE_{part}")) for part in ("TIME", *_PARTS))
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+# Its arrays in its order, except for the time, which comes first.
+_PARTS = [
+    "qpos", "qvel", "act", "history", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied",
+    "eq_active", "mocap_pos", "mocap_quat", "userdata", "plugin_state",
+]  # fmt: skip
+if hasattr(mujoco.mjtState, "mjSTATE_PLASTIC"):  # MuJoCo before 4.0 has no plasticity
+    _PARTS.append("plastic")
 _MOST = len(_PARTS) + 2  # spans: one per part, the time, the end
 
 _spans = records(_SPAN_DTYPE)
@@ -46,11 +33,7 @@ _bytes = records(np.dtype(np.uint8))
 
 @compiled
 def save_snapshot(table):
-    """Copy the state of a simulation to its snapshot.
-
-    Args:
-        table: table of the simulation (`kernel.memory`).
-    """
+    """Copy the state of a simulation to its snapshot."""
     spans = _spans(table[SNAPSHOT], _MOST)
     first = spans[0]
     flags, kept = _bytes(first.source, first.size), floats(first.target, first.size)
@@ -91,7 +74,7 @@ class Snapshot:
         # Python has no address of `time`: in mjdata.h it is the number before `energy`.
         spans = [(data.energy.ctypes.data - data.energy.itemsize, state.ctypes.data, 1)]
         target = state[1:].ctypes.data
-        for name in _PARTS.values():
+        for name in _PARTS:
             array = getattr(data, name)
             span = (array.ctypes.data, target, array.size)
             if name == "eq_active":

@@ -13,15 +13,11 @@ from typing import Any
 
 from numba import types
 from numba.core import cgutils
-from numba.extending import (
-    make_attribute_wrapper,
-    models,
-    register_model,
-)
+from numba.extending import make_attribute_wrapper, models, register_model
 
 from mjgranular.kernel.compiled import compiled
+from mjgranular.kernel.intrinsics import intrinsic, overload
 from mjgranular.kernel.lanes import Lanes, lanes_among, spread
-from mjgranular.kernel.machine import intrinsic, overload
 
 
 class Vector:

@@ -20,7 +20,8 @@ from numba.extending import (
     models,
     register_model,
 )
-from numba.np.arrayobj import populate_array
+
+from mjgranular.kernel.memory import emit_array
 
 _WORD = ir.IntType(64)
 
@@ -83,20 +84,9 @@ def _read(context: Any, builder: Any, views: Views, address: Any, field: str) ->
     if field not in views.arrays:
         return word(field)
     dtype, sizes = views.arrays[field]
-    array = context.make_array(views.kind(field))(context, builder)
     shape = [word(size) if isinstance(size, str) else _WORD(size) for size in sizes]
-    strides = [_WORD(np.dtype(dtype).itemsize)]
-    for size in reversed(shape[1:]):
-        strides.insert(0, builder.mul(strides[0], size))
-    populate_array(
-        array,
-        data=builder.inttoptr(word(field), array.data.type),
-        shape=shape,
-        strides=strides,
-        itemsize=_WORD(np.dtype(dtype).itemsize),
-        meminfo=None,
-    )
-    return array._getvalue()
+    itemsize = np.dtype(dtype).itemsize
+    return emit_array(context, builder, views.kind(field), itemsize, word(field), shape)
 
 
 @lower_setattr_generic(Views)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.machine import call_step
+from mjgranular.kernel.intrinsics import call_step
 from mjgranular.kernel.memory import STATE, STATE_SIZE, UPDATE, floats, table_at
 from mjgranular.kernel.snapshot import kept_time, save_snapshot
 from mjgranular.relief.grid import TIME

@@ -349,7 +349,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: added(bodies="blok"),
         "mjgranular 'sand': config 'bodies': no body of the model 'blok' ... did you mean block?",
     ),
-    "number for a name": (lambda: added(name=3), "an instance's name is a text"),
+    "number for a name": (lambda: added(name=3), "name of an instance"),
     "law in MJCF": (
         lambda: made("<config key='law' value='rft3d scael=2'/>"),
         "mjgranular 's': config 'law': the law 'rft3d' has no option 'scael'",
@@ -525,7 +525,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "half an evaluation": (
         lambda: mg.Implicit(evaluations=2.5),
-        "Implicit: evaluations must be a whole number, not 2.5",
+        "Implicit: evaluations must be an integer, not 2.5",
     ),
     "data for a state": (
         lambda: tune(added(tunable=True), DATA, "sand", strength=2),
@@ -567,15 +567,15 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "task without a robot": (lambda: registered(unfinished()), "the task Nothing lacks observe,"),
     "text for a number of simulations": (
         lambda: vec("mjgranular/LinkDrop-v0", "8"),
-        "num_envs must be a whole number, not '8'",
+        "num_envs must be an integer, not '8'",
     ),
     "half a simulation": (
         lambda: vec("mjgranular/LinkDrop-v0", 2.5),
-        "num_envs must be a whole number, not 2.5",
+        "num_envs must be an integer, not 2.5",
     ),
     "text for threads": (
         lambda: vec("mjgranular/LinkDrop-v0", 2, threads="many"),
-        "threads must be a whole number, not 'many'",
+        "threads must be an integer, not 'many'",
     ),
     "fewer than no threads": (
         lambda: vec("mjgranular/LinkDrop-v0", 2, threads=-1),
@@ -604,7 +604,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "size of a picture": (
         lambda: task("LinkDrop", render_mode="rgb_array", width="640"),
-        "width must be a whole number, not '640'",
+        "width must be an integer, not '640'",
     ),
     "batch that begins when it likes": (
         lambda: batch("LinkDrop", autoreset_mode="same"),
@@ -631,7 +631,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "text for seeds": (
         lambda: evaluated(lambda env: None, seeds="3"),
-        "seeds must be a whole number, not '3'",
+        "seeds must be an integer, not '3'",
     ),
     "batch of nobody's": (
         lambda: vec("mjgranular/LinkDorp-v0", 2),
@@ -664,7 +664,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "half a sample": (
         lambda: Study(Impact(), {"speed": [1.0]}, sample=2.5),  # pyright: ignore[reportArgumentType]
-        "sample must be a whole number, not 2.5",
+        "sample must be an integer, not 2.5",
     ),
     "drop for a study": (
         lambda: run_study(Impact()),  # pyright: ignore[reportArgumentType]

@@ -19,7 +19,7 @@ import pytest
 
 from mjgranular import Bed, DepthVelocityLaw, GranularError, add_sand
 from mjgranular.engine import plugin, trampolines
-from mjgranular.kernel.worker import cancellation_point, run_in_worker
+from mjgranular.kernel.threads import cancellation_point, run_in_worker
 
 LAW = DepthVelocityLaw(stiffness=100, linear=5)
 
@@ -235,7 +235,7 @@ INTERRUPTED = """
 import pickle, signal, sys, threading, time
 import mujoco, mjgranular
 from mjgranular.engine import plugin
-from mjgranular.kernel.worker import cancellation_point
+from mjgranular.kernel.threads import cancellation_point
 
 compiled = sys.modules["mjgranular.kernel.compiled"]
 LAW = mjgranular.DepthVelocityLaw(stiffness=100, linear=5)

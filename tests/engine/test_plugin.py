@@ -365,7 +365,7 @@ def test_a_name_that_is_taken_is_refused() -> None:
         ("law", "link eta_d", "eta_d=..."),
         ("law", "link eta_d=much", "a number"),
         ("law", "link eta_d=-1", "not negative"),
-        ("law", "link_distributed pieces=2.5", "a whole number"),
+        ("law", "link_distributed pieces=2.5", "integer"),
         ("law", " ", "there are"),
         ("surface", "sea", "bed, height_field, plane"),
         ("surface", "bed", "geom="),
@@ -376,9 +376,9 @@ def test_a_name_that_is_taken_is_refused() -> None:
         ("bodies", "arm", "link"),
         ("geoms", "arm", "link"),
         ("groups", "5", "0"),
-        ("groups", "all", "a whole number"),
+        ("groups", "all", "integer"),
         ("geoms", "'link", "no closing quotation"),
-        ("resolution", "fine", "a whole number"),
+        ("resolution", "fine", "integer"),
         ("resolution", "0", "at least 1"),
         ("draw", "colours", "forces, depth"),
     ],
@@ -714,13 +714,18 @@ def test_a_model_without_joints_is_refused_in_words() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "mischief", ["layout.PointerType = type(None)", "layout.STRUCTS = {}"], ids=["moved", "gone"]
+    "mischief",
+    [
+        'structs.fields_of("mjModel").pop("nq")',
+        'structs.STRUCTS = {"mjOption": structs.STRUCTS["mjOption"]}',
+    ],
+    ids=["moved", "gone"],
 )
 def test_a_struct_that_cannot_be_read_is_told(mischief: str) -> None:
     code = """
 import logging, mujoco
 import mjgranular.engine
-from mjgranular.engine import layout
+from mjgranular.kernel import structs
 MISCHIEF
 from mjgranular import Sand
 from mjgranular.models import Link
@@ -732,19 +737,19 @@ for _ in range(2):
         spec.compile()
     except ValueError as error:
         print(error)
-Sand(bare).step(mujoco.MjData(bare))
+Sand(bare, scheme="explicit").step(mujoco.MjData(bare))
 print("stepped")
 """
     code = code.replace("MISCHIEF", mischief)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("tested versions: ") == 2
+    assert done.stdout.count("tested versions") == 2
     assert done.stdout.endswith("stepped\n")
 
 
 def test_a_plugin_of_another_make_is_not_registered(monkeypatch: pytest.MonkeyPatch) -> None:
     from mjgranular.engine import plugin
-    from mjgranular.engine.layout import LayoutError
+    from mjgranular.kernel.structs import LayoutError
 
     monkeypatch.setattr(plugin, "_refused", [])
     monkeypatch.setattr(plugin, "_PLUGINS", (plugin.Plugin("mjgranular.other", (), 1),))
@@ -785,7 +790,7 @@ class TestTwice:
             robot = mujoco.MjSpec.from_string(ROBOT)
             add_sand(robot, medium="quikrete_medium")
             world.attach(robot, prefix=name, frame=world.worldbody.add_frame())
-        with pytest.raises(ValueError, match="would be resisted twice; say with bodies"):
+        with pytest.raises(ValueError, match="would be resisted twice"):
             world.compile()
 
     def test_what_has_its_own_place_is_taken(self):

@@ -121,7 +121,7 @@ def test_sensors_in_copies_and_batches() -> None:
         ('value="moment"', 'value="torque"', "no measure 'torque'; there are: force, moment"),
         ('key="sand" value="sand"', 'key="sand" value="mud"', "no sand 'mud'; there are: sand"),
         ('objtype="body" objname="b"', 'objtype="body" objname="stone"', "those that do: a, b"),
-        ('objtype="body" objname="a"', "", "a moment is about the centre of mass of one body"),
+        ('objtype="body" objname="a"', "", "a moment is about"),
         ('objtype="body" objname="b"', 'objtype="geom" objname="g"', "objtype must be body"),
     ],
 )

@@ -15,7 +15,7 @@ import pytest
 from numba import config
 
 from mjgranular.errors import GranularWarning
-from mjgranular.kernel import cache, compiler, folder
+from mjgranular.kernel import cache, compiler
 from mjgranular.kernel.compiler import CompilerError, KernelError, compiling
 
 CODE = bytes(range(256)) * 3
@@ -47,7 +47,7 @@ def save() -> str | None:
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder in which programs are kept."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(folder, "_reported", set())
+    monkeypatch.setattr(cache, "_reported", set())
     assert save() == "compiled"
     (made,) = (tmp_path / "cache").iterdir()
     return made
@@ -171,8 +171,8 @@ def test_what_is_no_file_of_ours_is_made_again(kept: Path, what: Callable[[Path]
 def test_the_folder_is_ours_alone(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for user, modes in ((0, {0o755, 0o644}), (os.geteuid() or 4321, {0o700, 0o600})):
         before = os.umask(0)
-        monkeypatch.setattr(folder, "_user", lambda user=user: user)
-        monkeypatch.setattr(folder, "_is_trusted", lambda path, found: True)
+        monkeypatch.setattr(cache, "_user", lambda user=user: user)
+        monkeypatch.setattr(cache, "_is_trusted", lambda path, found: True)
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(root.parents[1] / str(user)))
         try:
             save()
@@ -190,7 +190,7 @@ def test_what_others_may_write_is_not_read(
 ) -> None:
     path = root if whole_folder else kept
     path.chmod(path.stat().st_mode | mode)
-    with pytest.warns(GranularWarning, match="may be written by others") as warned:
+    with pytest.warns(GranularWarning, match="can be written by other users") as warned:
         assert load() is None
     assert load() is None  # and is said once
     assert str(path) in str(warned[0].message)
@@ -229,7 +229,7 @@ def test_what_the_administrator_kept_for_all_is_read(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root.rename(root.with_name("mjgranular-0"))
-    monkeypatch.setattr(folder, "_user", lambda: 4321)
+    monkeypatch.setattr(cache, "_user", lambda: 4321)
     fstat, lstat = os.fstat, Path.lstat
     monkeypatch.setattr(os, "fstat", lambda file: Foreign(fstat(file), 0))
     monkeypatch.setattr(Path, "lstat", lambda path: Foreign(lstat(path), 0))

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from mjgranular.kernel.announcement import announcement
+from mjgranular.kernel import progress
 from mjgranular.kernel.compiled import compiled
 
 KERNELS = """
@@ -250,7 +250,7 @@ def test_the_kernels_of_all_laws_have_the_same_names_in_every_process():
 
 def test_what_has_no_name_of_its_own_is_refused():
     nameless = object()
-    with pytest.raises(TypeError, match="names anew: <object object at"):
+    with pytest.raises(TypeError, match="closure contains <object object at"):
         compiled(lambda x: nameless)
 
 
@@ -291,10 +291,10 @@ def test_who_waits_at_a_terminal_is_told_once(tmp_path):
 
 def test_who_waits_is_told_what_for(monkeypatch, capsys, caplog):
     caplog.set_level("WARNING", logger="mjgranular.kernel.compiled")  # nobody reads the log
-    said = type(announcement)()
+    monkeypatch.setattr(progress, "_reported", False)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     for what in ("", "law a", "", "law b"):
-        said.show("once", what)
+        progress.report_compiling("once", what)
     told = ("kernels", "for law a", "for law b")
     lines = capsys.readouterr().err.splitlines()
     assert lines == [f"mjgranular: compiling {one}: once" for one in told]

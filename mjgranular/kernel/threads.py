@@ -1,34 +1,65 @@
-"""Work that an interrupt must not split: done in a separate thread while the caller waits.
+"""Locks of this package, and work that an interrupt must not split.
+
+A forked process has one thread: a lock held by another thread is never released there, and the
+state that it protects is incomplete. So all locks are taken before a fork, which waits for work in
+progress, and released after it on both sides.
 
 Python raises `KeyboardInterrupt`, and whatever else a signal's handler raises, in the main thread,
-between any two of its instructions. A compiler interrupted there is left in an inconsistent state,
-and later calls fail in other ways. Other threads are not interrupted: only the waiting caller is,
-and it delays the interrupt until nothing can be damaged.
+between any two of its instructions. A compiler interrupted there is left in an inconsistent state.
+So such work is done in another thread, which is not interrupted: only the waiting caller is, and it
+delays the interrupt until nothing can be damaged.
 """
 
 from __future__ import annotations
 
 import _thread
+import os
+import sys
 import threading
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 
+# Outer ones first: a thread that holds one takes none of those before it.
+ENGINE = threading.RLock()
+"""Lock of the plugins' functions."""
+LOADER = threading.RLock()
+"""Lock of the cached sands and of the table of blocks."""
+PROGRAMS = threading.RLock()
+"""Lock of compilation and of compiled programs."""
+
 _PATIENCE = 0.1  # s: interval at which signals taken by another thread are noticed
 
+_locked: list[Any] = []
 _here = threading.local()
 
 
-class _Work(Generic[T]):
-    """A task that runs once, and its result."""
+def _lock_all() -> None:
+    # numba's own lock guards all compilation; if numba is not loaded, nothing compiles.
+    numba = getattr(sys.modules.get("numba.core.compiler_lock"), "global_compiler_lock", None)
+    for lock in (ENGINE, LOADER, PROGRAMS, numba):
+        if lock is not None:
+            lock.acquire()
+            _locked.append(lock)
+
+
+def _unlock_all() -> None:
+    while _locked:
+        _locked.pop().release()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_lock_all, after_in_parent=_unlock_all, after_in_child=_unlock_all)
+
+
+class _Task(Generic[T]):
+    """Work that runs once, and its result."""
 
     def __init__(self, work: Callable[[], T]) -> None:
         self._work = work
-        self.claimed = threading.Lock()
-        """Acquired by the thread that runs the task, or that cancels it."""
+        self.claimed = threading.Lock()  # acquired by the thread that runs it, or that cancels it
         self.unfinished = threading.Lock()
-        """Held until the work is done."""
         self.unfinished.acquire()
         self.finished = False
         self.unwanted = False
@@ -38,7 +69,7 @@ class _Work(Generic[T]):
     def run(self) -> None:
         if not self.claimed.acquire(blocking=False):
             return
-        _here.work = self
+        _here.task = self
         try:
             self.value = self._work()
         except BaseException as error:
@@ -51,14 +82,11 @@ class _Work(Generic[T]):
 def run_in_worker(work: Callable[[], T]) -> T:
     """Run a function in a separate thread, and wait until it ends.
 
-    Args:
-        work: the function.
-
     Raises:
-        BaseException: what interrupted the waiting, once the work is done or has been cancelled;
+        BaseException: what interrupted the waiting, once the work is done or has been canceled;
             else what the work raised.
     """
-    task = _Work(work)
+    task = _Task(work)
     interrupt = None
     try:
         # Not of class Thread: its start cannot be interrupted safely either.
@@ -76,10 +104,9 @@ def run_in_worker(work: Callable[[], T]) -> T:
         except BaseException as error:
             interrupt = error
             task.unwanted = True
-    if interrupt is not None:
-        raise interrupt
-    if task.error is not None:
-        raise task.error
+    raised = interrupt or task.error
+    if raised is not None:
+        raise raised
     return task.value
 
 
@@ -94,11 +121,11 @@ def is_main() -> bool:
 
 
 def cancellation_point() -> None:
-    """Cancel work whose result is no longer awaited; called where cancelling is safe.
+    """Cancel work whose result is no longer awaited; called where canceling is safe.
 
     Raises:
         KeyboardInterrupt: the caller that waited was interrupted.
     """
-    work = getattr(_here, "work", None)
-    if work is not None and work.unwanted:
+    task = getattr(_here, "task", None)
+    if task is not None and task.unwanted:
         raise KeyboardInterrupt

@@ -6,7 +6,6 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 
 import mujoco
 
-from mjgranular.kernel.machine import processor
+from mjgranular.kernel.intrinsics import processor
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -27,8 +26,9 @@ _SETTINGS = (
     "SLP_VECTORIZE",
 )  # fmt: skip
 
-# Modules that contain kernels, or that kernels read while they are compiled.
-_OF_KERNELS = (
+# Folders of modules that contain kernels, or that kernels read while they are compiled: programs
+# are compiled again after a change in one of these.
+FOLDERS = (
     "engine", "kernel", "law", "prints", "relief", "sand", "scheme", "shape", "surface",
 )  # fmt: skip
 
@@ -38,17 +38,17 @@ def digest(value: object) -> str:
     return hashlib.sha256(repr(value).encode()).hexdigest()[:16]
 
 
-def _of_files(paths: Iterable[Path]) -> str:
+def digest_of_sources(package: Path = _PACKAGE) -> str:
+    """Return a digest of the sources of all kernels of this package."""
     found = hashlib.sha256()
-    for path in paths:
-        found.update(path.read_bytes())
+    for folder in FOLDERS:
+        for path in sorted(package.joinpath(folder).glob("*.py")):
+            found.update(path.read_bytes())
     return found.hexdigest()
 
 
 # Of the imported sources: files may be edited before the first program is compiled.
-_SOURCES = _of_files(
-    path for name in _OF_KERNELS for path in sorted(_PACKAGE.joinpath(name).glob("*.py"))
-)
+_SOURCES = digest_of_sources()
 
 
 @cache
@@ -65,7 +65,7 @@ def build() -> str:
     ))  # fmt: skip
 
 
-def identity(value: Any) -> tuple[object, ...]:
+def stable_name(value: Any) -> tuple[object, ...]:
     """Return a name of a kernel, or of a constant in one, that is the same in every process.
 
     Raises:
@@ -78,11 +78,18 @@ def identity(value: Any) -> tuple[object, ...]:
         path = Path(function.__code__.co_filename)
         content = () if path.is_relative_to(_PACKAGE) else _content(function, path)  # or in `build`
         # A kernel's name contains what it is made of (`compiled`).
-        return (*name, *content, *(() if kernel else closure_of(function)))
+        return (*name, *content, *(() if kernel else names_in_closure(function)))
     name = repr(value)
     if _ADDRESS.search(name):
-        raise TypeError(f"a kernel's closure holds what every process names anew: {name}")
+        raise TypeError(
+            f"a kernel's closure contains {name}, which has another name in every process"
+        )
     return (name,)
+
+
+def names_in_closure(function: Any) -> tuple[object, ...]:
+    """Return the names of the values in the closure of a function made by a factory."""
+    return tuple(stable_name(cell.cell_contents) for cell in function.__closure__ or ())
 
 
 def _content(function: FunctionType, path: Path) -> tuple[str, str]:
@@ -95,14 +102,9 @@ def _content(function: FunctionType, path: Path) -> tuple[str, str]:
     consts = [const for const in code.co_consts if not isinstance(const, CodeType)]
     named = (function.__globals__.get(name) for name in code.co_names)
     known = [
-        identity(value)
+        stable_name(value)
         for value in named
         if isinstance(value, (bool, int, float, str)) or hasattr(value, "py_func")
     ]
-    file = _of_files([path]) if path.is_file() else ""
+    file = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
     return digest((code.co_code, consts, code.co_names, known)), file
-
-
-def closure_of(function: Any) -> tuple[object, ...]:
-    """Return the identities of the closure of a function made by a factory."""
-    return tuple(identity(cell.cell_contents) for cell in function.__closure__ or ())

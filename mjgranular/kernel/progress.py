@@ -1,0 +1,36 @@
+"""Report that kernels are being compiled."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from contextlib import suppress
+
+_logger = logging.getLogger("mjgranular.kernel.compiled")
+
+ONCE = "once on a machine, up to half a minute"
+ALWAYS = "in every process, as no folder for compiled kernels can be written (see NUMBA_CACHE_DIR)"
+
+_reported = False
+
+
+def report_compiling(how_often: str, what: str) -> None:
+    """Report that kernels are compiled now: each program of a sand, and the rest once.
+
+    The report goes to the log. If nobody reads that, as the command line does, it is printed to a
+    terminal.
+
+    Args:
+        how_often: how often this will happen, in words.
+        what: sand they are for, in words; "" for what every sand needs.
+    """
+    global _reported
+    if what:
+        _logger.info("compiling for %s: %s", what, how_often, extra={"sand": what})
+    new, _reported = bool(what) or not _reported, True
+    if new and not (_logger.isEnabledFor(logging.INFO) and _logger.hasHandlers()):
+        # A program without a console has no stderr, and a closed one cannot be queried.
+        with suppress(AttributeError, OSError, ValueError):
+            if sys.stderr.isatty():
+                kernels = f"for {what}" if what else "kernels"
+                print(f"mjgranular: compiling {kernels}: {how_often}", file=sys.stderr)
