@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import types
+import typing
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Union
 
 import mujoco
 import numpy as np
 
 from mjgranular.errors import InputError, shown
+
+_LONGEST = 4096  # characters of a string
 
 
 def check_model(model: Any, who: str) -> None:
@@ -20,14 +24,13 @@ def check_model(model: Any, who: str) -> None:
     """
     if isinstance(model, mujoco.MjModel):
         return
+    meant = "mujoco.MjModel.from_xml_path(...)"
     if isinstance(model, (str, Path)):
         meant = f"mujoco.MjModel.from_xml_path({str(model)!r})"
     elif isinstance(model, mujoco.MjSpec):
         meant = "spec.compile(), or mjgranular.add_sand for the MjSpec itself"
     elif isinstance(model, mujoco.MjData):
         meant = "data.model"
-    else:
-        meant = "mujoco.MjModel.from_xml_path(...)"
     raise InputError(f"{who} takes a compiled mujoco.MjModel, not {kind_of(model)}; use {meant}")
 
 
@@ -79,10 +82,6 @@ def check_kind(value: Any, kind: type, who: str, meant: str = "") -> None:
 def check_switch(name: str, value: Any) -> None:
     """Check that a value is True or False: any string, even "no", would count as True.
 
-    Args:
-        name: name of the argument.
-        value: the given value.
-
     Raises:
         InputError: it is not.
     """
@@ -93,16 +92,11 @@ def check_switch(name: str, value: Any) -> None:
 def check_count(name: str, value: Any, least: int = 1) -> None:
     """Check that a value is an integer of at least `least`.
 
-    Args:
-        name: name of the argument.
-        value: the given value.
-        least: the smallest valid value.
-
     Raises:
         InputError: it is not.
     """
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
-        raise InputError(f"{name} must be a whole number, not {kind_of(value)}")
+        raise InputError(f"{name} must be an integer, not {kind_of(value)}")
     if value < least:
         raise InputError(f"{name} must be at least {least}, not {shown(value)}")
 
@@ -110,6 +104,48 @@ def check_count(name: str, value: Any, least: int = 1) -> None:
 def is_finite(value: Any) -> bool:
     """Return True if a value is a finite number."""
     return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+
+
+def is_text(value: object) -> bool:
+    """Return True if a string can be shown: not too long, without control codes."""
+    return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable()
+
+
+def fits(value: object, kind: Any) -> bool:
+    """Return True if a value fits a field of a type.
+
+    Args:
+        value: value from Python, JSON or TOML; numbers must be finite, strings printable.
+        kind: a plain type, None, or a union, tuple or literal of these; no other types are
+            supported.
+    """
+    origin, members = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (Union, types.UnionType):
+        return any(fits(value, member) for member in members)
+    if origin is Literal:
+        return isinstance(value, str) and value in members
+    if origin is tuple:
+        if not isinstance(value, (list, tuple)):
+            return False
+        kinds = members[:1] * len(value) if members[-1] is Ellipsis else members
+        return len(kinds) == len(value) and all(map(fits, value, kinds))
+    if kind is None or kind is type(None):
+        return value is None
+    if isinstance(value, bool):
+        return kind is bool
+    if kind is float:
+        return isinstance(value, (int, float)) and abs(value) < 1e300 and not math.isnan(value)
+    if kind is int:
+        return isinstance(value, int) and abs(value) < 2**63
+    return kind in (str, Path) and is_text(value)
+
+
+def in_words(kind: Any) -> str:
+    """Describe the values that fit a field of a type, for a message: "an integer or a number"."""
+    names = {int: "an integer", float: "a number", bool: "true or false", str: "a string"}
+    names |= {Path: "a path", type(None): "none"}
+    members = typing.get_args(kind) or (kind,)
+    return " or ".join(names.get(member, repr(member)) for member in members)
 
 
 def kind_of(value: Any) -> str:

@@ -2,10 +2,10 @@
 
 The package writes all files with this module. It guarantees four things:
 
-- `whole`: a file has its complete new content, or is unchanged.
-- `published`: several files that belong together appear at once. They wait in a hidden folder, and
-  one rename makes them the result; the next process finishes what a killed one began, and `current`
-  reads waiting files as if they were in their places.
+- `atomic_write`: a file has its complete new content, or is unchanged.
+- `replace_directory`: several files that belong together appear at once. They wait in a hidden
+  folder, and one rename makes them the result; the next process finishes what a killed one began,
+  and `latest_path` reads waiting files as if they were in their places.
 - `write_folder`: the same for a folder, with checksums that reveal damage.
 - `locked`: one process at a time. The system releases the lock when its holder ends.
 """
@@ -24,7 +24,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
-from mjgranular._util.saved import is_plain_name, read_json
+from mjgranular._util.io import is_plain_name, read_json
 from mjgranular.errors import GranularError, OutputError, warn_user
 
 if os.name == "nt":
@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 MANIFEST = "manifest.json"
 LOCK = ".lock"
-_READY = ".publish"  # folder of published files that are not in their places yet
+_READY = ".publish"  # folder of new files that are not in their places yet
 _LIST = "publish.json"  # in it: names of files to remove
 _PART, _GONE = ".part", ".gone"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
@@ -47,24 +47,22 @@ _TRIES = 5
 
 
 @contextmanager
-def whole(file: Path) -> Iterator[Path]:
+def atomic_write(file: Path) -> Iterator[Path]:
     """Return a path to write to; at the end its content replaces `file` atomically.
 
     Raises:
         OutputError: it cannot be written.
     """
-    # The extension stays: writers choose the format by it.
-    part = file.with_name(f".{file.name}{_PART}{secrets.token_hex(4)}{file.suffix}")
-    try:
-        yield part
-        _flush(part)
-        part.replace(file)
-        _flush(file.parent)
-    except OSError as error:
-        raise _said(file, error) from None
-    finally:
-        with suppress(OSError):
-            part.unlink()
+    part = _temporary(file, file.suffix)  # by which writers choose the format
+    with _as_output_error(file):
+        try:
+            yield part
+            _flush(part)
+            part.replace(file)
+            _flush(file.parent)
+        finally:
+            with suppress(OSError):
+                part.unlink()
 
 
 def write_bytes(file: Path, content: bytes) -> None:
@@ -73,7 +71,7 @@ def write_bytes(file: Path, content: bytes) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    with whole(file) as part:
+    with atomic_write(file) as part:
         part.write_bytes(content)
 
 
@@ -90,7 +88,7 @@ def write_text(file: Path, text: str) -> None:
 
 
 @contextmanager
-def published(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]:
+def replace_directory(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]:
     """Return a folder to write files to; at the end all of them are in `folder`, or none.
 
     Args:
@@ -100,28 +98,25 @@ def published(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterator[Path]
     Raises:
         OutputError: they cannot be written.
     """
-    part = folder / f"{_READY}{_PART}{secrets.token_hex(4)}"
-    try:
-        part.mkdir()
-        yield part
-        names = {file.name for file in part.iterdir()}
-        stale = [name for name in instead_of if name not in names and is_plain_name(name)]
-        (part / _LIST).write_text(json.dumps({"remove": stale}), encoding="utf-8")
-        for file in part.iterdir():
-            _flush(file)
-        _flush(part)
-        finish_publishing(folder)
-        part.replace(folder / _READY)  # from here on they are the result
-        _flush(folder)
-        finish_publishing(folder)
-    except OSError as error:
-        raise _said(folder, error) from None
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+    part = _temporary(folder / _READY)
+    with _as_output_error(folder):
+        try:
+            part.mkdir()
+            yield part
+            names = {file.name for file in part.iterdir()}
+            stale = [name for name in instead_of if name not in names and is_plain_name(name)]
+            (part / _LIST).write_text(json.dumps({"remove": stale}), encoding="utf-8")
+            _flush_all(part)
+            finish_publishing(folder)
+            part.replace(folder / _READY)  # from here on they are the result
+            _flush(folder)
+            finish_publishing(folder)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def finish_publishing(folder: Path) -> None:
-    """Move files that a killed process had published to their places; lock the folder first."""
+    """Move files that wait, perhaps of a killed process, to their places; lock the folder first."""
     ready = folder / _READY
     if not ready.is_dir():
         return
@@ -139,19 +134,19 @@ def finish_publishing(folder: Path) -> None:
     shutil.rmtree(ready)
 
 
-def current(folder: Path, name: str) -> Path:
+def latest_path(folder: Path, name: str) -> Path:
     """Return the path of a file of a folder: in its place, or where it waits."""
     waiting = folder / _READY / name
     return waiting if waiting.exists() else folder / name
 
 
-def consistently(folder: Path, name: str, read: Callable[[], T]) -> T:
+def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
     """Read several files of a folder so that all belong to the same result.
 
     Args:
         folder: folder of the files.
         name: name of a file that every result rewrites.
-        read: reads them, each with `current`; called again if the result has changed meanwhile.
+        read: reads them, each with `latest_path`; called again if the result has changed meanwhile.
 
     Raises:
         OutputError: `read` raised it, or the files keep changing.
@@ -159,7 +154,7 @@ def consistently(folder: Path, name: str, read: Callable[[], T]) -> T:
 
     def state() -> tuple[object, ...]:
         try:
-            there = current(folder, name).stat()
+            there = latest_path(folder, name).stat()
         except OSError:
             return (time.monotonic_ns(),) if (folder / _READY).exists() else ()
         return there.st_ino, there.st_mtime_ns, there.st_size
@@ -191,45 +186,41 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    part = folder.with_name(f".{folder.name}{_PART}{secrets.token_hex(4)}")
-    try:
-        part.mkdir(parents=True)
-        fill(part)
-        manifest = {
-            file.name: {"bytes": file.stat().st_size, "sha256": _sum(file)}
-            for file in sorted(part.iterdir())
-        }
-        (part / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
-        for file in part.iterdir():
-            _flush(file)
-        _flush(part)
-        gone = folder.with_name(f".{folder.name}{_GONE}")
-        shutil.rmtree(gone, ignore_errors=True)
-        if folder.exists():
-            folder.replace(gone)
-        part.replace(folder)
-        _flush(folder.parent)
-        shutil.rmtree(gone, ignore_errors=True)
-    except OSError as error:
-        raise _said(folder, error) from None
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+    part = _temporary(folder)
+    with _as_output_error(folder):
+        try:
+            part.mkdir(parents=True)
+            fill(part)
+            manifest = {
+                file.name: {"bytes": file.stat().st_size, "sha256": _sum(file)}
+                for file in sorted(part.iterdir())
+            }
+            text = json.dumps(manifest, indent=2) + "\n"
+            (part / MANIFEST).write_text(text, encoding="utf-8")
+            _flush_all(part)
+            gone = folder.with_name(f".{folder.name}{_GONE}")
+            shutil.rmtree(gone, ignore_errors=True)
+            if folder.exists():
+                folder.replace(gone)
+            part.replace(folder)
+            _flush(folder.parent)
+            shutil.rmtree(gone, ignore_errors=True)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def remove_folder(folder: Path) -> None:
     """Remove a folder so that a partly removed one is never taken for a complete one."""
     if folder.exists():
-        gone = folder.with_name(f".{folder.name}{_PART}{secrets.token_hex(4)}")
+        gone = _temporary(folder)
         folder.replace(gone)
         shutil.rmtree(gone, ignore_errors=True)
 
 
-def fault(folder: Path, names: Sequence[str] = ()) -> str | None:
+def find_corruption(folder: Path, names: Sequence[str] = ()) -> str | None:
     """Find what is wrong with a folder written by `write_folder`; None if nothing is.
 
-    Args:
-        folder: the folder.
-        names: names of files that must be in it.
+    Files of the given names must be in it.
     """
     try:
         manifest = read_json(folder / MANIFEST)
@@ -262,16 +253,14 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
     mine = {_READY[1:], *(names or ())}
     for path in list(folder.glob(".*")):
         name = path.name.lstrip(".")  # two for a part of a part
-        whose, mark, _ = name.partition(_PART)
-        old = not mark and name.endswith(_GONE)
-        if old:
-            whose = name.removesuffix(_GONE)
-        elif not mark:
+        owner, is_part, _ = name.partition(_PART)
+        is_old = not is_part and name.endswith(_GONE)
+        if is_old:
+            owner = name.removesuffix(_GONE)
+        if not (is_part or is_old) or (names is not None and owner not in mine):
             continue
-        if whose not in mine and names is not None:
-            continue
-        if old and not (folder / whose).exists():
-            path.replace(folder / whose)  # killed between two renames: the old one is the newest
+        if is_old and not (folder / owner).exists():
+            path.replace(folder / owner)  # killed between two renames: the old one is the newest
         elif path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
         else:
@@ -355,6 +344,11 @@ def _lock(file: Path) -> int:
         os.close(descriptor)
 
 
+def _temporary(path: Path, suffix: str = "") -> Path:
+    """Return a new hidden path next to a path."""
+    return path.with_name(f".{path.name}{_PART}{secrets.token_hex(4)}{suffix}")
+
+
 def _flush(path: Path) -> None:
     """Flush a file or folder to the disk."""
     if path.is_dir() and os.name == "nt":
@@ -366,13 +360,23 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
+def _flush_all(folder: Path) -> None:
+    for file in folder.iterdir():
+        _flush(file)
+    _flush(folder)
+
+
 def _sum(file: Path) -> str:
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _said(path: Path, error: OSError) -> OSError:
-    """Return the error in one sentence, unless it is one already."""
-    if isinstance(error, GranularError):
-        return error
-    return OutputError(f"cannot write {path}: {error.strerror or error}")
+@contextmanager
+def _as_output_error(path: Path) -> Iterator[None]:
+    """Turn an error of the system into one sentence."""
+    try:
+        yield
+    except GranularError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, TypeVar, get_type_hints
 
+from mjgranular._util.checks import in_words
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, shown
 
@@ -21,12 +22,9 @@ LARGEST = 100_000
 
 
 def read_part(text: str, register: Registry[type[T]], kind: str) -> tuple[type[T], dict[str, Any]]:
-    """Parse a name and its options: return the class of that name, and the options by name.
+    """Parse `name option=value ...`: return the class of that name, and the options by name.
 
-    Args:
-        text: `name option=value ...`.
-        register: registry of the classes, dataclasses of their options.
-        kind: what they are, in one word.
+    The classes are dataclasses of their options; `kind` says what they are, in one word.
 
     Raises:
         UnknownNameError: no such name; lists the valid ones.
@@ -67,14 +65,14 @@ def read_value(text: str, kind: Any, name: str) -> Any:
         try:
             value = int(text) if kind is int else float(text)
         except ValueError:
-            word = "a whole number" if kind is int else "a number"
+            word = in_words(int if kind is int else float)
             raise InputError(f"{name} must be {word}, not {shown(text)}") from None
         if kind is int and abs(value) > LARGEST:
             raise InputError(f"{name} must be at most {LARGEST} in size, not {shown(value)}")
         return value
     if kind is str:
         return text
-    raise InputError(f"{name} cannot be written in words: it is neither number, switch nor name")
+    raise InputError(f"{name} cannot be given in words: it is not a number, switch or name")
 
 
 def read_options(words: Iterable[str], cls: Any, what: str) -> dict[str, Any]:

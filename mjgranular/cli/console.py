@@ -10,17 +10,11 @@ from contextlib import contextmanager
 from typing import Any, Protocol, TextIO
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import GranularWarning, one_line
 
 
@@ -121,7 +115,7 @@ def show_compilation() -> None:
 
 def show_warp_compilation() -> None:
     """Says in a line what MuJoCo Warp says in one for each of its modules."""
-    wp = need("warp", extra="warp", purpose="Training in MuJoCo Warp")
+    wp = require("warp", extra="warp", purpose="Training in MuJoCo Warp")
     wp.config.log_level = wp.LOG_ERROR
     err.print("MuJoCo Warp compiles its kernels: once on a machine, some minutes", style="dim")
 

@@ -16,7 +16,7 @@ import pytest
 
 import mjgranular as mg
 from mjgranular import InputError, UnknownNameError
-from mjgranular._util.reading import read_file
+from mjgranular._util.io import read_file
 from mjgranular.cli import main
 from mjgranular.engine.config import LONGEST, read_config
 from mjgranular.errors import listed, one_line, shown
@@ -221,7 +221,7 @@ def test_hostile_settings_are_refused_at_once(tmp_path: Path, text: str, said: s
 @pytest.mark.parametrize(
     ("key", "text", "said"),
     [
-        ("bodies", "x" * (LONGEST + 1), f"a text of {LONGEST + 1} characters"),
+        ("bodies", "x" * (LONGEST + 1), f"{LONGEST + 1} characters"),
         ("bodies", "'" + "x" * 9000, "cannot be split"),
         ("medium", "x" * 90_000, "no medium"),
         ("medium", "x" * 90_000 + ".yaml", "cannot read the medium"),
@@ -231,7 +231,7 @@ def test_hostile_settings_are_refused_at_once(tmp_path: Path, text: str, said: s
         ("law", "link " + "x" * 9000 + "=1", "has no option"),
         ("law", "link_distributed pieces=1000000000", "pieces must be at most 100000"),
         ("resolution", "9" * 4000, "resolution must be at most 100000 in size, not a number of"),
-        ("resolution", "9" * 9000, "must be a whole number"),
+        ("resolution", "9" * 9000, "must be an integer"),
         ("groups", "-99999999999999999999", "a group must be at most 100000 in size"),
         ("scheme", "implicit evaluations=1" + "0" * 30, "evaluations must be at most 100000"),
         ("tunable", "t" * 9000, "true or false"),

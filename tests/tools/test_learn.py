@@ -703,5 +703,5 @@ def test_a_refined_batch_is_the_refined_environment():
 def test_what_cannot_be_refined_says_so():
     with pytest.raises(InputError, match="refine is for environments of MuJoCo's"):
         environments.one("CartPole-v1", {"refine": 2})
-    with pytest.raises(InputError, match="refine must be a whole number"):
+    with pytest.raises(InputError, match="refine must be an integer"):
         environments.one("Swimmer-v5", {"refine": 0.5})

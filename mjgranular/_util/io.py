@@ -1,49 +1,102 @@
-"""Safe reading of files from an earlier, perhaps untrusted, process: only as data.
+"""Safe reading of files from an earlier process or an untrusted source: only as data.
 
 A file may be missing, truncated, of the wrong kind, endless, or malicious. In every case each
-function here returns values of the documented kind, or raises `OutputError` with one sentence.
-Nothing in a file is executed.
+function here returns values of the documented kind, or raises an error with one sentence. Nothing
+in a file is executed.
 """
 
 from __future__ import annotations
 
 import json
-import math
-import types
+import os
+import stat
 import typing
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, Union
+from typing import Any
 
 import numpy as np
 
-from mjgranular._util.reading import NotRegularError, beginning
-from mjgranular.errors import OutputError
+from mjgranular._util.checks import fits, is_text
+from mjgranular.errors import InputError, OutputError, one_line
 
 # Far larger than what the package writes; chosen, not measured.
 _MOST_TEXT = 16 * 2**20  # bytes
 _MOST_ARRAYS = 384 * 2**20  # bytes, unpacked
-_LONGEST = 4096  # characters of a name
+_LONGEST_PATH = 300  # characters of a path that a message shows; chosen
+_PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not defined on all systems
+
+
+class NotRegularError(OSError):
+    """Error for a path that is not a regular file."""
+
+
+def place(path: Path) -> str:
+    """Format a path for a message."""
+    text = one_line(str(path))
+    return text if len(text) <= _LONGEST_PATH else text[: _LONGEST_PATH - 3] + "..."
+
+
+def check_regular(path: Path, what: str) -> None:
+    """Check that a path is a regular file, before it is opened, by us or by others.
+
+    A pipe would block the reader until there is a writer; a device may be endless; opening alone
+    can move a tape. The reader reports a missing file.
+
+    Raises:
+        InputError: it is not regular; `what` names the expected content.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        return
+    if stat.S_ISDIR(mode):
+        raise InputError(f"cannot read {what} {place(path)}: it is a folder, not a file")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")
+
+
+def read_file(path: Path, what: str, *, largest: int) -> bytes:
+    """Return the content of a user's file.
+
+    Args:
+        path: path of the file.
+        what: expected content, for the message: "the medium".
+        largest: largest accepted size [bytes].
+
+    Raises:
+        InputError: it cannot be read, is not a regular file, or is larger.
+    """
+    check_regular(path, what)
+    try:
+        content = _beginning(path, largest + 1)
+    except NotRegularError:
+        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "it is not a path"
+        raise InputError(f"cannot read {what} {place(path)}: {reason}") from None
+    if len(content) > largest:
+        raise InputError(
+            f"cannot read {what} {place(path)}: it is larger than {largest // 1000} kB"
+        )
+    return content
 
 
 def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
-    """Return the content of a regular file.
-
-    Args:
-        file: the file.
-        most: largest accepted size [bytes].
+    """Return the content of a file of a result, of `most` bytes at most.
 
     Raises:
         OutputError: it does not exist, cannot be read, or is larger.
     """
     try:
-        content = beginning(file, most + 1)
+        content = _beginning(file, most + 1)
     except NotRegularError:
         raise OutputError(f"{file} is not a file") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        reason = error.strerror if isinstance(error, OSError) else None
-        raise OutputError(f"{file} cannot be read: {reason or error}") from None
+        raise OutputError(
+            f"{file} cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
     if len(content) > most:
         raise OutputError(f"{file} is larger than anything that belongs there")
     return content
@@ -58,7 +111,7 @@ def read_text(file: Path) -> str:
     try:
         return read_bytes(file).decode()
     except UnicodeDecodeError:
-        raise OutputError(f"{file} is damaged: it is no text") from None
+        raise OutputError(f"{file} is damaged: it is not text") from None
 
 
 def read_json(file: Path) -> dict[str, Any]:
@@ -71,25 +124,19 @@ def read_json(file: Path) -> dict[str, Any]:
 
 
 def parse_json(text: str, where: str) -> dict[str, Any]:
-    """Parse the object in a JSON string.
-
-    Args:
-        text: the string.
-        where: its source, for the message.
+    """Parse the object in a JSON string; `where` is its source, for the message.
 
     Raises:
         OutputError: not JSON, or not an object.
     """
     try:
-        content = json.loads(text, parse_constant=_refuse_constant)
+        content = json.loads(text, parse_constant=_raise_for_constant)
         if "\\u" in text:  # lone surrogates cannot be printed
             json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         reason = "" if isinstance(error, RecursionError) else f": {str(error)[:200]}"
         raise OutputError(f"{where} is damaged{reason}") from None
-    if not isinstance(content, dict):
-        raise OutputError(f"{where} is damaged: it must be an object, not {_kind(content)}")
-    return content
+    return _object(content, where)
 
 
 def read_arrays(
@@ -132,63 +179,24 @@ def number(content: Mapping[str, Any], name: str, where: object) -> float | None
         OutputError: it is missing, or neither of these.
     """
     value = content.get(name, "")
-    if value is not None and not fits(value, float):
+    if not fits(value, float | None):
         raise OutputError(f"{where} is damaged: {name} must be a number, not {_kind(value)}")
     return None if value is None else float(value)
 
 
 def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
-    """Return the fields of a dataclass from a parsed object; check names and types.
-
-    Args:
-        cls: the dataclass; annotated with plain types, their unions, tuples and literals.
-        content: the parsed object.
-        where: its source, for the message.
+    """Return the fields of a dataclass from a parsed object; check names and types (`fits`).
 
     Raises:
-        OutputError: says which field is wrong, and what it must be.
+        OutputError: says which field is wrong.
     """
-    if not isinstance(content, dict):
-        raise OutputError(f"{where} is damaged: it must be an object, not {_kind(content)}")
     hints = typing.get_type_hints(cls)
-    for name, value in content.items():
+    for name, value in _object(content, where).items():
         if name not in hints:
             raise OutputError(f"{where} is damaged: there is no {name[:50]!r}")
         if not fits(value, hints[name]):
             raise OutputError(f"{where} is damaged: {name} cannot be {_kind(value)}")
-    return content
-
-
-def fits(value: object, kind: Any) -> bool:
-    """Return True if a value read from a file is of a type.
-
-    Args:
-        value: value from JSON or TOML; numbers must be finite, strings printable.
-        kind: a plain type, None, or a union, tuple or literal of these; no other types are
-            supported.
-    """
-    origin = typing.get_origin(kind)
-    if origin in (Union, types.UnionType):
-        return any(fits(value, member) for member in typing.get_args(kind))
-    if origin is Literal:
-        return isinstance(value, str) and value in typing.get_args(kind)
-    if origin is tuple:
-        if not isinstance(value, (list, tuple)):
-            return False
-        kinds = typing.get_args(kind)
-        kinds = kinds[:1] * len(value) if kinds[-1] is Ellipsis else kinds
-        return len(kinds) == len(value) and all(map(fits, value, kinds))
-    if kind is None or kind is type(None):
-        return value is None
-    if isinstance(value, bool):
-        return kind is bool
-    if kind is float:
-        return isinstance(value, (int, float)) and abs(value) < 1e300 and not math.isnan(value)
-    if kind is int:
-        return isinstance(value, int) and abs(value) < 2**63
-    if kind in (str, Path):
-        return is_text(value)
-    return False
+    return _object(content, where)
 
 
 def is_plain_name(name: object) -> bool:
@@ -202,9 +210,19 @@ def is_plain_name(name: object) -> bool:
     )
 
 
-def is_text(value: object) -> bool:
-    """Return True if a string can be shown: not too long, without control codes."""
-    return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable()
+def _beginning(path: Path, most: int) -> bytes:
+    """Return the first bytes of a regular file, opened so that nothing blocks."""
+    descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
+    with os.fdopen(descriptor, "rb") as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise NotRegularError
+        return file.read(most) or b""
+
+
+def _object(content: object, where: object) -> dict[str, Any]:
+    if not isinstance(content, dict):
+        raise OutputError(f"{where} is damaged: it must be an object, not {_kind(content)}")
+    return content
 
 
 def _kind(value: object) -> str:
@@ -213,8 +231,8 @@ def _kind(value: object) -> str:
         return "an object" if isinstance(value, dict) else "a list"
     if value is None or isinstance(value, (bool, int, float)):
         return json.dumps(value)[:40]
-    return f"the text {str(value)[:40]!r}"
+    return f"the string {str(value)[:40]!r}"
 
 
-def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number")
+def _raise_for_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number")
