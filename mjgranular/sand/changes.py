@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, MissedStepWarning, warn_user
+from mjgranular.errors import InputError
 from mjgranular.shape.select import body_name
 from mjgranular.shape.sizes import geom_name
 
@@ -86,34 +86,6 @@ class Original:
         meshes = (model.geom_type[self._geoms] == mujoco.mjtGeom.mjGEOM_MESH).any()
         names = (*_JOINTS, *(_MESHES if meshes else ()))
         return {name: hashlib.blake2b(getattr(model, name).tobytes()).digest() for name in names}
-
-
-def warn_of_missed_steps(
-    time: float, last: float | None, timestep: float, *, began: float | None = None
-) -> None:
-    """Warn if the time has advanced without the sand.
-
-    Args:
-        time: time of the simulation [s].
-        last: when the sand last acted [s]; None for never.
-        timestep: duration of that step [s].
-        began: initial time of a simulation in which the sand should act from the first step on [s];
-            None if the state may come from elsewhere.
-    """
-    if last is None:
-        if began is not None and time > began + 0.5 * timestep:
-            warn_user(
-                f"time is {time:.6g} s, and this sand has never acted in this MjData: was "
-                "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside "
-                "mj_step; a state that was copied from elsewhere is no cause)",
-                MissedStepWarning,
-            )
-    elif time > last + 1.5 * timestep:
-        warn_user(
-            f"time is {time:.6g} s, but this sand last acted in the step from {last:.6g} s: was "
-            "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside mj_step)",
-            MissedStepWarning,
-        )
 
 
 def _changed(what: str) -> InputError:

@@ -10,16 +10,12 @@ import numpy as np
 from mjgranular.law import Law
 from mjgranular.medium import Medium
 from mjgranular.relief.memory import as_memory
-from mjgranular.sand.material import elements_of, material_of, warn_of_link_law
-from mjgranular.sand.points import warn_of_points
-from mjgranular.sand.ranges import warn_of_ranges
+from mjgranular.sand import advice
+from mjgranular.sand.material import elements_of, material_of
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape import select_geoms
-from mjgranular.shape.select import is_choice
-from mjgranular.shape.unfelt import warn_of_unfelt
 from mjgranular.surface import Surface
 from mjgranular.surface.choice import surface_of
-from mjgranular.surface.floors import warn_of_floors
 from mjgranular.surface.place import replace_geoms
 
 
@@ -59,13 +55,10 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     geoms = geoms_in_sand(model, spec)
     medium, law = material_of(model, spec)
     replaced = replace_geoms(model, spec.instead_of)
-    chosen = spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms)
-    warn_of_unfelt(model, geoms, chosen=chosen)
-    warn_of_floors(model, geoms, surface)
-    warn_of_ranges(model, geoms, law, surface, as_memory(spec.memory))
-    warn_of_points(model, geoms, spec)
+    advice.warn(
+        advice.CHECKS, advice.Case(model, spec, geoms, law, surface, as_memory(spec.memory))
+    )
     elements = elements_of(model, geoms, law, spec.resolution)
-    warn_of_link_law(model, spec, law)
     return ChosenSand(
         medium=medium,
         law=law,

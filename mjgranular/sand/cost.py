@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjgranular.errors import CostWarning, warn_user
 from mjgranular.scheme import Explicit, Scheme
-from mjgranular.shape.budget import FACETS, RESOLUTION
+from mjgranular.shape.budget import RESOLUTION
 
 MANY = 20_000
 """Number of elements above which a warning is given. Chosen: with all of them in the sand a step
@@ -42,21 +41,6 @@ class Cost:
     def __str__(self) -> str:
         above, within = (f"{1e3 * seconds:.1g} ms" for seconds in (self.above, self.within))
         return f"roughly {above} a step above the sand, {within} with everything in it"
-
-
-def warn_of_cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -> None:
-    """Warn if the number of elements makes steps slow, and say what would help.
-
-    Args:
-        elements: elements of the law.
-        resolution: the requested one.
-        scheme: the scheme.
-    """
-    count = len(elements)
-    if count <= MANY:
-        return
-    advice = coarser(elements, resolution, FACETS)
-    warn_user(f"{count:,} elements cost {Cost.of(count, scheme)}: {advice}", CostWarning)
 
 
 def coarser(elements: np.ndarray, resolution: int | None, most: int) -> str:

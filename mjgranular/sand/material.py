@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.errors import InputError, UnknownNameError, listed, warn_user
+from mjgranular.errors import InputError, UnknownNameError, listed
 from mjgranular.law import DistributedLinkLaw, Law, LinkLaw, get_law, law_in, laws
 from mjgranular.law.rft import RftLaw
 from mjgranular.medium import Medium, get_medium, media
@@ -45,7 +45,7 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     """
     law = spec.law
     if spec.medium is None and law is None:
-        law = _law_named_in(model)
+        law = law_named_in(model)
     if spec.medium is not None:
         medium = get_medium(spec.medium)
     else:
@@ -56,26 +56,7 @@ def material_of(model: mujoco.MjModel, spec: SandSpec) -> tuple[Medium, Law]:
     return medium, law
 
 
-def warn_of_link_law(model: mujoco.MjModel, spec: SandSpec, law: Law) -> None:
-    """Warn if a medium brings the lumped link law, and nothing has asked for that law.
-
-    Args:
-        model: the model.
-        spec: the sand.
-        law: the one that `material_of` has found for it.
-
-    Warns:
-        GranularWarning: names laws and a medium to take instead.
-    """
-    if spec.law is None and isinstance(law, LinkLaw) and _law_named_in(model) != law.name:
-        warn_user(
-            f"medium {str(spec.medium)!r} brings the law 'link', under which free bodies do not "
-            f"come to rest: use law='link_distributed', or medium={DEFAULT_MEDIUM!r}, or say "
-            "law='link' if it is meant"
-        )
-
-
-def _law_named_in(model: mujoco.MjModel) -> str | None:
+def law_named_in(model: mujoco.MjModel) -> str | None:
     """Return the content of the model's custom text `LAW_TEXT`; None if it has none."""
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, LAW_TEXT)
     if number < 0:

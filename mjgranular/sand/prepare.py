@@ -16,8 +16,8 @@ from mjgranular.medium.medium import DYNAMIC
 from mjgranular.relief.footprint import Footprint, fitting
 from mjgranular.relief.memory import as_memory
 from mjgranular.relief.update import update_program
+from mjgranular.sand import advice
 from mjgranular.sand.chosen import choose_sand, geoms_in_sand
-from mjgranular.sand.cost import warn_of_cost
 from mjgranular.sand.remembering import kernel_under, remembering
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
@@ -89,7 +89,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         # Within `mj_step` its size was fixed before there was a model (`fitted`).
         memory = memory if within else fitting(model, chosen.geoms, memory)
         surface, footprint = remembering(model, chosen, memory)
-    warn_of_cost(elements, spec.resolution, scheme)
+    advice.warn(advice.CHECKS_OF_COST, elements, spec.resolution, scheme)
     scene = make_scene(law, medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data

@@ -22,12 +22,12 @@ from mjgranular.relief.grid import TIME
 from mjgranular.relief.heights import Heights, checked_state, heights_of
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief, place_in_plane
+from mjgranular.sand import advice
 from mjgranular.sand.binding import Binding, bind
-from mjgranular.sand.changes import Original, warn_of_missed_steps
+from mjgranular.sand.changes import Original
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.guard import finish_step, guarded_step
 from mjgranular.sand.prepare import prepare
-from mjgranular.sand.ranges import warn_of_depth
 from mjgranular.sand.report import Names, Report, Solver, describe
 from mjgranular.sand.sharing import find_sand_of_the_model, registry_of
 from mjgranular.sand.spec import SandFields, SandSpec, combined
@@ -35,7 +35,6 @@ from mjgranular.scheme import Scheme
 from mjgranular.scheme.status import FINE, REFUSED
 from mjgranular.shape.select import body_name
 from mjgranular.surface import Surface
-from mjgranular.surface.floors import warn_of_contacts
 
 _step1 = mujoco.mj_step1
 _step2 = mujoco.mj_step2
@@ -387,14 +386,15 @@ class Sand:
         if data is not None:
             self._check_owner(data)
             self._warn_of_missed_steps(data, began=0.0)
-            warn_of_contacts(self._model, data, geoms, self.surface)
-            warn_of_depth(self._model, data, geoms, self.law, self.surface, "in this MjData")
+            case = advice.Case(self._model, self._spec, geoms, self.law, self.surface, None)
+            advice.warn(advice.CHECKS_OF_CONTACTS, case, data)
+            advice.warn(advice.CHECKS_OF_DEPTH, case, data, "in this MjData")
 
     def _warn_of_missed_steps(self, data: mujoco.MjData, began: float | None = None) -> None:
         bound = self._bindings.get(data)
         last = None if bound is None else bound.snapshot.time
         timestep = max(self._last_timestep, self._options.timestep)
-        warn_of_missed_steps(data.time, last, timestep, began=began)
+        advice.warn(advice.CHECKS_OF_TIME, data.time, last, timestep, began)
 
     def _solver(self, data: mujoco.MjData) -> Solver | None:
         """Return the counters of the scheme in this simulation."""

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from mjgranular.errors import FloorWarning, warn_user
 from mjgranular.shape.sizes import geom_name
 from mjgranular.surface.plane import Plane
 from mjgranular.surface.surface import Surface
@@ -125,31 +124,6 @@ def describe_floors(model: mujoco.MjModel, floors: Sequence[int], does: str) -> 
 
 WOULD_CARRY = "would carry it at or above the sand's surface"
 CARRIES = "carries it beside or beneath the sand, which bears the rest"
-
-
-def warn_of_floors(model: mujoco.MjModel, geoms: Sequence[int], surface: Surface) -> None:
-    """Warn if bodies will stand on the model's own ground and not in the sand."""
-    floors = find_floors(model, geoms, surface)
-    if floors:
-        warn_user(
-            f"{describe_floors(model, floors, WOULD_CARRY)}: name in instead_of=[...] what the "
-            "sand replaces, or put that ground deeper",
-            FloorWarning,
-        )
-
-
-def warn_of_contacts(
-    model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], surface: Surface
-) -> None:
-    """Warn if bodies stand on the model's own ground now."""
-    watch = FloorWatch(model, geoms, surface)
-    watch.look(data)
-    if watch.floors:
-        warn_user(
-            f"{describe_floors(model, sorted(watch.floors), CARRIES)}: name in instead_of=[...] "
-            "what the sand replaces, or put that ground deeper",
-            FloorWarning,
-        )
 
 
 def _kind(model: mujoco.MjModel, geom: int) -> str:

@@ -1,0 +1,568 @@
+"""Warnings: what can be computed, but was most likely not intended.
+
+`CHECKS` and `CHECKS_OF_MEMORY` are the tables: a check yields sentences about a model and its sand.
+Limits without a source are chosen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular._util.names import name_of
+from mjgranular.errors import (
+    CostWarning,
+    FloorWarning,
+    GranularWarning,
+    MissedStepWarning,
+    PointsWarning,
+    RangeWarning,
+    UnfeltWarning,
+    listed,
+    warn_user,
+)
+from mjgranular.law import DepthVelocityLaw, DistributedLinkLaw, Law, LinkLaw
+from mjgranular.law.rft import RftLaw
+from mjgranular.relief.footprint import spread_of
+from mjgranular.relief.memory import REPOSE, Memory
+from mjgranular.relief.relief import frame_of
+from mjgranular.sand.cost import MANY, Cost, coarser
+from mjgranular.sand.material import DEFAULT_MEDIUM, law_named_in
+from mjgranular.sand.spec import SandSpec
+from mjgranular.scheme import Scheme
+from mjgranular.shape.budget import FACETS
+from mjgranular.shape.select import body_name, collides, is_choice, mocap_above, moves
+from mjgranular.shape.sizes import LARGEST, geom_name, geom_width, half_extents
+from mjgranular.surface import Bed, HeightField, Plane, Surface
+from mjgranular.surface.floors import (
+    CARRIES,
+    WOULD_CARRY,
+    FloorWatch,
+    describe_floors,
+    find_floors,
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is checked: a model and its sand.
+
+    Attributes:
+        model: the model.
+        spec: the sand as the user has described it.
+        geoms: ids of the geoms that meet it.
+        law: the law with its constants.
+        surface: the surface, without memory.
+        memory: memory of the sand, if any.
+    """
+
+    model: mujoco.MjModel
+    spec: SandSpec
+    geoms: Sequence[int]
+    law: Law
+    surface: Surface
+    memory: Memory | None
+
+    @property
+    def bodies(self) -> list[int]:
+        """Return the ids of the bodies that meet the sand, in order."""
+        return sorted({int(self.model.geom_bodyid[geom]) for geom in self.geoms})
+
+
+def warn(checks: Iterable[tuple[Callable[..., Iterator[str]], Any]], *arguments: Any) -> None:
+    """Warn of what checks yield, each with its class of warnings."""
+    for check, kind in checks:
+        for message in check(*arguments):
+            warn_user(message, kind)
+
+
+# Parts of the model that the sand ignores
+
+
+def mocap_bodies_in_sand(case: Case) -> Iterator[str]:
+    """Check that no body in the sand moves with a mocap body, whose motion has no velocity."""
+    model = case.model
+    for body in case.bodies:
+        mocap = mocap_above(model, body)
+        if mocap is not None:
+            yield (
+                f"body {body_name(model, body)} hangs on mocap body {body_name(model, mocap)}, to "
+                "which MuJoCo gives no velocity: the sand feels the motion of the joints between "
+                "them alone; <weld> a free body to the mocap body, and hang it on that"
+            )
+            return
+
+
+def touch_sensors(case: Case) -> Iterator[str]:
+    """Check that no touch sensor is on a body in the sand, which it does not measure."""
+    model = case.model
+    site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
+    ours = model.sensor_objid[site & (model.sensor_type == mujoco.mjtSensor.mjSENS_PLUGIN)]
+    names = [
+        name_of(model, "sensor", sensor) or f"number {sensor}"
+        for sensor in (model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH).nonzero()[0]
+        if int(model.site_bodyid[model.sensor_objid[sensor]]) in case.bodies
+        and model.sensor_objid[sensor] not in ours
+    ]
+    if names:
+        one = len(names) == 1
+        yield (
+            f"touch {'sensor' if one else 'sensors'} {listed(names)} {'reads' if one else 'read'} "
+            "contacts alone, and nothing of the sand: the sensor mjgranular.sensor with the "
+            "measure touch does, inside mj_step, and Sand.report"
+        )
+
+
+def ignored_parts(case: Case) -> Iterator[str]:
+    """Check that no flex and no geom of a mocap body is ignored, unless the user has chosen."""
+    model, spec = case.model, case.spec
+    if spec.groups is not None or is_choice(spec.bodies) or is_choice(spec.geoms):
+        return
+    for flex in range(model.nflex):
+        if any(moves(model, body) for body in _bodies_of_flex(model, flex)):
+            yield (
+                f"the sand does not act on flex {name_of(model, 'flex', flex) or flex!r}: it feels "
+                "geoms of rigid bodies alone; name with bodies=[...] those that meet it"
+            )
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        mocap = mocap_above(model, body)
+        if mocap is not None and collides(model, geom) and not moves(model, body):
+            yield (
+                f"the sand does not act on mocap body {body_name(model, mocap)}, to which MuJoCo "
+                "gives no velocity: put its geoms on a free body and <weld> that to it, or name "
+                "with bodies=[...] those that meet the sand"
+            )
+            return
+
+
+def _bodies_of_flex(model: mujoco.MjModel, flex: int) -> set[int]:
+    """Return the bodies of the vertices or nodes of a flex."""
+    bodies = set()
+    for part in ("vert", "node"):
+        first = int(getattr(model, f"flex_{part}adr")[flex])
+        count = int(getattr(model, f"flex_{part}num")[flex])
+        bodies.update(getattr(model, f"flex_{part}bodyid")[first : first + count].tolist())
+    return {body for body in bodies if body > 0}
+
+
+# Ground and feet made for contacts
+
+
+def floors(case: Case) -> Iterator[str]:
+    """Check that bodies will not stand on the model's own ground."""
+    found = find_floors(case.model, case.geoms, case.surface)
+    if found:
+        yield (
+            f"{describe_floors(case.model, found, WOULD_CARRY)}: name in instead_of=[...] what the "
+            "sand replaces, or put that ground deeper"
+        )
+
+
+def contacts(case: Case, data: mujoco.MjData) -> Iterator[str]:
+    """Check that bodies do not stand on the model's own ground now."""
+    watch = FloorWatch(case.model, case.geoms, case.surface)
+    watch.look(data)
+    if watch.floors:
+        yield (
+            f"{describe_floors(case.model, sorted(watch.floors), CARRIES)}: name in "
+            "instead_of=[...] what the sand replaces, or put that ground deeper"
+        )
+
+
+SHARE = 0.15
+"""Radius of a point, at most, in parts of the radius of what is drawn of its body. The four spheres
+under a humanoid's foot have 0.04; the smallest true foot, a ball at the end of a shin, has 0.2."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """A body that meets the sand with points only: these, and the largest geom that is drawn."""
+
+    body: int
+    geoms: tuple[int, ...]
+    drawn: int
+
+
+def find_points(model: mujoco.MjModel, geoms: Sequence[int]) -> list[Points]:
+    """Find the bodies that meet the sand only with geoms small compared to what is drawn."""
+    members: dict[int, list[int]] = {}
+    for geom in geoms:
+        members.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
+    found = []
+    for body, mine in members.items():
+        first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+        drawn = [g for g in range(first, first + count) if g not in mine and not collides(model, g)]
+        if not drawn:
+            continue
+        largest = max(drawn, key=lambda g: model.geom_rbound[g])
+        if max(model.geom_rbound[mine]) < SHARE * model.geom_rbound[largest]:
+            found.append(Points(body, tuple(mine), largest))
+    return found
+
+
+def points(case: Case) -> Iterator[str]:
+    """Check that no body has point feet, which sink; geoms named one by one are intended."""
+    model, spec = case.model, case.spec
+    found = find_points(model, case.geoms) if spec.geoms is None else []
+    if not found:
+        return
+    size = 2e3 * max(model.geom_rbound[list(one.geoms)].max() for one in found)
+    every = ["all"] if spec.bodies is None and spec.groups is None else []
+    drawn = [name_of(model, "geom", one.drawn) or one.drawn for one in found]
+    yield (
+        f"{listed(body_name(model, one.body) for one in found)} "
+        f"{'meets' if len(found) == 1 else 'meet'} the sand with points only, at most {size:.3g} "
+        "mm wide: made for contacts with a floor, they will sink; to have what is drawn in the "
+        f"sand too, take geoms={[*every, *drawn]} (--geoms {' '.join(map(str, [*every, *drawn]))})"
+    )
+
+
+# Values that are implausible for sand: most likely a wrong unit
+
+_DENSITIES = (10.0, 25000.0)
+"""Density of a medium [kg/m^3]: from snow to tungsten powder. In g/cm^3 it is 0.01 to 25."""
+
+_LONGEST_STEP = 0.1
+"""Time step [s]. MuJoCo's own models have 1 to 10 ms; a body that falls 1 cm into sand is at rest
+after 50 ms. A value in milliseconds is 1 or more."""
+
+_DEEPEST_START = 1.0
+"""Depth of the highest point of all that meets the sand [m]. Laws hold to some widths of a body. A
+height in millimeters, or with the wrong sign, is further off. For a robot the limit is half its
+largest geom."""
+
+_WIDEST = 10.0
+"""Width of a geom that meets the sand [m]: an excavator's. A geom drawn in millimeters has more."""
+
+_LIGHTEST = 5.0
+"""Mean density of all that meets the sand [kg/m^3]: foam has 15 and more. In g/cm^3 water has 1."""
+
+_STEEPEST = math.radians(75)
+"""Angle between gravity and the way into a plane of sand. Sand slides from 35 degrees on; with
+gravity along y it is 90."""
+
+_ROUNDING = 1e-6
+"""Tolerance for a slope equal to the angle of repose [rad]."""
+
+_LEVEL = 1e-3
+"""Vertical component of an axis up to which it counts as level."""
+
+_OF_SAND = (LinkLaw, DistributedLinkLaw, RftLaw, DepthVelocityLaw)
+"""Laws known to be of sand: a custom law may be of mud, or of a lake."""
+
+
+def density(case: Case) -> Iterator[str]:
+    """Check the density of the medium."""
+    value, (low, high) = getattr(case.law, "density", None), _DENSITIES
+    if isinstance(value, (int, float)) and value > 0 and not low <= value <= high:
+        likely = "densities are in kg/m^3"
+        if low <= 1000 * value <= high:
+            likely = f"{value:g} g/cm^3 is {1000 * value:g} kg/m^3"
+        yield (
+            f"the law {case.law.name!r} has a density of {value:g} kg/m^3, and sand has {low:g} to "
+            f"{high:g}: {likely}"
+        )
+
+
+def timestep(case: Case) -> Iterator[str]:
+    """Check the time step."""
+    step = case.model.opt.timestep
+    if step > _LONGEST_STEP:
+        yield (
+            f"the time step is {step:g} s, in which what falls is far below the sand before it "
+            f"is met: {step:g} ms is {step / 1000:g} s"
+        )
+
+
+def sizes(case: Case) -> Iterator[str]:
+    """Check that geoms are not drawn in millimeters, and have no densities in g/cm^3."""
+    model, geoms = case.model, case.geoms
+    if not (model.geom_size[list(geoms)] < LARGEST).all():
+        return  # an error where the elements are made
+    largest = max(geoms, key=lambda geom: model.geom_rbound[geom])
+    across = 2 * float(model.geom_rbound[largest])
+    if across > _WIDEST:
+        yield (
+            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in metres, "
+            f"and {across:.3g} mm is {across / 1000:.3g} m"
+        )
+    volumes = [_volume(model, geom) for geom in geoms]
+    mass = float(model.body_mass[case.bodies].sum())
+    if all(volumes) and 0.0 < mass < _LIGHTEST * sum(volumes):
+        mean = mass / sum(volumes)
+        yield (
+            f"all that meets the sand weighs {mass:.3g} kg, on the mean {mean:.3g} kg/m^3, less "
+            f"than any solid: {mean:.3g} g/cm^3 is {1000 * mean:.4g} kg/m^3"
+        )
+
+
+def _volume(model: mujoco.MjModel, geom: int) -> float:
+    """Return the volume of a geom [m^3]; 0 where it is unknown, as for meshes."""
+    x, y, z = model.geom_size[geom].tolist()
+    kinds, ball = mujoco.mjtGeom, 4 / 3 * math.pi
+    volumes = {
+        kinds.mjGEOM_SPHERE: ball * x**3,
+        kinds.mjGEOM_CAPSULE: ball * x**3 + 2 * math.pi * x**2 * y,
+        kinds.mjGEOM_CYLINDER: 2 * math.pi * x**2 * y,
+        kinds.mjGEOM_ELLIPSOID: ball * x * y * z,
+        kinds.mjGEOM_BOX: 8 * x * y * z,
+    }
+    return volumes.get(kinds(int(model.geom_type[geom])), 0.0)
+
+
+def gravity(case: Case) -> Iterator[str]:
+    """Check that gravity pulls into a plane of sand; a wall is allowed if it was asked for."""
+    pull = case.model.opt.gravity
+    strength = float(np.linalg.norm(pull))
+    if not isinstance(case.surface, Plane) or strength == 0.0:
+        return
+    down = min(1.0, max(-pull[2], -float(pull @ case.surface.normal)) / strength)
+    off = math.acos(max(-1.0, down))
+    if off > _STEEPEST:
+        components = ", ".join(f"{component:g}" for component in pull)
+        yield (
+            f"gravity, ({components}) m/s^2, is {math.degrees(off):.0f} degrees off the way into "
+            "the sand: z is up, and gravity 0 0 -9.81 on level ground"
+        )
+
+
+def slope(case: Case) -> Iterator[str]:
+    """Check that sand stays on a plane or bed.
+
+    The angle of repose is the memory's, else that of the law's internal friction, else `REPOSE`.
+    """
+    pull = case.model.opt.gravity
+    if not isinstance(case.surface, (Plane, Bed)) or pull[2] >= 0.0 or pull[:2].any():
+        return
+    friction = getattr(case.law, "internal_friction", None)
+    repose = REPOSE if friction is None else math.atan(friction)
+    if case.memory is not None:
+        repose = case.memory.repose
+    angle = case.surface.tilt(case.model)
+    if angle > repose + _ROUNDING:
+        yield (
+            f"the sand slopes by {math.degrees(angle):.3g} degrees, and its angle of repose is "
+            f"{math.degrees(repose):.3g}: it would flow down, and what stands on it here would not "
+            "stay; slopes are in degrees on the command line and in radians elsewhere"
+        )
+
+
+def start(case: Case) -> Iterator[str]:
+    """Check that bodies do not start too deep; with memory `buried_geoms` does."""
+    if case.memory is None:
+        yield from depth(case, _data_at_start(case.model), "with the model as it stands (qpos0)")
+
+
+def depth(case: Case, data: mujoco.MjData, when: str) -> Iterator[str]:
+    """Check that bodies are not too deep in a plane of sand to be there on purpose.
+
+    A law that is not of sand is not checked. `when` describes the positions in `data`.
+    """
+    model, surface = case.model, case.surface
+    if not isinstance(surface, Plane) or not isinstance(case.law, _OF_SAND):
+        return
+    rows, normal = np.asarray(case.geoms), surface.normal
+    tops = [
+        np.abs(normal @ data.geom_xmat[geom].reshape(3, 3)) @ half_extents(model, geom)
+        for geom in case.geoms
+    ]
+    depths = surface.offset - data.geom_xpos[rows] @ normal - tops
+    least = float(depths.min())
+    if least > _DEEPEST_START:
+        yield (
+            f"all that meets the sand starts {least:.3g} m and more under its surface, {when}: "
+            "lengths are in metres, and z is up; raise the model or lower the surface"
+        )
+        return
+    bodies = model.geom_bodyid[rows]
+    roots = model.body_rootid[bodies]
+    for root in np.unique(roots):
+        mine = roots == root
+        least = float(depths[mine].min())
+        is_robot = len(np.unique(model.body_weldid[bodies[mine]])) > 1
+        is_deep = least > model.geom_rbound[rows[mine]].max()
+        if is_robot and is_deep and _may_rise(model, data, root):
+            yield (
+                f"robot {body_name(model, int(root))} is buried {least:.3g} m and more under the "
+                f"sand, {when}, and stays there: raise it, in MJCF by its pos, or lower the "
+                f"surface by {least:.3g} m and more"
+            )
+            return
+
+
+def _may_rise(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> bool:
+    """Return True if a joint of the body lets it move up, unlike a swimmer in a level plane."""
+    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        kind, axis = model.jnt_type[joint], data.xaxis[joint]
+        is_slide = kind == mujoco.mjtJoint.mjJNT_SLIDE
+        if kind == mujoco.mjtJoint.mjJNT_FREE or (is_slide and abs(axis[2]) > _LEVEL):
+            return True
+    return False
+
+
+def _data_at_start(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+# The law, its cost, and its use
+
+
+def link_law(case: Case) -> Iterator[str]:
+    """Check that the lumped link law is meant, if only the medium has brought it."""
+    named = law_named_in(case.model)
+    if case.spec.law is None and isinstance(case.law, LinkLaw) and named != case.law.name:
+        yield (
+            f"medium {str(case.spec.medium)!r} brings the law 'link', under which free bodies do "
+            f"not come to rest: use law='link_distributed', or medium={DEFAULT_MEDIUM!r}, or say "
+            "law='link' if it is meant"
+        )
+
+
+def cost(elements: np.ndarray, resolution: int | None, scheme: Scheme) -> Iterator[str]:
+    """Check that the number of elements does not make steps slow."""
+    if len(elements) > MANY:
+        advice = coarser(elements, resolution, FACETS)
+        yield f"{len(elements):,} elements cost {Cost.of(len(elements), scheme)}: {advice}"
+
+
+def missed_steps(
+    time: float, last: float | None, step: float, began: float | None = None
+) -> Iterator[str]:
+    """Check that the time has not advanced without the sand.
+
+    Args:
+        time: time of the simulation [s].
+        last: when the sand last acted [s]; None for never.
+        step: duration of that step [s].
+        began: initial time of a simulation in which the sand should act from the first step on [s];
+            None if the state may come from elsewhere.
+    """
+    if last is None:
+        if began is not None and time > began + 0.5 * step:
+            yield (
+                f"time is {time:.6g} s, and this sand has never acted in this MjData: was "
+                "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside "
+                "mj_step; a state that was copied from elsewhere is no cause)"
+            )
+    elif time > last + 1.5 * step:
+        yield (
+            f"time is {time:.6g} s, but this sand last acted in the step from {last:.6g} s: was "
+            "mujoco.mj_step called in place of sand.step? (add_sand has sand act inside mj_step)"
+        )
+
+
+# What the cells of a memory cannot represent
+
+_SEVERAL = 4
+"""Cells across a feature that is to be resolved."""
+
+
+def cells(
+    model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
+) -> Iterator[str]:
+    """Check that geoms, beds and height fields are not finer than cells."""
+    cell, least = memory.cell, memory.cell * (1 - 1e-9)
+    text = f"the memory's cells of {1e3 * cell:g} mm"
+    widths = {geom: geom_width(model, geom) for geom in geoms}
+    narrow = min(geoms, key=lambda geom: widths[geom])
+    if widths[narrow] < least:
+        yield (
+            f"{text} are larger than geom {geom_name(model, narrow)}, which is "
+            f"{1e3 * widths[narrow]:.3g} mm wide: its print is a cell; take cells of "
+            f"{1e3 * widths[narrow] / _SEVERAL:.2g} mm"
+        )
+    if isinstance(surface, HeightField):
+        field = surface.record(model)[0]
+        apart = 2 * min(
+            field["half_x"] / (field["columns"] - 1), field["half_y"] / (field["rows"] - 1)
+        )
+        if apart < least:
+            yield (
+                f"{text} are larger than those of the height field {surface.geom!r}, whose points "
+                f"are {1e3 * apart:.3g} mm apart: sand flows as if its heights between cells were "
+                f"not there; take cells of {1e3 * apart:.3g} mm"
+            )
+    if isinstance(surface, Bed):
+        bed = surface.record(model)[0]
+        side = 2 * min(bed["half_along"], bed["half_across"])
+        if side < _SEVERAL * least:
+            yield (
+                f"{text} are too large for the bed {surface.geom!r}, which is {1e3 * side:.3g} mm "
+                f"wide: no print fits in; take cells of {1e3 * side / (5 * _SEVERAL):.2g} mm"
+            )
+
+
+def spread(
+    model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
+) -> Iterator[str]:
+    """Check that bodies are not farther apart than the extent of the memory."""
+    reach, side = spread_of(model, geoms), memory.size * memory.cell
+    if reach > side * (1 + 1e-9):
+        needed = math.ceil(10 * reach) / 10
+        yield (
+            f"what meets the sand reaches over {reach:.3g} m, with the model as it stands, and a "
+            f"square of {side:.3g} m is remembered, wrapped around: one writes over the prints of "
+            f"another; say memory='cell={memory.cell:g} extent={needed:g}', or with larger cells"
+        )
+
+
+def buried_geoms(
+    model: mujoco.MjModel, geoms: Sequence[int], surface: Surface, memory: Memory
+) -> Iterator[str]:
+    """Check that no geom starts fully under the sand; heights of a field may be set later."""
+    if isinstance(surface, HeightField):
+        return
+    frame, data = frame_of(surface, surface.record(model)[0]), _data_at_start(model)
+    deepest, under = -1, memory.cell
+    for geom in geoms:
+        place = data.geom_xpos[geom] - frame["origin"]
+        axes = data.geom_xmat[geom].reshape(3, 3)
+        top = place @ frame["normal"] + np.abs(frame["normal"] @ axes) @ half_extents(model, geom)
+        is_beside = abs(place @ frame["along"]) > frame["half_along"] or (
+            abs(place @ frame["across"]) > frame["half_across"]
+        )
+        if -top > under and not is_beside:
+            deepest, under = geom, float(-top)
+    if deepest >= 0:
+        yield (
+            f"geom {geom_name(model, deepest)} starts {1e3 * under:.3g} mm and more under the "
+            "sand, with the model as it stands (qpos0): memory has one height for each place, and "
+            "opens a pit above what is buried; leave memory out for what swims"
+        )
+
+
+CHECKS = (
+    (mocap_bodies_in_sand, UnfeltWarning),
+    (touch_sensors, UnfeltWarning),
+    (ignored_parts, UnfeltWarning),
+    (floors, FloorWarning),
+    (density, RangeWarning),
+    (timestep, RangeWarning),
+    (sizes, RangeWarning),
+    (gravity, RangeWarning),
+    (slope, RangeWarning),
+    (start, RangeWarning),
+    (points, PointsWarning),
+    (link_law, GranularWarning),
+)
+"""Checks of a case, made once."""
+
+CHECKS_OF_MEMORY = (
+    (cells, GranularWarning),
+    (spread, GranularWarning),
+    (buried_geoms, GranularWarning),
+)
+"""Checks of a model, the geoms that meet the sand, its surface, and a memory that fits them."""
+
+CHECKS_OF_COST = ((cost, CostWarning),)
+CHECKS_OF_TIME = ((missed_steps, MissedStepWarning),)
+CHECKS_OF_CONTACTS = ((contacts, FloorWarning),)
+CHECKS_OF_DEPTH = ((depth, RangeWarning),)
