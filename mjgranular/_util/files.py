@@ -53,16 +53,11 @@ def atomic_write(file: Path) -> Iterator[Path]:
     Raises:
         OutputError: it cannot be written.
     """
-    part = _temporary(file, file.suffix)  # by which writers choose the format
-    with _as_output_error(file):
-        try:
-            yield part
-            _flush(part)
-            part.replace(file)
-            _flush(file.parent)
-        finally:
-            with suppress(OSError):
-                part.unlink()
+    with _staged(file, file, file.suffix) as part:  # writers choose the format by the suffix
+        yield part
+        _flush(part)
+        part.replace(file)
+        _flush(file.parent)
 
 
 def write_bytes(file: Path, content: bytes) -> None:
@@ -98,21 +93,17 @@ def replace_directory(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterat
     Raises:
         OutputError: they cannot be written.
     """
-    part = _temporary(folder / _READY)
-    with _as_output_error(folder):
-        try:
-            part.mkdir()
-            yield part
-            names = {file.name for file in part.iterdir()}
-            stale = [name for name in instead_of if name not in names and is_plain_name(name)]
-            (part / _LIST).write_text(json.dumps({"remove": stale}), encoding="utf-8")
-            _flush_all(part)
-            finish_publishing(folder)
-            part.replace(folder / _READY)  # from here on they are the result
-            _flush(folder)
-            finish_publishing(folder)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
+    with _staged(folder / _READY, folder) as part:
+        part.mkdir()
+        yield part
+        names = {file.name for file in part.iterdir()}
+        stale = [name for name in instead_of if name not in names and is_plain_name(name)]
+        (part / _LIST).write_text(json.dumps({"remove": stale}), encoding="utf-8")
+        _flush_all(part)
+        finish_publishing(folder)
+        part.replace(folder / _READY)  # from here on they are the result
+        _flush(folder)
+        finish_publishing(folder)
 
 
 def finish_publishing(folder: Path) -> None:
@@ -186,27 +177,22 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    part = _temporary(folder)
-    with _as_output_error(folder):
-        try:
-            part.mkdir(parents=True)
-            fill(part)
-            manifest = {
-                file.name: {"bytes": file.stat().st_size, "sha256": _sum(file)}
-                for file in sorted(part.iterdir())
-            }
-            text = json.dumps(manifest, indent=2) + "\n"
-            (part / MANIFEST).write_text(text, encoding="utf-8")
-            _flush_all(part)
-            gone = folder.with_name(f".{folder.name}{_GONE}")
-            shutil.rmtree(gone, ignore_errors=True)
-            if folder.exists():
-                folder.replace(gone)
-            part.replace(folder)
-            _flush(folder.parent)
-            shutil.rmtree(gone, ignore_errors=True)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
+    with _staged(folder, folder) as part:
+        part.mkdir(parents=True)
+        fill(part)
+        manifest = {
+            file.name: {"bytes": file.stat().st_size, "sha256": _sum(file)}
+            for file in sorted(part.iterdir())
+        }
+        (part / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        _flush_all(part)
+        gone = folder.with_name(f".{folder.name}{_GONE}")
+        shutil.rmtree(gone, ignore_errors=True)
+        if folder.exists():
+            folder.replace(gone)
+        part.replace(folder)
+        _flush(folder.parent)
+        shutil.rmtree(gone, ignore_errors=True)
 
 
 def remove_folder(folder: Path) -> None:
@@ -261,10 +247,8 @@ def remove_leftovers(folder: Path, names: Sequence[str] | None = None) -> None:
             continue
         if is_old and not (folder / owner).exists():
             path.replace(folder / owner)  # killed between two renames: the old one is the newest
-        elif path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
         else:
-            path.unlink(missing_ok=True)
+            _remove(path)
 
 
 # One process at a time
@@ -344,9 +328,34 @@ def _lock(file: Path) -> int:
         os.close(descriptor)
 
 
+@contextmanager
+def _staged(path: Path, target: Path, suffix: str = "") -> Iterator[Path]:
+    """Return a hidden path next to a path, for what is renamed to it; removed at the end.
+
+    Raises:
+        OutputError: an error of the system, as one sentence about the target.
+    """
+    part = _temporary(path, suffix)
+    try:
+        yield part
+    except GranularError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {target}: {error.strerror or error}") from None
+    finally:
+        _remove(part)
+
+
 def _temporary(path: Path, suffix: str = "") -> Path:
-    """Return a new hidden path next to a path."""
     return path.with_name(f".{path.name}{_PART}{secrets.token_hex(4)}{suffix}")
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
 
 
 def _flush(path: Path) -> None:
@@ -369,14 +378,3 @@ def _flush_all(folder: Path) -> None:
 def _sum(file: Path) -> str:
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-@contextmanager
-def _as_output_error(path: Path) -> Iterator[None]:
-    """Turn an error of the system into one sentence."""
-    try:
-        yield
-    except GranularError:
-        raise
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None

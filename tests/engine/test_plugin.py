@@ -32,8 +32,10 @@ from mjgranular import (
     Surface,
     add_sand,
 )
-from mjgranular.engine import NAME
+from mjgranular.engine import NAME, pickles
+from mjgranular.engine.config import KEYS
 from mjgranular.engine.instances import sands_in
+from mjgranular.engine.measures import SENSOR, SENSOR_KEYS
 from mjgranular.models import Link
 
 pytestmark = pytest.mark.filterwarnings("ignore::mjgranular.errors.FloorWarning")
@@ -832,6 +834,17 @@ def test_pickles_bring_the_plugin_along(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["True", "True"]
+
+
+def test_names_in_files_stay(model: mujoco.MjModel) -> None:
+    """Model files and pickles of earlier versions contain these."""
+    assert NAME == "mjgranular.sand"
+    assert SENSOR == "mjgranular.sensor"
+    assert {"medium", "law", "surface", "scheme", "bodies", "geoms", "groups"} <= set(KEYS)
+    assert {"resolution", "instead_of", "memory", "draw", "tunable"} <= set(KEYS)
+    assert SENSOR_KEYS == ("measure", "sand")
+    assert b"mjgranular.engine.pickles" in pickle.dumps(model)
+    assert pickles.restore(dict, ((("a", 1),),)) == {"a": 1}
 
 
 def test_pickles_of_other_models_stay_as_they_were():
