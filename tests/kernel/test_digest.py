@@ -26,17 +26,15 @@ def folders_with_kernels():
 
 @pytest.mark.parametrize("folder", folders_with_kernels())
 def test_a_change_in_any_folder_with_kernels_changes_the_digest(folder, tmp_path):
-    for path in PACKAGE.glob("*/*.py"):
+    for path in (path for name in digest.FOLDERS for path in PACKAGE.joinpath(name).glob("*.py")):
         copy = tmp_path / path.relative_to(PACKAGE)
         copy.parent.mkdir(exist_ok=True)
         copy.write_bytes(path.read_bytes())
     before = digest.digest_of_sources(tmp_path)
     assert digest.digest_of_sources(tmp_path) == before == digest.digest_of_sources()
-    for path in sorted(tmp_path.joinpath(folder).glob("*.py")):
-        original = path.read_bytes()
-        path.write_bytes(original + b"\n")
-        assert digest.digest_of_sources(tmp_path) != before, path
-        path.write_bytes(original)
+    changed = min(tmp_path.joinpath(folder).glob("*.py"))
+    changed.write_bytes(changed.read_bytes() + b"\n")
+    assert digest.digest_of_sources(tmp_path) != before
 
 
 def test_all_folders_of_the_digest_exist():
