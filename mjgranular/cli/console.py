@@ -7,7 +7,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TextIO
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -79,14 +79,7 @@ def show_error(message: str) -> None:
 
 
 def show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-    *,
-    translate: Callable[[str], str] = str,
+    message: Warning | str, category: type[Warning], *_: Any, translate: Callable[[str], str]
 ) -> None:
     """Print a warning of mjgranular; replaces `warnings.showwarning`."""
     if issubclass(category, GranularWarning):

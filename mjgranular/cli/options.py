@@ -45,8 +45,10 @@ def parse_command(
     """
     registry = ConstructorRegistry()
     registry.primitive_rule(_number_rule)
+    kinds = [Annotated[kind, tyro.conf.subcommand(name)] for name, kind in commands.items()]
+    command: Any = Union[tuple(kinds)]  # noqa: UP007
     return tyro.cli(
-        Union[tuple(Annotated[c, tyro.conf.subcommand(n)] for n, c in commands.items())],  # noqa: UP007
+        command,
         prog=program,
         description=description,
         args=arguments,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -120,7 +120,7 @@ class EngineOptions(OutputOptions):
         Raises:
             OutputError: the folder holds something else, or nothing to resume.
         """
-        try:
+        with closing(journal):
             if self.out is None:
                 journal.begin()
                 yield None
@@ -142,8 +142,6 @@ class EngineOptions(OutputOptions):
                     journal.close()
                     if not journal.count:
                         (self.out / UNFINISHED).unlink(missing_ok=True)
-        finally:
-            journal.close()
 
     def show_interrupted(self, journal: Journal, stopped_by: int | None) -> int:
         """Print how far an interrupted run came; return the exit status."""

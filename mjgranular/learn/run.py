@@ -237,7 +237,8 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
             raise OutputError(f"it is the result of mjgranular {command}")
         if not is_text(environment):
             raise OutputError(f"{CONFIG} must name an environment")
-        seed, made_with = content.get("seed"), content.get("versions")
+        seed: Any = content.get("seed")
+        made_with = content.get("versions")
         if not fits(seed, int) or not 0 <= seed <= _LARGEST_SEED:
             raise OutputError(f"{CONFIG}: seed must be an integer from 0 to {_LARGEST_SEED}")
         if not isinstance(made_with, dict) or not all(

@@ -158,11 +158,11 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
         threads=threads,
         warp=warp,
     )
-    needs_vectors = {"observations": True, "actions": settings.algorithm != "ppo"}
-    for (name, needed), space in zip(
-        needs_vectors.items(), (env.observation_space, env.action_space), strict=True
-    ):
-        if needed and not isinstance(space, spaces.Box):
+    vectors = {"observations": env.observation_space}
+    if settings.algorithm != "ppo":
+        vectors["actions"] = env.action_space
+    for name, space in vectors.items():
+        if not isinstance(space, spaces.Box):
             env.close()
             raise InputError(
                 f"{settings.algorithm} needs {name} that are vectors (Box), but those of "

@@ -537,7 +537,7 @@ def test_a_policy_file_that_cannot_be_read_says_what_wrote_it(trained, tmp_path)
     with pytest.raises(OutputError, match="has no policy yet"):
         load_policy(folder)
     (folder / "policy.zip").write_bytes(b"not a zip")
-    with pytest.raises(OutputError, match="written with .*stable-baselines3"):
+    with pytest.raises(OutputError, match=r"written with .*stable-baselines3"):
         load_policy(folder)
 
 
@@ -655,7 +655,7 @@ def test_a_refined_batch_is_the_refined_environment():
 
 
 def test_what_cannot_be_refined_says_so():
-    with pytest.raises(InputError, match="refine must be .* CartPole-v1"):
+    with pytest.raises(InputError, match=r"refine must be .* CartPole-v1"):
         environments.one("CartPole-v1", {"refine": 2})
     with pytest.raises(InputError, match="refine must be"):
         environments.one("Swimmer-v5", {"refine": 0.5})
