@@ -71,7 +71,7 @@ class RenderCommand:
         from mjgranular.picture.video import Film
 
         command = self._command()
-        draws = {"impact": self._impact, "drop": self._drop, TRAINING: self._policy}
+        draws = {"impact": self._impact, "drop": self._model, TRAINING: self._policy}
         if command not in draws:
             raise InputError(
                 f"{self.run_folder} holds the result of '{command}'; a film can be made of an "
@@ -120,7 +120,7 @@ class RenderCommand:
             folder, name, experiment, trajectory, summary, film, prints
         )
 
-    def _drop(self, film: Film) -> Draw:
+    def _model(self, film: Film) -> Draw:
         from mjgranular.picture.video import Motion
 
         experiment, arrays = read_drop(self.run_folder)

@@ -110,6 +110,8 @@ def load_checkpoint(
         setattr(model, name, value)
     if hasattr(model, "replay_buffer"):
         _read_replay(folder / REPLAY, model.replay_buffer)
+    if folder != run.checkpoint_folder(model.num_timesteps):
+        raise OutputError(f"{folder} is damaged: it holds {model.num_timesteps} steps")
     seconds = number(read_json(folder / STATE), "seconds", folder / STATE) or 0.0
     normalizer.restore(env)  # last: the environment is unchanged if anything was wrong
     return model, Progress(model.num_timesteps, seconds, read_curve(folder / CURVE))
