@@ -205,7 +205,7 @@ train CartPole-v1 --total-steps 1.5 | integer ... '1.5'
 train CartPole-v1 --seed -1 | seed must be ... from 0 to 2147483647
 train CartPole-v1 --set gama=0.9 | ppo has no argument 'gama'; it has: learning_rate, n_steps,
 train CartPole-v1 --set gamma | NAME=VALUE ... 'gamma'
-train CartPole-v1 --set gamma=high | ppo: gamma must be a number, not
+train CartPole-v1 --set gamma=high | ppo: gamma must be a number
 train CartPole-v1 --set environment.medium=moon | CartPole-v1 cannot be made
 train CartPole-v1 --settings my.toml | cannot read the settings my.toml
 train CartPole-v1 --settings bad.toml | bad.toml is not TOML
