@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES
@@ -47,7 +47,7 @@ def find_actor(
             "name a run or policy"
         ) from error
     # Networks of this size are faster on one thread; the cores step environments.
-    need("torch", extra="train", purpose="Running a policy").set_num_threads(1)
+    require("torch", extra="train", purpose="Running a policy").set_num_threads(1)
     run = replace(policy.run, trusted=trust)
     if environment is None:  # otherwise the user names it
         run.check_environment()

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.reading import place
+from mjgranular._util.io import place
 from mjgranular._util.signals import signal_of, stopped_by_signals
 from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning

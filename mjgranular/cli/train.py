@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.cli.console import note, out, print_json, progress_bar, show_error
 from mjgranular.cli.options import given_options, option
 from mjgranular.cli.results import Flag
@@ -135,7 +135,7 @@ class TrainCommand:
         total, warp = run.settings.total_steps, None
         if self.engine == "warp":
             warp = self.device or "auto"
-            wp = need("warp", extra="warp", purpose="Training in MuJoCo Warp")
+            wp = require("warp", extra="warp", purpose="Training in MuJoCo Warp")
             wp.config.log_level = wp.LOG_ERROR  # it prints a line for each of its modules
             note("MuJoCo Warp compiles its kernels: once per machine, some minutes")
         with progress_bar(run.name, total, remaining=True) as show:

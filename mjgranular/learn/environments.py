@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mjgranular._util.checks import check_count
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import GranularError, GranularWarning, InputError, RenderError
 
 T = TypeVar("T")
@@ -28,13 +28,13 @@ def find_spec(env_id: str) -> Any:
         InputError: that module cannot be imported.
         MissingExtraError: Gymnasium is not installed.
     """
-    need("gymnasium", extra="train", purpose=_PURPOSE)
+    require("gymnasium", extra="train", purpose=_PURPOSE)
     return importlib.import_module("mjgranular.envs.known").find_spec(env_id)
 
 
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     """Return one environment, a `gymnasium.Env`."""
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     find_spec(env_id)
     return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
 
@@ -47,7 +47,7 @@ def several(
     Those that have a vector form run in it, on `threads` threads (None: one per core); others run
     one after another.
     """
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": "sync"}
     if _has_vector_form(env_id):
         options["vectorization_mode"] = "vector_entry_point"
@@ -79,7 +79,7 @@ def for_training(
         InputError: the environment does not take the arguments, `processes` is set for environments
             that step in one batch, or `warp` for others.
     """
-    need("stable_baselines3", extra="train", purpose="Training a policy")
+    require("stable_baselines3", extra="train", purpose="Training a policy")
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecMonitor
 
@@ -167,7 +167,7 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
     multiplies their number between two actions by it: a policy that behaves differently then has
     learned the time step and not the robot.
     """
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     given = _with_ranges(arguments)
     refine = given.pop("refine", 1)
     check_count("refine", refine)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.files import whole
+from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.errors import GranularError, InputError, RenderError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
@@ -54,8 +54,8 @@ def film_episode(
     """
     if path.suffix not in _CODECS:
         raise InputError(f"a film must be written as .mp4 or .gif, got {path.name!r}")
-    mediapy = need("mediapy", extra="video", purpose="Writing a video")
-    ffmpeg = need("imageio_ffmpeg", extra="video", purpose="Writing a video")
+    mediapy = require("mediapy", extra="video", purpose="Writing a video")
+    ffmpeg = require("imageio_ffmpeg", extra="video", purpose="Writing a video")
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     env = environments.for_filming(
         env_id, arguments, width=film.width, height=film.height, camera=camera
@@ -79,7 +79,7 @@ def film_episode(
                     progress(len(frames))
     finally:
         env.close()
-    with whole(path) as part:
+    with atomic_write(path) as part:
         mediapy.write_video(part, frames, fps=rate / every, **_CODECS[path.suffix])
     return total
 

@@ -82,7 +82,7 @@ def load_policy(where: Path | str) -> Policy:
         holder = newest or folder
         tries -= 1
         try:
-            policy = files.consistently(holder, POLICY, lambda run=run, at=holder: _load(run, at))
+            policy = files.read_consistent(holder, POLICY, lambda run=run, at=holder: _load(run, at))
             break
         except OutputError:
             # A running training may have replaced the checkpoint by a newer one.
@@ -96,7 +96,7 @@ def load_policy(where: Path | str) -> Policy:
 
 def _load(run: Run, holder: Path) -> Policy:
     """Return the policy in the folder of a run or of one of its checkpoints."""
-    file = files.current(holder, POLICY)
+    file = files.latest_path(holder, POLICY)
     if not file.exists():
         raise OutputError(
             f"{run.path} has no policy yet, as its training has written no checkpoint: resume it "
@@ -106,7 +106,7 @@ def _load(run: Run, holder: Path) -> Policy:
         check_belongs(holder, run)
     try:
         model = build_policy(run.settings, read_weights(file), file)
-        statistics = files.current(holder, NORMALIZER)
+        statistics = files.latest_path(holder, NORMALIZER)
         normalizer = Normalizer.read(statistics, run.settings, model.observation_space.shape)
     except OutputError as error:
         raise OutputError(f"{error} (it was written with {run.version_names()})") from None

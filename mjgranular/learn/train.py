@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, OutputError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn import environments
@@ -82,8 +82,8 @@ def train(
             those before it are intact.
         UnstableError: weights of the policy are not finite.
     """
-    torch = need("torch", extra="train", purpose="Training a policy")
-    need("tensorboard", extra="train", purpose="Training a policy")
+    torch = require("torch", extra="train", purpose="Training a policy")
+    require("tensorboard", extra="train", purpose="Training a policy")
     # Networks of this size are faster on one thread; the other cores step environments.
     torch.set_num_threads(1)
     run.check_environment()

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.saved import parse_json
+from mjgranular._util.extras import require
+from mjgranular._util.io import parse_json
 from mjgranular.errors import InputError, OutputError
 from mjgranular.learn.settings import Settings
 
@@ -86,7 +86,7 @@ def read_weights(file: Path) -> Weights:
 
 def policy_arguments(settings: Settings) -> dict[str, Any]:
     """Return the arguments of a policy's class in Stable-Baselines3."""
-    nn = need("torch", extra="train", purpose="Training a policy").nn
+    nn = require("torch", extra="train", purpose="Training a policy").nn
     activation = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}[settings.activation]
     return {"net_arch": list(settings.net), "activation_fn": activation, **settings.policy}
 
@@ -94,7 +94,7 @@ def policy_arguments(settings: Settings) -> dict[str, Any]:
 def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
     """Build the `BasePolicy` that the settings describe, with the weights of a file."""
     check_size(settings, weights, file)
-    sb3 = need("stable_baselines3", extra="train", purpose="Reading a policy")
+    sb3 = require("stable_baselines3", extra="train", purpose="Reading a policy")
     try:
         arguments = policy_arguments(settings)
         if settings.algorithm != "td3":
@@ -152,7 +152,7 @@ def _entry(archive: zipfile.ZipFile, name: str) -> bytes:
 
 def _tensors(content: bytes) -> Any:
     """Read a file of PyTorch if it contains only tensors and plain values."""
-    torch = need("torch", extra="train", purpose="Reading a policy")
+    torch = require("torch", extra="train", purpose="Reading a policy")
     try:
         # PyTorch's older formats are not zip files, and were not safe to read in older versions.
         if not content.startswith(b"PK"):
@@ -166,7 +166,7 @@ def _tensors(content: bytes) -> Any:
 
 def _check_policy(state: object) -> None:
     """Check that a policy's weights are finite numbers by name."""
-    torch = need("torch", extra="train", purpose="Reading a policy")
+    torch = require("torch", extra="train", purpose="Reading a policy")
     if not isinstance(state, dict) or not state:
         raise OutputError("it contains no weights of a policy")
     for name, value in state.items():
@@ -214,7 +214,7 @@ def space_from_json(described: Mapping[str, Any], most: int) -> Any:
     Raises:
         ValueError: it is not a space, or has more than `most` numbers, the weights of the policy.
     """
-    spaces = need("gymnasium.spaces", extra="train", purpose="Reading a policy")
+    spaces = require("gymnasium.spaces", extra="train", purpose="Reading a policy")
     kind = described["type"]
     if kind == "Discrete":
         n, start = int(described["n"]), int(described["start"])
