@@ -7,29 +7,28 @@ import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Protocol, TextIO
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular._util.extras import require
 from mjgranular.errors import GranularWarning, one_line
 
 
 class _PlainConsole(Console):
-    """Shows texts as they are: names in a model or file can be anybody's.
+    """Prints names as they are, without rich's markup: models and files may contain anything.
 
-    Without this `[/]` in a name would be an error of rich's, and an escape sequence would reach the
+    Otherwise `[/]` in a name would be an error of rich, and an escape sequence would reach the
     terminal.
     """
 
     def __init__(self, *, stderr: bool = False) -> None:
-        super().__init__(stderr=stderr, markup=False, emoji=False)
+        super().__init__(stderr=stderr, markup=False, emoji=False, highlight=False)
 
     def on_broken_pipe(self) -> None:
-        """Leaves it to the command: rich would end the process with exit status 1."""
+        """Let the command decide: rich would end the process with exit status 1."""
         raise BrokenPipeError
 
     def render_str(self, text: str, **options: Any) -> Text:
@@ -42,7 +41,7 @@ err = _PlainConsole(stderr=True)
 
 
 def print_json(content: Any) -> None:
-    """Writes one JSON value to standard output."""
+    """Write one JSON value to standard output."""
     json.dump(content, sys.stdout, indent=2, allow_nan=False)
     sys.stdout.write("\n")
 
@@ -50,13 +49,13 @@ def print_json(content: Any) -> None:
 def table(
     title: str, headings: Sequence[str], rows: Iterable[Iterable[str]], *, words: int = 1
 ) -> Table:
-    """Make a table for people.
+    """Make a table.
 
     Args:
-        title: stands above it.
-        headings: of the columns.
+        title: line above the table.
+        headings: headings of the columns.
         rows: a cell for each column.
-        words: number of columns that hold words, to the left; the others hold numbers.
+        words: number of columns with words, which are aligned left; the others hold numbers.
     """
     made = Table(title=title, title_justify="left")
     for number, heading in enumerate(headings):
@@ -68,75 +67,62 @@ def table(
     return made
 
 
+def note(text: str) -> None:
+    """Print a remark to standard error."""
+    err.print(text)
+
+
 def show_error(message: str) -> None:
-    """Says what was wrong."""
-    err.print("error: ", end="", style="bold red", highlight=False)
-    err.print(message, highlight=False, soft_wrap=True)
+    """Print an error."""
+    err.print("error: ", end="", style="bold red")
+    err.print(message, soft_wrap=True)
 
 
 def show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-    *,
-    words: Callable[[str], str] = str,
+    message: Warning | str, category: type[Warning], *_: Any, translate: Callable[[str], str]
 ) -> None:
-    """Takes the place of `warnings.showwarning`, with the words of the command line."""
+    """Print a warning of mjgranular; replaces `warnings.showwarning`."""
     if issubclass(category, GranularWarning):
-        err.print("warning: ", end="", style="bold yellow", highlight=False)
-        err.print(words(str(message)), highlight=False, soft_wrap=True)
+        err.print("warning: ", end="", style="bold yellow")
+        err.print(translate(str(message)), soft_wrap=True)
 
 
-class _Announcement(logging.Handler):
-    """Says what sand kernels are being compiled for; once, where they are for any."""
+class _CompilationHandler(logging.Handler):
+    """Prints what is compiled; kernels of no particular sand only once."""
 
-    said = False
+    printed = False
 
     def emit(self, record: logging.LogRecord) -> None:
         if hasattr(record, "sand"):
-            self.said = True
-            err.print(record.getMessage(), style="dim", highlight=False)
-        elif not self.said:
-            self.said = True
-            err.print("compiling the sand's kernels: once on a machine, some seconds", style="dim")
+            err.print(record.getMessage(), style="dim")
+        elif not self.printed:
+            err.print("compiling the sand's kernels: once per machine, some seconds", style="dim")
+        self.printed = True
 
 
 def show_compilation() -> None:
-    """Lets the first compilation of a kernel be announced."""
+    """Print a line when kernels are compiled for the first time."""
     logger = logging.getLogger("mjgranular.kernel")
     logger.setLevel(logging.INFO)
     logger.propagate = False
     if not logger.handlers:
-        logger.addHandler(_Announcement())
-
-
-def show_warp_compilation() -> None:
-    """Says in a line what MuJoCo Warp says in one for each of its modules."""
-    wp = require("warp", extra="warp", purpose="Training in MuJoCo Warp")
-    wp.config.log_level = wp.LOG_ERROR
-    err.print("MuJoCo Warp compiles its kernels: once on a machine, some minutes", style="dim")
-
-
-class _Show(Protocol):
-    """Shows the amount of work done and, where it changes, what is being done."""
-
-    def __call__(self, done: float, what: str | None = None) -> None: ...
+        logger.addHandler(_CompilationHandler())
 
 
 @contextmanager
-def progress_bar(what: str, total: float, *, remaining: bool = False) -> Iterator[_Show]:
-    """A progress bar on standard error, where that is a terminal; gone when the work is done.
+def progress_bar(
+    what: str, total: float, *, remaining: bool = False
+) -> Iterator[Callable[..., None]]:
+    """Show a progress bar on standard error, if that is a terminal, until the work is done.
 
     Args:
-        what: is being done.
+        what: description of the work.
         total: amount of work.
-        remaining: whether to show the time that is left, too.
+        remaining: whether to show the remaining time, too.
 
     Yields:
-        A function to be called with the amount of work done.
+        `show(done, what=None)`, to be called with the amount of work done and, if it changes, the
+        description.
     """
     columns = (
         TextColumn("{task.description}", markup=False),

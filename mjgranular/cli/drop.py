@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from mjgranular.cli.console import out, print_json, progress_bar, table
-from mjgranular.cli.filming import write_film
+from mjgranular.cli.console import note, out, print_json, progress_bar, table
 from mjgranular.cli.options import options_of, record_of
-from mjgranular.cli.results import FilmOptions, collected, note
-from mjgranular.errors import GranularError, GranularWarning
+from mjgranular.cli.results import FilmOptions, Frames, collected, write_film
+from mjgranular.errors import GranularError, GranularWarning, OutputError
 from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop, surface_drawn
 from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
+from mjgranular.prints import Prints
+
+if TYPE_CHECKING:
+    from mjgranular.picture.video import Film, Motion
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"
@@ -35,72 +39,95 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model", "state", "site
 
     def run(self) -> int:
         """Run the command."""
-        drop = self.experiment()
-        check_film(self, drop)
-        with self.claimed(*RUN_FILES, FIGURE, FILM) as folder:
-            with progress_bar("running the model", drop.duration) as progress:
-                result = run_drop(drop, progress=progress)
-            if folder is not None:
-                write_drop(folder, result)
-            if self.json:
-                print_json(result.summary())
-            else:
-                show(result)
-            problems = [] if folder is None else draw(self, folder, result)
-        return self.finish(problems)
+        return run_and_show(self, self.experiment())
 
     def experiment(self) -> Drop:
-        """Return what is asked for."""
+        """Return the experiment."""
         return record_of(Drop, self)
 
 
-def check_film(options: FilmOptions, drop: Drop) -> None:
-    """Raise if a film is asked for that cannot be made."""
+def run_and_show(
+    options: FilmOptions,
+    drop: Drop,
+    *,
+    what: str = "running the model",
+    summary: Callable[[DropResult], dict[str, Any]] = DropResult.summary,
+    remark: Callable[[DropResult], str] | None = None,
+) -> int:
+    """Run a model on sand, write and print the result; return the exit status.
+
+    Args:
+        options: options of the output.
+        drop: the experiment.
+        what: shown beside the progress bar.
+        summary: makes what `--json` prints.
+        remark: makes a line below the table.
+    """
     options.check_film()
+    camera = options.camera or "free"
     if options.video:
         from mjgranular.picture.video import check_camera
 
-        check_camera(load(drop)[0], options.camera or "free")
+        check_camera(load(drop)[0], camera)
+    problems: list[GranularError] = []
+    with options.claimed(*RUN_FILES, FIGURE, FILM) as folder:
+        with progress_bar(what, drop.duration) as progress:
+            result = run_drop(drop, progress=progress)
+        if folder is not None:
+            write_drop(folder, result)
+        if options.json:
+            print_json(summary(result))
+        else:
+            _show(result)
+            if remark is not None:
+                out.print(remark(result))
+        if folder is not None:
+            with collected(problems):
+                _draw(folder, result)
+            if options.video:
+                with collected(problems):
+                    _film(folder, result, camera)
+    return options.finish(problems)
 
 
-def draw(options: FilmOptions, folder: ResultFolder, result: DropResult) -> list[GranularError]:
-    """Draw the figure of a run, and with `--video` its film; return what could not be drawn."""
+def _draw(folder: ResultFolder, result: DropResult) -> None:
     from mjgranular.picture.figures import draw_drop
 
-    problems: list[GranularError] = []
     names = [body.body for body in result.bodies]
     title = f"{result.drop.title}, {result.medium}, {result.law} law, {result.timestep:g} s"
-    with collected(problems):
-        folder.write(
-            FIGURE,
-            lambda path: draw_drop(
-                path, result.t, names, result.depth, result.force, result.power, title=title
-            ),
-        )
-    if options.video:
-        with collected(problems):
-            _film(folder, result, options.camera or "free")
-    return problems
+    arrays = result.t, names, result.depth, result.force, result.power
+    folder.write(FIGURE, lambda path: draw_drop(path, *arrays, title=title))
 
 
 def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
-    from mjgranular.picture.video import Film, Motion, frames_of_model
+    from mjgranular.picture.video import Film, Motion
 
-    options = Film(camera=camera, seconds=1.0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", GranularWarning)  # which the run has given
-        model, _ = load(result.drop)
+    film = Film(camera=camera, seconds=1.0)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    surface, memory = surface_drawn(result.drop), memory_of(result.drop, model)
-    write_film(
-        folder,
-        FILM,
-        options,
-        lambda: frames_of_model(options, model, motion, surface, result.prints, memory),
-    )
+    write_film(folder, FILM, film, frames_of(film, result.drop, motion, result.prints))
 
 
-def show(result: DropResult) -> None:
+def frames_of(film: Film, drop: Drop, motion: Motion, prints: Prints | None) -> Frames:
+    """Return a function that renders the frames of a run.
+
+    Raises:
+        OutputError: the samples are not of the model.
+    """
+    from mjgranular.picture.video import frames_of_model
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GranularWarning)  # the run has shown them
+        model, _ = load(drop)
+    if motion.qpos.shape[1] != model.nq:
+        raise OutputError(
+            f"the samples have {motion.qpos.shape[1]} positions, {drop.title} has {model.nq}: it "
+            "is not the model that ran"
+        )
+    surface, memory = surface_drawn(drop), memory_of(drop, model)
+    return lambda: frames_of_model(film, model, motion, surface, prints, memory)
+
+
+def _show(result: DropResult) -> None:
     """Print a run as a table."""
     title = (
         f"{result.drop.title} on {result.medium}: {result.law} law, {result.elements} elements, "
@@ -116,7 +143,7 @@ def show(result: DropResult) -> None:
         rows.append((body.body, depth, f"{body.greatest_force:.3g}", energy, share))
     out.print(table(title, headings, rows))
     if result.rest is not None:
-        out.print(f"at rest after {result.rest:.3f} s", highlight=False)
+        out.print(f"at rest after {result.rest:.3f} s")
     for body in result.bodies:
         for measure, value in body.exceeded.items():
             note(f"{body.body}: {measure} reached {value:.3g}, outside the validity of the law")

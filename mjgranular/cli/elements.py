@@ -1,11 +1,10 @@
-"""`mjgranular elements`: what a law cuts a model into."""
+"""`mjgranular elements`: the elements into which a law cuts a model."""
 
 from __future__ import annotations
 
-import csv
 import warnings
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,140 +14,108 @@ import tyro
 
 from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import options_of, record_of
-from mjgranular.cli.results import OutputOptions, collected
-from mjgranular.errors import FloorWarning, GranularError, InputError
+from mjgranular.cli.results import Flag
+from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
-from mjgranular.experiment.folder import CONFIG, SUMMARY
+from mjgranular.experiment.folder import ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
 from mjgranular.sand.cost import Cost
 from mjgranular.sand.report import Names
 from mjgranular.scheme import Explicit, Implicit
 
-_CSV = "elements.csv"
-_FIGURE = "elements.png"
+_CHOICE = ("medium", "law", "resolution", "bodies", "geoms", "groups", "keyframe")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ElementsCommand(
-    OutputOptions,
-    options_of(Drop, "medium", "law", "resolution", "bodies", "geoms", "groups", "keyframe"),
-):
-    """Count and draw what a law cuts your MJCF model into: rods, facets or blobs.
+class ElementsCommand(options_of(Drop, *_CHOICE)):
+    """Count and draw the elements into which a law cuts your MJCF model: rods, facets or blobs.
 
-    Prints for each geom how many elements there are, with their area or length. With --figure
-    FILE, draws them; with --out DIR, writes figure, table and every element there.
+    Prints for each geom the number of elements, with their area or length. With --figure FILE,
+    draws them.
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
     """The MJCF file."""
-    color: Literal["body", "geom", "depth"] = "body"
-    """What colors of the figure stand for; depth is that below the plane z = 0."""
     figure: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File for the figure, .png, .svg or .pdf."""
+    color: Literal["body", "geom", "depth"] = "body"
+    """Meaning of colors in the figure; depth is that below the plane z = 0."""
+    overwrite: Flag = False
+    """Replace a figure that exists."""
+    json: Flag = False
+    """Print JSON instead of a table."""
 
     def run(self) -> int:
         """Run the command."""
-        if self.out is not None and self.figure is not None:
-            raise InputError("give --figure FILE for the figure alone or --out DIR, not both")
-        if self.figure is not None:
-            check_file(self.figure)
-        if self.out is None and self.figure is None and self.color != "body":
-            raise InputError("--color is for a figure: add --figure FILE or --out DIR")
         if self.figure is None:
-            target, names = self.out, (CONFIG, SUMMARY, _CSV, _FIGURE)
-        else:
-            target, names = self.figure.parent, (self.figure.name,)
-        problems: list[GranularError] = []
-        with replace(self, out=target, figure=None).claimed(*names) as folder:
+            if self.color != "body":
+                raise InputError("--color is for a figure: add --figure FILE")
+            self._show(self._cut()[0])
+            return 0
+        check_file(self.figure)
+        folder = ResultFolder(self.figure.parent, (self.figure.name,))
+        with folder.claimed(overwrite=self.overwrite):
             sand, qpos = self._cut()
-            summary = self._summary(sand)
-            if folder is not None and self.out is not None:
-                with folder.published():
-                    folder.write_config("elements", {**self._config(), "law": _law(sand)})
-                    folder.write(_CSV, lambda path: _write_csv(path, sand))
-                    folder.write_json(SUMMARY, summary)
-            self._show(summary)
-            if folder is not None:
-                drawn = {"qpos": qpos, "color": self.color, "title": self.model.name}
-                with collected(problems):
-                    folder.write(names[-1], lambda path: draw_elements(sand, file=path, **drawn))
-        if self.figure is None:
-            return self.finish(problems)
-        for problem in problems:
-            raise problem
+            self._show(sand)
+            drawn = {"qpos": qpos, "color": self.color, "title": self.model.name}
+            folder.write(self.figure.name, lambda path: draw_elements(sand, file=path, **drawn))
         if not self.json:
-            out.print(f"written to {self.figure}", highlight=False)
+            out.print(f"written to {self.figure}")
         return 0
 
     def _cut(self) -> tuple[Sand, np.ndarray]:
-        """The model on its sand, and where its bodies are drawn."""
+        """Return the model's sand, and the positions at which it is drawn."""
         drop = record_of(Drop, self)
         with loading(drop.title):
             model = read(drop).compile()
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # RK4 would be refused
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # RK4 would be an error
         data = mujoco.MjData(model)
         start_from(model, data, self.keyframe)
-        # No step is made: sand and floor in the model do not matter.
-        with warnings.catch_warnings():
+        with warnings.catch_warnings():  # no step is made: a floor does not matter
             warnings.simplefilter("ignore", FloorWarning)
             sand = Sand(model, drop.sand, scheme=Explicit(prescribed=True), shared=True)
         return sand, data.qpos
 
-    def _config(self) -> dict[str, Any]:
-        """Options in plain values."""
-        left_out = ("figure", "out", "overwrite", "json")
-        config = {key: value for key, value in asdict(self).items() if key not in left_out}
-        return {**config, "model": str(self.model)}
-
-    def _summary(self, sand: Sand) -> dict[str, Any]:
-        """Sums over the elements, SI units."""
-        rows = list(_rows(sand))
-        return {
-            "model": self.model.name,
-            "law": _law(sand),
-            "medium": self.medium or sand.medium.name,
-            "kind": kind_of(sand),
-            "elements": len(sand.elements),
-            "area": _total(rows, "area"),
-            "length": _total(rows, "length"),
-            "cost": asdict(Cost.of(len(sand.elements), Implicit())),
-            "geoms": rows,
-        }
-
-    def _show(self, summary: dict[str, Any]) -> None:
-        if self.json:
-            print_json(summary)
-            return
-        kind, rows = summary["kind"], summary["geoms"]
-        # What is summed up over the elements: heading, factor from SI units.
+    def _show(self, sand: Sand) -> None:
+        """Print sums over the elements."""
+        kind, rows, cost = kind_of(sand), list(_rows(sand)), Cost.of(len(sand.elements), Implicit())
         sums = {"area": ("area\n[cm^2]", 1e4), "length": ("length\n[mm]", 1e3)}
-        sums = {key: sums[key] for key in sums if summary[key] is not None}
+        totals: dict[str, Any] = {"elements": len(sand.elements)}
+        for key in sums:
+            values = [row[key] for row in rows]
+            totals[key] = None if None in values else sum(values)
+        names = {
+            "model": self.model.name,
+            "law": str(sand.spec.law or sand.law.name),
+            "medium": self.medium or sand.medium.name,
+            "kind": kind,
+        }
+        if self.json:
+            print_json({**names, **totals, "cost": asdict(cost), "geoms": rows})
+            return
+        sums = {key: sums[key] for key in sums if totals[key] is not None}
 
         def cells(row: dict[str, Any]) -> list[str]:
             return [
-                *(row[key] for key in ("body", "geom", "shape")),
+                *(row.get(key, "") for key in ("body", "geom", "shape")),
                 str(row["elements"]),
                 *(f"{row[key] * factor:.4g}" for key, (_, factor) in sums.items()),
                 f"{row['width'] * 1e3:.4g}" if "width" in row else "",
             ]
 
-        together = {**summary, "body": "together", "geom": "", "shape": ""}
-        title = f"{summary['model']} in {summary['medium']}: {summary['law']} law"
-        headings = ("body", "geom", "shape", kind, *(heading for heading, _ in sums.values()))
-        shown = map(cells, [*rows, together] if len(rows) > 1 else rows)
-        title = f"{title}, {count(summary['elements'], kind)}"
-        out.print(table(title, (*headings, "width\n[mm]"), shown, words=3))
-        out.print(f"cost: {Cost(**summary['cost'])}", highlight=False)
-
-
-def _law(sand: Sand) -> str:
-    """The law as it was asked for, with its parameters, or the one that was chosen."""
-    return str(sand.spec.law or sand.law.name)
+        if len(rows) > 1:
+            rows.append({"body": "together", **totals})
+        number = count(len(sand.elements), kind)
+        title = f"{names['model']} in {names['medium']}: {names['law']} law, {number}"
+        units = [heading for heading, _ in sums.values()]
+        headings = ("body", "geom", "shape", kind, *units, "width\n[mm]")
+        out.print(table(title, headings, map(cells, rows), words=3))
+        out.print(f"cost: {cost}")
 
 
 def _rows(sand: Sand) -> Iterator[dict[str, Any]]:
-    """One row a geom, body by body as the elements are, SI units."""
+    """Yield a row for each geom, in the order of the elements, in SI units."""
     model, elements, kind = sand.model, sand.elements, kind_of(sand)
     names = Names.of(model, elements)
     for geom in dict.fromkeys(elements["geom"].tolist()):
@@ -163,37 +130,3 @@ def _rows(sand: Sand) -> Iterator[dict[str, Any]]:
             "length": float(2 * mine["half_length"].sum()) if kind == "rods" else None,
             "width": float(mine["width"][0]),
         }
-
-
-def _total(rows: list[dict[str, Any]], key: str) -> float | None:
-    values = [row[key] for row in rows]
-    return None if None in values else float(sum(values))
-
-
-def _write_csv(path: Path, sand: Sand) -> None:
-    """Every element with all that the law keeps of it, in the frame of its body."""
-    elements, names = sand.elements, Names.of(sand.model, sand.elements)
-    header = ["body", "geom"]
-    columns: list[list[Any]] = [
-        [names.bodies[body] for body in elements["body"].tolist()],
-        [names.geoms[geom] for geom in elements["geom"].tolist()],
-    ]
-    units = {"normal": "-", "axis": "-", "axes": "-", "area": "m^2"}
-    for field in elements.dtype.names or ():
-        if field in ("body", "geom", "slot"):
-            continue
-        values = elements[field].reshape(len(elements), -1)
-        for k, column in enumerate(values.T):
-            name = field if values.shape[1] == 1 else f"{field}_{_place(k, values.shape[1])}"
-            header.append(f"{name} [{units.get(field, 'm')}]")
-            columns.append(column.tolist())
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows(zip(*columns, strict=True))
-
-
-def _place(k: int, size: int) -> str:
-    """Name of the k-th number of vectors: x, y, z of one vector; 1x to 3z of several."""
-    axis = "xyz"[k % 3]
-    return axis if size == 3 else f"{k // 3 + 1}{axis}"

@@ -11,19 +11,16 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular.cli.agents import doubt_of, find_actor
+from mjgranular.cli.agents import find_actor, sand_warning
 from mjgranular.cli.console import out, print_json, progress_bar
-from mjgranular.cli.engines import EngineOptions
+from mjgranular.cli.results import EngineOptions, Flag
 from mjgranular.errors import InputError, warn_user
 from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.learn import environments
 from mjgranular.learn.blocks import Evaluation, Job, run_evaluation
 from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, parse_variant
 from mjgranular.learn.sands import sands_of
-from mjgranular.pool import Journal, Mapped, Workers
-
-_SPEED = "x_velocity"
-_VALID = "sand/valid"
+from mjgranular.pool import Mapped, Workers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,19 +36,19 @@ class EvaluateCommand(EngineOptions):
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
     """Runs, policies, or environments for --agent."""
     agent: Annotated[str, tyro.conf.arg(metavar="policy|zero|random|gait")] = "policy"
-    """Who acts."""
+    """The agent."""
     gait: Annotated[str, tyro.conf.arg(metavar="NAME=VALUE,...")] = ""
     """Parameters for --agent gait."""
     env: Annotated[str | None, tyro.conf.arg(metavar="ENV")] = None
-    """Another environment than the one trained in; must observe and move the same."""
+    """Another environment with the same observations and actions as in training."""
     on: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE,... ...")] = ()
     """Variants of the environment, for example medium=glass_beads."""
     seeds: Annotated[int, tyro.conf.arg(metavar="N")] = 10
-    """Episodes, one a seed."""
+    """Number of episodes, one per seed."""
     first_seed: Annotated[int, tyro.conf.arg(metavar="N")] = FIRST_SEED
-    """The first seed; the others follow it."""
-    trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Import the module of an environment that only a run's file names: this executes it."""
+    """The first of consecutive seeds."""
+    trust: Flag = False
+    """Import and so execute the module of an environment that only a run's file names."""
 
     @property
     def where(self) -> Workers:
@@ -60,24 +57,19 @@ class EvaluateCommand(EngineOptions):
         return Workers(self.engine, count, self.chunk, self.address)
 
     def run(self) -> int:
-        """Runs the command."""
-        if not self.policies:
-            raise InputError("evaluate needs a run, a policy or, with --agent, an environment")
-        check_seeds(self.seeds)
-        for variant in self.on:
-            parse_variant(variant)
-        if self.gait and self.agent != "gait":
-            raise InputError("--gait is for --agent gait")
-        _ = self.where  # which checks itself
+        """Run the command."""
+        workers = self.where  # raises for contradicting options
         self.check_resume()
         evaluation = self._evaluation()
         journal = evaluation.journal(self.out)
         with self.resumable(journal, CONFIG, SUMMARY) as folder:
-            scores = self._scores(evaluation, journal)
+            with progress_bar("running episodes", len(journal)) as show:
+                scores = run_evaluation(evaluation, on=workers, journal=journal, progress=show)
             if isinstance(scores, Mapped):
                 return self.show_interrupted(journal, scores.stopped_by)
+            rows = [score.as_json() for score in scores]
             if folder is not None:
-                asked = {
+                config = {
                     "policies": list(self.policies),
                     "agent": self.agent,
                     "environment": self.env,
@@ -86,71 +78,66 @@ class EvaluateCommand(EngineOptions):
                     "first_seed": self.first_seed,
                 }
                 with folder.published():
-                    folder.write_config("evaluate", asked)
-                    folder.write_json(SUMMARY, [score.as_json() for score in scores])
-            self._show(scores)
+                    folder.write_config("evaluate", config)
+                    folder.write_json(SUMMARY, rows)
+            if self.json:
+                print_json(rows)
+            else:
+                out.print(table_of(scores, self.seeds))
         return self.finish()
 
     def _evaluation(self) -> Evaluation:
+        """Return what to run, after making each environment once to find mistakes."""
+        if not self.policies:
+            raise InputError("evaluate needs a run, a policy or, with --agent, an environment")
+        if self.gait and self.agent != "gait":
+            raise InputError("--gait is for --agent gait")
+        check_seeds(self.seeds, self.first_seed)
+        variants = {variant: parse_variant(variant) for variant in ("", *self.on)}
+        gait = parse_variant(self.gait)
         actors = [
-            find_actor(
-                what,
-                agent=self.agent,
-                environment=self.env,
-                gait=parse_variant(self.gait),
-                trust=self.trust,
-            )
+            find_actor(what, agent=self.agent, environment=self.env, gait=gait, trust=self.trust)
             for what in self.policies
         ]
-        jobs = [Job(actor, variant) for actor in actors for variant in ("", *self.on)]
-        doubts = []
-        for actor, variant in jobs:  # a mistake in one is reported before the others run
-            given = {**actor.arguments, **parse_variant(variant)}
-            with closing(environments.one(actor.environment, given)) as env:
-                doubts.append(doubt_of(actor, variant, sands_of(env)))
-        for doubt in dict.fromkeys(filter(None, doubts)):
-            warn_user(doubt)
+        jobs = [Job(actor, variant) for actor in actors for variant in variants]
+        found = []
+        for actor, variant in jobs:
+            arguments = {**actor.arguments, **variants[variant]}
+            with closing(environments.one(actor.environment, arguments)) as env:
+                found.append(sand_warning(actor, variant, sands_of(env)))
+        for warning in dict.fromkeys(filter(None, found)):
+            warn_user(warning)
         return Evaluation(jobs, self.seeds, self.first_seed)
-
-    def _scores(self, evaluation: Evaluation, journal: Journal) -> list[Score] | Mapped:
-        with progress_bar("running episodes", len(evaluation.jobs) * self.seeds) as show:
-            return run_evaluation(evaluation, on=self.where, journal=journal, progress=show)
-
-    def _show(self, scores: list[Score]) -> None:
-        if self.json:
-            print_json([score.as_json() for score in scores])
-        else:
-            out.print(table_of(scores, self.seeds))
 
 
 def table_of(scores: list[Score], seeds: int) -> Table:
-    """Scores for people; columns with one value in all rows are omitted."""
+    """Return a table of scores, without columns that have one value in all rows."""
     environments = {score.environment for score in scores}
     where = f" in {environments.pop()}" if len(environments) == 1 else ""
-    columns: list[tuple[str, Callable[[Score], str]]] = [("agent", lambda score: score.agent)]
+    columns: dict[str, Callable[[Score], str]] = {"agent": lambda score: score.agent}
     if not where:
-        columns.append(("environment", lambda score: score.environment.rpartition("/")[2]))
+        columns["environment"] = lambda score: score.environment.rpartition("/")[2]
     if any(score.variant for score in scores):
-        columns.append(("on", lambda score: score.variant or "its own"))
+        columns["on"] = lambda score: score.variant or "its own"
     words = len(columns)
-    columns.append(("return", lambda score: str(score.returned)))
-    columns.append(("steps", lambda score: f"{score.length.mean:.0f}"))
-    if any(score.figure(_SPEED) is not None for score in scores):
-        columns.append(("speed [m/s]", lambda score: str(score.figure(_SPEED) or "")))
-    if any(score.figure(_VALID) is not None for score in scores):
-        columns.append(("law held", _held))
+    columns["return"] = lambda score: str(score.returned)
+    columns["steps"] = lambda score: f"{score.length.mean:.0f}"
+    if any("x_velocity" in score.episodes.figures for score in scores):
+        columns["speed [m/s]"] = lambda score: str(score.figure("x_velocity") or "")
+    if any("sand/valid" in score.episodes.figures for score in scores):
+        columns["law held"] = _share_valid
     title = f"Mean of {seeds} seeds ± half the 95 % interval{where}"
     table = Table(title=title, title_justify="left")
-    for number, (heading, _) in enumerate(columns):
+    for number, heading in enumerate(columns):
         left = number < words
         table.add_column(
             Text(heading), justify="left" if left else "right", no_wrap=not left, overflow="fold"
         )
     for score in scores:
-        table.add_row(*(cell(score) for _, cell in columns))
+        table.add_row(*(cell(score) for cell in columns.values()))
     return table
 
 
-def _held(score: Score) -> str:
-    valid = score.figure(_VALID)
+def _share_valid(score: Score) -> str:
+    valid = score.figure("sand/valid")
     return "" if valid is None else f"{valid.mean:.0%}"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 from rich.table import Table
@@ -17,6 +17,7 @@ from rich.text import Text
 from mjgranular._util import files
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
 from mjgranular.cli.options import law_named
+from mjgranular.cli.results import Flag
 from mjgranular.errors import InputError, MissingExtraError, OutputError
 from mjgranular.fit import Fit, FitResult, RunErrors, read_fit, run_fit
 from mjgranular.fit.known import fitted_medium, medium_text
@@ -27,74 +28,67 @@ _ROUNDS = 12  # of a fit, as a guess for the progress bar
 
 @dataclass(frozen=True)
 class FitCommand:
-    """A medium from your own measurements: drops, pushes and drags, fitted by a law's constants.
+    """Fit a medium to your own measurements of drops, pushes and drags.
 
-    Prints values with 95 % intervals, which constants the data tell apart and which further test
-    would, and the errors of each run. With --out FILE.yaml, writes a medium that --medium takes,
-    with a figure of the curves and the whole result beside it.
+    Prints the constants of a law with 95 % intervals, which of them the data separate and which
+    further test would, and the errors of each run. With --out FILE.yaml, writes a medium that
+    --medium takes, with a figure of the curves and the whole result next to it.
     """
 
     runs: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUNS.yaml")]
-    """What is known of the medium, and the runs, with their CSV files (docs/calibration.md)."""
+    """Properties of the medium, and the runs, with their CSV files (docs/calibration.md)."""
     law: Annotated[str | None, tyro.conf.arg(metavar="LAW")] = None
     """The force law; see `mjgranular list laws`. Default: that of the medium's base."""
     free: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
-    """Constants that are looked for: strength, a factor on static resistance, or any number that
-    the law has, such as inertia."""
+    """Constants to fit: strength, a factor on static resistance, or any number of the law, such as
+    inertia."""
     hold_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """Runs that are not fitted to, but predicted."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.yaml")] = None
     """File for the medium; nothing is written without it."""
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace a medium that is there already, and what lies beside it."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    overwrite: Flag = False
+    """Replace a medium that exists, and the files next to it."""
+    json: Flag = False
     """Print one JSON object instead of tables."""
 
     def run(self) -> int:
-        """Runs the command."""
+        """Run the command."""
         fit = read_fit(self.runs, law=law_named(self.law), free=self.free, hold_out=self.hold_out)
         if self.out is None:
-            self._show(self._run(fit))
+            self._show(_run(fit))
             return 0
-        names = _names(self.out)
+        if self.out.suffix not in (".yaml", ".yml"):
+            raise InputError(f"--medium takes a file that ends in .yaml, got {self.out.name!r}")
+        if not self.out.parent.is_dir():
+            raise InputError(
+                f"there is no folder {self.out.parent} to write {self.out.name} to: make it first"
+            )
+        details, figure = (self.out.with_suffix(f".fit{end}") for end in (".json", ".png"))
         with files.locked(self.out.parent, f".{self.out.name}{files.LOCK}"):
-            if not self.overwrite:
-                _refuse_present(self.out.parent, names)
-            result = self._run(fit)
-            problem = self._write(fit, result, self.out.parent, names)
+            for path in (self.out, details, figure):
+                if path.exists() and not self.overwrite:
+                    raise OutputError(f"{path} exists: choose another name, or use --overwrite")
+            result = _run(fit)
+            problem = None
+            try:
+                from mjgranular.picture.fits import draw_fit
+
+                draw_fit(figure, result)
+            except MissingExtraError as error:
+                problem = error
+            files.write_text(details, self._details(fit, result))
+            fitted = ", ".join(run.name for run in fit.runs if run.name not in fit.hold_out)
+            source = f"{self.runs.name} ({fitted})"
+            medium = fitted_medium(result, self.out.stem, source=source)
+            files.write_text(self.out, medium_text(medium))  # last: if it exists, all files do
         self._show(result)
         if not self.json:
-            out.print(f"written to {self.out}", highlight=False, markup=False)
-        if problem:
+            out.print(f"written to {self.out}")
+        if problem is not None:
             show_error(f"{problem} (the medium is in {self.out})")
         return 2 if problem else 0
 
-    def _run(self, fit: Fit) -> FitResult:
-        guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
-        with ExitStack() as stack:
-            bars: list[Callable[[float, str], None]] = []
-
-            def progress(done: int, what: str) -> None:
-                if not bars:  # the data are read and good
-                    bars.append(stack.enter_context(progress_bar(what, guess)))
-                bars[0](min(done, 0.95 * guess), what)
-
-            return run_fit(fit, progress=progress)
-
-    def _write(self, fit: Fit, result: FitResult, folder: Path, names: Sequence[str]) -> str | None:
-        """Writes the medium last: where it is, all is. Returns what could not be drawn."""
-        medium_file, details, figure = names
-        fitted = [run.name for run in fit.runs if run.name not in fit.hold_out]
-        medium = fitted_medium(
-            result, Path(medium_file).stem, source=f"{self.runs.name} ({', '.join(fitted)})"
-        )
-        problem = None
-        try:
-            from mjgranular.picture.fits import draw_fit
-
-            draw_fit(folder / figure, result)
-        except MissingExtraError as error:
-            problem = str(error)
+    def _details(self, fit: Fit, result: FitResult) -> str:
         content = {
             "command": "fit",
             "config": {**fit.config(), "file": str(self.runs)},
@@ -102,10 +96,7 @@ class FitCommand:
             "versions": versions("scipy"),
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         }
-        text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-        files.write_text(folder / details, text)
-        files.write_text(folder / medium_file, medium_text(medium))
-        return problem
+        return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
     def _show(self, result: FitResult) -> None:
         if self.json:
@@ -113,46 +104,58 @@ class FitCommand:
             return
         out.print(_constants(result))
         for line in sentences(result):
-            out.print(line, highlight=False)
+            out.print(line)
         for title, errors in (("Fitted", result.runs), ("Predicted", result.held_out)):
             if errors:
                 out.print(_errors(title, errors))
 
 
-def sentences(result: FitResult) -> list[str]:
-    """What the data say and do not say, for people."""
-    found = []
+def _run(fit: Fit) -> FitResult:
+    """Run a fit; show a progress bar as soon as the data are read and checked."""
+    guess = len(fit.runs) * (1 + 2 * len(fit.free)) * _ROUNDS
+    with ExitStack() as stack:
+        bars: list[Callable[..., None]] = []
+
+        def progress(done: int, what: str) -> None:
+            if not bars:
+                bars.append(stack.enter_context(progress_bar(what, guess)))
+            bars[0](min(done, 0.95 * guess), what)
+
+        return run_fit(fit, progress=progress)
+
+
+def sentences(result: FitResult) -> Iterator[str]:
+    """Yield what the data determine and what they do not."""
     for valley in result.valleys:
         moves = ", ".join(
             f"{name} by {10 * change:+.0f} %" for name, change in valley.change.items()
         )
         together = "change together" if len(valley.change) > 1 else "changes"
-        found.append(
+        yield (
             f"These data do not tell apart: {moves} {together} the curves by "
             f"{100 * valley.effect:.2g} %."
         )
         if valley.one_speed:
-            found.append(
-                "All runs are of one speed: the intervals hold only if the law is right to "
-                "the last, and say nothing on other speeds."
+            yield (
+                "All runs have one speed: the intervals hold only if the law is exact, and say "
+                "nothing about other speeds."
             )
     wide = [name for name, good in result.identifiable.items() if not good]
     if wide and not result.valleys:
-        found.append(f"These data say little of {', '.join(wide)}: the interval is wide.")
+        yield f"These data say little about {', '.join(wide)}: the interval is wide."
     if result.further:
-        found.append("What a further test would leave, by this law:")
+        yield "Intervals after one further test, by this law:"
     for test in result.further:
         widths = ", ".join(f"{name} {_percent(width)}" for name, width in test.intervals.items())
         enough = "" if test.identifiable else ", which is not enough"
-        found.append(f"- {test.what}: {widths}{enough}")
+        yield f"- {test.what}: {widths}{enough}"
     for name in result.at_bound:
-        found.append(f"{name} ended on a bound of the law: another law may be needed.")
+        yield f"{name} ended on a bound of the law: another law may be needed."
     if result.residual > 0.05:
-        found.append(
+        yield (
             f"The law misses the curves by {100 * result.residual:.0f} % on average: intervals are "
             "those of the best constants of this law, not of constants of the sand."
         )
-    return found
 
 
 def _percent(width: float) -> str:
@@ -160,48 +163,24 @@ def _percent(width: float) -> str:
 
 
 def _constants(result: FitResult) -> Table:
-    made = Table(title=f"Constants of {result.material.law.name}", title_justify="left")
+    shown = Table(title=f"Constants of {result.material.law.name}", title_justify="left")
     for heading in ("constant", "value", "95 % interval", "unit", "determined"):
         justify = "right" if heading in ("value", "95 % interval") else "left"
-        made.add_column(Text(heading), justify=justify)
+        shown.add_column(Text(heading), justify=justify)
     for name, value in result.values.items():
         low, high = ("..." if end is None else f"{end:.4g}" for end in result.intervals[name])
         determined = "yes" if result.identifiable[name] else "no"
         unit = "" if name == "strength" else result.material.unit(name)
-        made.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, determined)
-    return made
+        shown.add_row(name, f"{value:.4g}", f"{low} to {high}", unit, determined)
+    return shown
 
 
-def _errors(title: str, errors: dict[str, RunErrors] | Any) -> Table:
-    cells = [
-        (
-            name,
-            *(
-                "" if cell is None else f"{100 * cell:+.1f}"
-                for cell in (error.depth, error.stopping_time, error.force)
-            ),
-            f"{100 * error.trajectory:.1f}",
-        )
-        for name, error in errors.items()
-    ]
+def _errors(title: str, errors: Mapping[str, RunErrors]) -> Table:
+    def cells(name: str, error: RunErrors) -> list[str]:
+        numbers = (error.depth, error.stopping_time, error.force)
+        signed = ["" if number is None else f"{100 * number:+.1f}" for number in numbers]
+        return [name, *signed, f"{100 * error.trajectory:.1f}"]
+
     headings = ("run", "depth", "stopping time", "force", "whole curve")
-    return table(f"{title}: errors [%]", headings, cells)
-
-
-def _names(path: Path) -> tuple[str, str, str]:
-    """Names of the medium's file, of the result and of the figure."""
-    if path.suffix not in (".yaml", ".yml"):
-        raise InputError(
-            f"a medium's file ends in .yaml, not {path.name!r}: --medium knows it by that"
-        )
-    if not path.parent.is_dir():
-        raise InputError(f"there is no folder {path.parent} to write {path.name} to: make it first")
-    return path.name, f"{path.stem}.fit.json", f"{path.stem}.fit.png"
-
-
-def _refuse_present(folder: Path, names: Sequence[str]) -> None:
-    present = [name for name in names if (folder / name).exists()]
-    if present:
-        raise OutputError(
-            f"{folder / present[0]} is there already: choose another name, or say --overwrite"
-        )
+    rows = [cells(name, error) for name, error in errors.items()]
+    return table(f"{title}: errors [%]", headings, rows)

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.table import Table
 
-from mjgranular.cli import drop as models
-from mjgranular.cli.console import out, print_json, progress_bar, table
-from mjgranular.cli.filming import write_film
+from mjgranular.cli.console import note, out, print_json, progress_bar, table
+from mjgranular.cli.drop import run_and_show
 from mjgranular.cli.options import given_options, option, options_of, record_of
-from mjgranular.cli.results import FilmOptions, OutputOptions, collected, note
+from mjgranular.cli.results import FilmOptions, Flag, OutputOptions, collected, write_film
 from mjgranular.errors import GranularError, InputError
-from mjgranular.experiment import CASES, Impact, ImpactResult, reproduce, run_drop, run_impact
+from mjgranular.experiment import CASES, Impact, ImpactResult, reproduce, run_impact
 from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
+from mjgranular.experiment.drop import DropResult
 from mjgranular.experiment.folder import (
     CONFIG,
     RUN_FILES,
     SUMMARY,
     ResultFolder,
-    write_drop,
     write_impact,
 )
 from mjgranular.experiment.paper import comparison
@@ -50,17 +50,28 @@ class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
 
     body: Annotated[str, tyro.conf.arg(metavar="SHAPE")] = "link"
     """What falls: link, sphere, box, cylinder, capsule, ellipsoid, plate, or chain:N."""
-    paper: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    paper: Flag = False
     """Run the six drops of the paper's table instead, and print them beside its values."""
 
     def run(self) -> int:
         """Run the command."""
         if self.paper:
             return self._run_paper()
-        self.check_film()
         count = chain_length(self.body)
         if count is not None:
             return self._run_chain(count)
+        return self._run_body()
+
+    def experiment(self) -> Impact:
+        """Return the experiment for a sweep."""
+        if self.paper:
+            raise InputError("--paper has its own drops: a sweep takes one experiment")
+        if chain_length(self.body) is not None:
+            raise InputError("a sweep cannot drop a chain: write it as a model, for --of drop")
+        return record_of(Impact, self)
+
+    def _run_body(self) -> int:
+        self.check_film()
         if self.body == "sphere" and self.length != Impact.length:
             raise InputError("a sphere has no --length: its size is its --diameter")
         impact = self.experiment()
@@ -73,19 +84,9 @@ class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
             if self.json:
                 print_json(result.summary())
             else:
-                out.print(impact_table(result))
-                for line in remarks(result):
-                    note(line)
+                _show(result)
             problems = [] if folder is None else _draw(folder, result, film)
         return self.finish(problems)
-
-    def experiment(self) -> Impact:
-        """Return what is asked for."""
-        if self.paper:
-            raise InputError("--paper has its own drops: a sweep takes one experiment")
-        if chain_length(self.body) is not None:
-            raise InputError("a sweep cannot drop a chain: write it as a model, for --of drop")
-        return record_of(Impact, self)
 
     def _film(self, impact: Impact) -> Film:
         from mjgranular.picture.video import Film
@@ -95,35 +96,20 @@ class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
         return film
 
     def _run_chain(self, count: int) -> int:
-        """Drop a chain of `count` links."""
         if self.until != "stop":
             raise InputError("--until is for one body: a chain is followed for its --duration")
         impact = record_of(Impact, self, body="link")
-        drop = chain_drop(impact, count)
-        models.check_film(self, drop)
         height: dict[str, float | None] = {"the height of release": impact.height}
         warn_of_slips(lengths=height, speed=impact.speed, density=impact.density)
-        with self.claimed(*RUN_FILES, models.FIGURE, models.FILM) as folder:
-            with progress_bar("dropping the chain", drop.duration) as progress:
-                result = run_drop(drop, progress=progress)
-            if folder is not None:
-                write_drop(folder, result)
-            if self.json:
-                print_json(chain_summary(impact, count, result))
-            else:
-                models.show(result)
-                end = "T, the end of the last link,"
-                if result.stop is None:
-                    out.print(f"{end} did not stop within {impact.duration:g} s")
-                else:
-                    time, depth = (1e3 * value for value in result.stop)
-                    text = f"{end} stops after {time:.3f} ms, {depth:.3f} mm deep"
-                    out.print(text, highlight=False)
-            problems = [] if folder is None else models.draw(self, folder, result)
-        return self.finish(problems)
+        return run_and_show(
+            self,
+            chain_drop(impact, count),
+            what="dropping the chain",
+            summary=lambda result: chain_summary(impact, count, result),
+            remark=_stop_of_chain,
+        )
 
     def _run_paper(self) -> int:
-        """Run the paper's six drops."""
         free = ["paper", "timestep", "scheme", "law"]
         free += [each.name for each in fields(OutputOptions)]
         fixed = [each.name for each in fields(self) if each.name not in free]
@@ -173,70 +159,72 @@ def paper_table(rows: list[dict[str, Any]], timestep: float) -> Table:
     return table(f"The paper's six drops, time step {timestep:g} s", headings, cells, words=0)
 
 
-def impact_table(result: ImpactResult) -> Table:
-    """Make a table of the result."""
-    summary = result.summary()
-    impact = result.impact
-    table = Table(
-        title=f"Impact on sand: {result.impact.body}", show_header=False, title_justify="left"
-    )
-    for justify in ("left", "right", "left"):
-        table.add_column(justify=justify, style="dim" if justify == "left" else "")
-
-    def row(name: str, value: float | None, digits: str, unit: str) -> None:
-        if value is not None:
-            table.add_row(name, format(value, digits), unit)
-
-    table.add_row("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme_taken}", "")
-    row("time step", impact.timestep, "g", "s")
-    row("speed of T", impact.speed, "g", "m/s")
-    row("angle from the vertical", summary["angle_deg"], "g", "deg")
-    row("tangential speed of T", impact.tangential_speed or None, "g", "m/s")
-    row("angular velocity", impact.angular_velocity or None, "g", "rad/s")
-    row("height of release", impact.height or None, "g", "m")
-    table.add_section()
+def _stop_of_chain(result: DropResult) -> str:
+    end = "T, the end of the last link,"
     if result.stop is None:
-        table.add_row("stopping time", f"not within {impact.duration:g}", "s")
-        row("greatest depth of T", summary["depth"] * 1e3, ".3f", "mm")
+        return f"{end} did not stop within {result.drop.duration:g} s"
+    time, depth = (1e3 * value for value in result.stop)
+    return f"{end} stops after {time:.3f} ms, {depth:.3f} mm deep"
+
+
+def _show(result: ImpactResult) -> None:
+    """Print a drop as a table, and remarks on it."""
+    summary, impact, stop, rest = result.summary(), result.impact, result.stop, result.rest
+    rows: list[tuple[str, str, str] | None] = [  # None for a line
+        ("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme_taken}", ""),
+        ("time step", f"{impact.timestep:g}", "s"),
+        ("speed of T", f"{impact.speed:g}", "m/s"),
+        ("angle from the vertical", f"{summary['angle_deg']:g}", "deg"),
+    ]
+    for name, value, unit in (
+        ("tangential speed of T", impact.tangential_speed, "m/s"),
+        ("angular velocity", impact.angular_velocity, "rad/s"),
+        ("height of release", impact.height, "m"),
+    ):
+        if value:
+            rows.append((name, f"{value:g}", unit))
+    rows.append(None)
+    if stop is None:
+        rows.append(("stopping time", f"not within {impact.duration:g}", "s"))
+        rows.append(("greatest depth of T", f"{summary['depth'] * 1e3:.3f}", "mm"))
     else:
-        row("stopping time", result.stop.time * 1e3, ".3f", "ms")
-        row("depth of T at the stop", result.stop.depth * 1e3, ".3f", "mm")
-        row("angle at the stop", math.degrees(result.stop.angle), ".2f", "deg")
-        row("angular velocity at the stop", result.stop.angular_velocity, ".2f", "rad/s")
-    row("greatest force of the sand", summary["greatest_force"], ".1f", "N")
-    if result.rest is not None:
-        row("at rest after", result.rest.time * 1e3, ".1f", "ms")
-        row("depth of the deeper end at rest", result.rest.depth * 1e3, ".3f", "mm")
-        row("angle at rest", math.degrees(result.rest.angle), ".2f", "deg")
-    return table
-
-
-def remarks(result: ImpactResult) -> list[str]:
-    """Return what a person should know besides the numbers."""
-    impact = result.impact
-    lines = []
-    if result.stop is None:
-        lines.append(
-            f"T did not stop within {impact.duration:g} s; a longer --duration may show it"
-        )
-    elif impact.until == "rest" and result.rest is None:
+        rows += [
+            ("stopping time", f"{stop.time * 1e3:.3f}", "ms"),
+            ("depth of T at the stop", f"{stop.depth * 1e3:.3f}", "mm"),
+            ("angle at the stop", f"{math.degrees(stop.angle):.2f}", "deg"),
+            ("angular velocity at the stop", f"{stop.angular_velocity:.2f}", "rad/s"),
+        ]
+    rows.append(("greatest force of the sand", f"{summary['greatest_force']:.1f}", "N"))
+    if rest is not None:
+        rows += [
+            ("at rest after", f"{rest.time * 1e3:.1f}", "ms"),
+            ("depth of the deeper end at rest", f"{rest.depth * 1e3:.3f}", "mm"),
+            ("angle at rest", f"{math.degrees(rest.angle):.2f}", "deg"),
+        ]
+    shown = Table(title=f"Impact on sand: {impact.body}", show_header=False, title_justify="left")
+    for justify in ("left", "right", "left"):
+        shown.add_column(justify=justify, style="dim" if justify == "left" else "")
+    for row in rows:
+        shown.add_section() if row is None else shown.add_row(*row)
+    out.print(shown)
+    if stop is None:
+        note(f"T did not stop within {impact.duration:g} s; a longer --duration may show it")
+    elif impact.until == "rest" and rest is None:
         omega = float(result.trajectory.omega[-1])
         line = f"not at rest after {impact.duration:g} s: it turns at {omega:.1f} rad/s"
         if result.law.split()[0] == "link":
             line += "; the lumped law does not resist turning about E, --law link_distributed does"
-        lines.append(line)
-    return lines
+        note(line)
 
 
 def release_to_stop(summary: dict[str, Any]) -> float | None:
-    """Return the time from release to the stop [s], None if there was none."""
+    """Return the time from release to the stop [s]; None without a stop."""
     if summary["stopping_time"] is None:
         return None
     return summary["touchdown_time"] + summary["stopping_time"]
 
 
-def title(summary: dict[str, Any]) -> str:
-    """Return the line above figures."""
+def _title(summary: dict[str, Any]) -> str:
     return (
         f"{summary['speed']:g} m/s, {summary['angle_deg']:g} deg, {summary['medium']}, "
         f"{summary['law']} law, {summary['scheme']}, {summary['timestep']:g} s"
@@ -250,7 +238,7 @@ def _draw(folder: ResultFolder, result: ImpactResult, film: Film | None) -> list
     problems: list[GranularError] = []
     impact, summary, prints = result.impact, result.summary(), result.prints
     motion, forces = FIGURES
-    stop, above = release_to_stop(summary), title(summary)
+    stop, above = release_to_stop(summary), _title(summary)
     with collected(problems):
         _draw_motion(folder, motion, result.trajectory, summary)
         folder.write(
@@ -274,7 +262,7 @@ def _draw_motion(
     from mjgranular.picture.figures import draw_motion
 
     stop = release_to_stop(summary)
-    folder.write(name, lambda path: draw_motion(path, trajectory, stop=stop, title=title(summary)))
+    folder.write(name, lambda path: draw_motion(path, trajectory, stop=stop, title=_title(summary)))
 
 
 def film_impact(
@@ -289,12 +277,6 @@ def film_impact(
     """Film a drop."""
     from mjgranular.picture.video import frames_of_run
 
-    stop = release_to_stop(summary)
-    write_film(
-        folder,
-        name,
-        film,
-        lambda: frames_of_run(
-            film, impact.link, trajectory, stop=stop, prints=prints, sand=impact.described
-        ),
-    )
+    options = {"stop": release_to_stop(summary), "prints": prints, "sand": impact.described}
+    frames = partial(frames_of_run, film, impact.link, trajectory, **options)
+    write_film(folder, name, film, frames)

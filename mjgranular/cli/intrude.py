@@ -6,9 +6,9 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
-from mjgranular.cli.console import out, print_json, table
+from mjgranular.cli.console import note, out, print_json, table
 from mjgranular.cli.options import given_options, options_of, record_of
-from mjgranular.cli.results import OutputOptions, collected, note
+from mjgranular.cli.results import OutputOptions, collected
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
@@ -20,7 +20,7 @@ _ROWS_SHOWN = 11
 
 @dataclass(frozen=True, kw_only=True)
 class IntrudeCommand(OutputOptions, options_of(Intrusion)):
-    """Move a plate, a sphere or your own geom through sand on a straight path: force on depth.
+    """Move a plate, a sphere or your own geom through sand on a straight path: force by depth.
 
     The intruder is moved, not pushed. Prints resistance against the motion, lift across it, and
     whether the law held. With --out DIR, writes table and figure there.
@@ -37,7 +37,10 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
                     folder.write_config("intrude", {**intrusion.config(), "law": result.law})
                     folder.write(_CSV, lambda path: _write_csv(path, result))
                     folder.write_json(SUMMARY, result.rows())
-            self._show(result)
+            if self.json:
+                print_json(result.rows())
+            else:
+                self._show(result)
             if folder is not None:
                 from mjgranular.picture.figures import draw_intrusion
 
@@ -48,21 +51,19 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
         return self.finish(problems)
 
     def experiment(self) -> Intrusion:
-        """Return what is asked for."""
+        """Return the experiment."""
         for name in given_options(self, "intruder", "size") if self.model is not None else ():
             raise InputError(f"the intruder is a shape or of a model: omit --model or --{name}")
         if self.distance is not None and given_options(self, "depth"):
-            raise InputError(
-                "--depth and --distance both say where the path ends: omit one of the two"
-            )
+            raise InputError("--depth and --distance both determine the end of the path: omit one")
         return record_of(Intrusion, self)
 
     def _show(self, result: IntrusionResult) -> None:
         rows = result.rows()
-        if self.json:
-            print_json(rows)
-            return
-        title = f"{result.intrusion.title} in {self.medium}: {result.law} law"
+        title = (
+            f"{result.intrusion.title} in {self.medium}: {result.law} law, {result.elements} "
+            "elements"
+        )
         headings = ("travelled\n[mm]", "depth\n[mm]", "resistance\n[N]", "lift\n[N]")
         step = max(1, (len(rows) - 1) // (_ROWS_SHOWN - 1))
         cells = [
@@ -73,7 +74,6 @@ class IntrudeCommand(OutputOptions, options_of(Intrusion)):
             )
             for row in rows[::step]
         ]
-        title = f"{title}, {result.elements} elements"
         out.print(table(title, (*headings, "sideways\n[N]"), cells, words=0))
         outside = int((~result.valid).sum())
         if outside:

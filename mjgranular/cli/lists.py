@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Annotated, Any, Literal
 
@@ -12,13 +11,14 @@ from rich.markdown import Markdown
 
 from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import law_named
+from mjgranular.cli.results import Flag
 from mjgranular.errors import UnknownNameError
 from mjgranular.law import Law, check_constants, law_in, laws
-from mjgranular.medium import Medium, get_medium, media
+from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import has_constants
 
-Listed = tuple[Any, Callable[[], object]]
-"""A value for JSON, and a function that makes what a person reads."""
+Listed = tuple[Any, Any]
+"""A value for JSON, and what rich prints."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class ListCommand:
     """What to list."""
     name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = None
     """One of them; or a medium's YAML file, whose names are checked, or my_laws:Mud."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    json: Flag = False
     """Print JSON instead of a table."""
 
     def run(self) -> int:
@@ -49,7 +49,7 @@ class ListCommand:
         if self.json:
             print_json(value)
         else:
-            out.print(shown())
+            out.print(shown)
         return 0
 
 
@@ -59,8 +59,7 @@ def _media() -> Listed:
         for each in media.values()
     ]
     headings = ("name", "what it is", "bulk density [kg/m^3]", "laws, its own first")
-    every = [asdict(medium) for medium in media.values()]
-    return every, lambda: table("Media", headings, rows, words=4)
+    return [asdict(medium) for medium in media.values()], table("Media", headings, rows, words=4)
 
 
 def _medium(name: str) -> Listed:
@@ -73,30 +72,28 @@ def _medium(name: str) -> Listed:
         rows |= {f"{law}.{key}": quantity for key, quantity in constants.items()}
     cells = [(key, f"{one.value:g} {one.unit}".strip(), one.source) for key, one in rows.items()]
     title = f"{medium.name}: {medium.title}"
-    return asdict(medium), lambda: table(title, ("quantity", "value", "source"), cells, words=3)
+    return asdict(medium), table(title, ("quantity", "value", "source"), cells, words=3)
 
 
 def _laws() -> Listed:
     rows = [_facts(law) for law in laws.values()]
     headings = ("name", "what it is", "source")
-    return rows, lambda: table("Laws", headings, [tuple(row.values()) for row in rows], words=3)
+    return rows, table("Laws", headings, [row.values() for row in rows], words=3)
 
 
 def _law(name: str) -> Listed:
     law = law_in(law_named(name) or "")[0]
     every: Any = fields(law)  # pyright: ignore[reportArgumentType]
     defaults = {f.name: None if f.default is MISSING else f.default for f in every}
-    known: list[tuple[Medium, Any]] = [
-        (medium, law.from_medium(medium)) for medium in media.values() if has_constants(medium, law)
-    ]
+    known = {m.name: law.from_medium(m) for m in media.values() if has_constants(m, law)}
     rows = []
     for key, default in defaults.items():
-        values = [(medium.name, getattr(made, key)) for medium, made in known]
-        others = [f"{medium} {value:g}" for medium, value in values if value != default]
+        values = {medium: getattr(made, key) for medium, made in known.items()}
+        others = [f"{medium} {value:g}" for medium, value in values.items() if value != default]
         rows.append((key, "" if default is None else f"{default}", ", ".join(others)))
     headings = ("parameter", "default", "media with a value")
-    title = f"{law.name}: {law.title}"
-    return {**_facts(law), "parameters": defaults}, lambda: table(title, headings, rows, words=3)
+    shown = table(f"{law.name}: {law.title}", headings, rows, words=3)
+    return {**_facts(law), "parameters": defaults}, shown
 
 
 def _facts(law: type[Law]) -> dict[str, str]:
@@ -106,10 +103,7 @@ def _facts(law: type[Law]) -> dict[str, str]:
 def _policies() -> Listed:
     from mjgranular.learn.policies import shipped_policies
 
-    rows = [_of_policy(name, run) for name, run in shipped_policies().items()]
-    if not rows:
-        return rows, lambda: "none yet: mjgranular train ENV makes one"
-    return rows, lambda: _policy_table(rows)
+    return _policy_table(shipped_policies())
 
 
 def _policy(name: str) -> Listed:
@@ -118,43 +112,43 @@ def _policy(name: str) -> Listed:
     shipped = shipped_policies()
     if name not in shipped:
         raise UnknownNameError("policy", name, shipped)
-    row = _of_policy(name, shipped[name])
-    return row, lambda: _policy_table([row])
+    rows, shown = _policy_table({name: shipped[name]})
+    return rows[0], shown
 
 
-def _of_policy(name: str, run: Any) -> dict[str, Any]:
+def _policy_table(runs: dict[str, Any]) -> Listed:
     from mjgranular.learn.policies import last_return
 
-    return {
-        "name": name,
-        "environment": run.environment,
-        "algorithm": run.settings.algorithm,
-        "seed": run.seed,
-        "steps": run.settings.total_steps,
-        "mean_return": last_return(run),
-    }
-
-
-def _policy_table(rows: list[dict[str, Any]]) -> object:
+    rows = [
+        {
+            "name": name,
+            "environment": run.environment,
+            "algorithm": run.settings.algorithm,
+            "seed": run.seed,
+            "steps": run.settings.total_steps,
+            "mean_return": last_return(run),
+        }
+        for name, run in runs.items()
+    ]
     headings = ("name", "environment", "algorithm", "seed", "steps", "return at the end")
     cells = [
         ("" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values())
         for row in rows
     ]
-    return table("Policies", headings, cells, words=3)
+    return rows, table("Policies", headings, cells, words=3)
 
 
 def _environments() -> Listed:
     from mjgranular.envs.ids import id_of
     from mjgranular.envs.tasks import tasks
 
-    rows = [_row(id_of(name), task) for name, task in tasks.items()]
+    rows = [_environment_row(id_of(name), task) for name, task in tasks.items()]
     cells = [
         (row["id"], row["title"], f"{row['medium']} {row['law']}", str(row["max_episode_steps"]))
         for row in rows
     ]
     headings = ("id", "what it is", "sand and its law", "steps")
-    return rows, lambda: table("Environments", headings, cells, words=3)
+    return rows, table("Environments", headings, cells, words=3)
 
 
 def _environment(identity: str) -> Listed:
@@ -167,12 +161,12 @@ def _environment(identity: str) -> Listed:
         find_spec(identity)  # imports its module, which registers it
     if name not in tasks:
         raise UnknownNameError("environment", identity, map(id_of, tasks))
-    row = _row(id_of(name), tasks[name])
+    row = _environment_row(id_of(name), tasks[name])
     text = inspect.getdoc(tasks[name]) or ""
-    return row | {"specification": text}, lambda: Markdown(f"# {row['id']}\n\n{text}")
+    return row | {"specification": text}, Markdown(f"# {row['id']}\n\n{text}")
 
 
-def _row(identity: str, task: Any) -> dict[str, Any]:
+def _environment_row(identity: str, task: Any) -> dict[str, Any]:
     return {
         "id": identity,
         "title": task.title,

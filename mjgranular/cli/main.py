@@ -1,4 +1,4 @@
-"""Chooses the command, and turns a user's mistake into one line and exit status 2."""
+"""Runs a command; a user's mistake becomes one line and exit status 2."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import warnings
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Union
-
-import tyro
+from typing import Any
 
 from mjgranular._util.io import place
 from mjgranular._util.signals import signal_of, stopped_by_signals
@@ -23,8 +21,7 @@ from mjgranular.cli.fit import FitCommand
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import ListCommand
-from mjgranular.cli.numbers import number_rules
-from mjgranular.cli.options import in_options
+from mjgranular.cli.options import in_options, parse_command
 from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.studio import StudioCommand
 from mjgranular.cli.sweep import SweepCommand
@@ -33,7 +30,7 @@ from mjgranular.cli.view import ViewCommand
 from mjgranular.cli.warm import WarmCommand
 from mjgranular.errors import GranularError, GranularWarning, UnknownNameError, one_line
 
-PIPE_CLOSED = 141  # what a shell expects when the reader went away: 128 + SIGPIPE
+PIPE_CLOSED = 141  # 128 + SIGPIPE, as for any command whose reader has ended
 
 COMMANDS: dict[str, Any] = {
     "impact": ImpactCommand,
@@ -50,20 +47,17 @@ COMMANDS: dict[str, Any] = {
     "studio": StudioCommand,
     "list": ListCommand,
 }
-_Command: Any = Union[  # noqa: UP007 - of a list
-    tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in COMMANDS.items())
-]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line.
+    """Run the command line.
 
     Args:
         arguments: without the program's name; None for those of the process.
 
     Returns:
-        Exit status: 0 done; 2 for a mistake in the arguments, reported in one sentence; 130 when
-        interrupted, 143 when terminated, 141 when nobody reads the output any more.
+        Exit status: 0 for success; 2 for a mistake in the arguments, reported in one sentence; 130
+        if interrupted, 143 if terminated, 141 if standard output is closed.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -71,76 +65,61 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _main(given)
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # the reader of our output has gone: `mjgranular ... | head`
+    except BrokenPipeError:  # as in `mjgranular ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
 
 
 def _main(given: Sequence[str]) -> int:
-    """Runs what the arguments ask for."""
     if given in (["--version"], ["-V"]):
         print(f"mjgranular {__version__}")
         return 0
-    if not all(_is_text(argument) for argument in given):
-        show_error("an argument is not UTF-8: names and paths are to be, for MuJoCo too")
+    mistake = _find_mistake(given)
+    if mistake is not None:
+        show_error(mistake)
         return 2
-    if given and not given[0].startswith("-") and given[0] not in COMMANDS:
-        show_error(str(UnknownNameError("command", given[0], COMMANDS)))
-        return 2
-    twice = _given_twice(given)
-    if twice is not None:  # the first would be dropped without a word
-        show_error(f"{twice} is given twice: give it once, with all of its values behind it")
-        return 2
-    command = tyro.cli(
-        _Command,
-        prog="mjgranular",
+    command = parse_command(
+        COMMANDS,
+        given,
+        program="mjgranular",
         description="Sand for MuJoCo: drops, sweeps, films, policies. SI units; angles in degrees.",
-        args=given,
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
-        registry=number_rules(),
     )
     show_compilation()
     try:
         with warnings.catch_warnings(), stopped_by_signals():
             warnings.simplefilter("always", GranularWarning)
-            warnings.showwarning = partial(show_warning, words=partial(in_options, command))
+            warnings.showwarning = partial(show_warning, translate=partial(in_options, command))
             return command.run()
     except GranularError as error:
         show_error(in_options(command, str(error)))
-        return 2
     except KeyboardInterrupt as stop:
         show_error("interrupted")
         return 128 + signal_of(stop)
     except BrokenPipeError:
         raise
-    except OSError as error:  # a path that is too long, a folder that may not be looked into
+    except OSError as error:  # such as a path that is too long
         if error.filename is None:
             raise
         show_error(one_line(f"{place(Path(os.fsdecode(error.filename)))}: {error.strerror}"))
-        return 2
     except Exception as error:
         gym = sys.modules.get("gymnasium")
         if gym is None or not isinstance(error, gym.error.DependencyNotInstalled):
             raise
-        show_error(one_line(str(error)))  # of an environment that draws itself
-        return 2
+        show_error(one_line(str(error)))  # from an environment that renders itself
+    return 2
 
 
-def _given_twice(given: Sequence[str]) -> str | None:
-    """The first option that is given a second time; None if none is."""
-    seen = set()
+def _find_mistake(given: Sequence[str]) -> str | None:
+    """Find mistakes that the parser would not report, or not in one sentence."""
     for argument in given:
-        name = argument.partition("=")[0].replace("_", "-")
-        if name.startswith("--") and name in seen:
-            return name
-        seen.add(name)
+        try:
+            argument.encode()
+        except UnicodeEncodeError:
+            return "an argument is not UTF-8: names and paths must be, for MuJoCo too"
+    if given and not given[0].startswith("-") and given[0] not in COMMANDS:
+        return str(UnknownNameError("command", given[0], COMMANDS))
+    options = [argument.partition("=")[0].replace("_", "-") for argument in given]
+    for number, name in enumerate(options):
+        if name.startswith("--") and name in options[:number]:  # the first would be ignored
+            return f"{name} is given twice: give it once, with all of its values behind it"
     return None
-
-
-def _is_text(argument: str) -> bool:
-    """Whether an argument of the process could be read."""
-    try:
-        argument.encode()
-    except UnicodeEncodeError:
-        return False
-    return True

@@ -1,4 +1,4 @@
-"""Options made from the records of experiments, and what commands share about options."""
+"""Options of commands: made from the dataclasses of experiments, parsed, named in messages."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import re
 import shlex
 import types
 import typing
-from dataclasses import dataclass, field, fields, make_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, Union
 
 import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from mjgranular._util.user_modules import import_own
 from mjgranular.errors import UnknownNameError
@@ -24,16 +26,90 @@ from mjgranular.shape.rods import CHOOSE
 
 T = TypeVar("T")
 _METAVARS = {str: "NAME", int: "N", float: "X", Path: "FILE"}
+_EXACT = 2**53  # up to which a float holds integers exactly
+
+
+# Commands and numbers
+
+
+def parse_command(
+    commands: Mapping[str, Any], arguments: Sequence[str], *, program: str, description: str = ""
+) -> Any:
+    """Return the command that the arguments name, a dataclass.
+
+    Args:
+        commands: the dataclasses by the names of the commands.
+        arguments: the name of one and its options.
+        program: what is typed before them, for help texts.
+        description: of the program.
+    """
+    registry = ConstructorRegistry()
+    registry.primitive_rule(_number_rule)
+    kinds = [Annotated[kind, tyro.conf.subcommand(name)] for name, kind in commands.items()]
+    command: Any = Union[tuple(kinds)]  # noqa: UP007
+    return tyro.cli(
+        command,
+        prog=program,
+        description=description,
+        args=arguments,
+        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
+        registry=registry,
+    )
+
+
+def parse_integer(text: str) -> int:
+    """Return an integer, which may be written as 1e6."""
+    try:
+        return int(text)
+    except ValueError:
+        number = parse_number(text)
+    if number is None or not number.is_integer() or abs(number) > _EXACT:
+        raise ValueError(f"must be an integer, got {text!r}")
+    return int(number)
+
+
+def _checked_number(text: str) -> float:
+    number = parse_number(text)
+    if number is None:
+        raise ValueError(f"must be a number without its unit, such as 0.1 or 2e-3, got {text!r}")
+    return number
+
+
+def parse_number(text: str) -> float | None:
+    """Return a number, or None for other text."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _number_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """Parse options that are numbers, or numbers or None, with our messages."""
+    kinds = set(typing.get_args(info.type) or (info.type,)) - {type(None)}
+    parsers: dict[Any, Callable[[str], Any]] = {int: parse_integer, float: _checked_number}
+    kind = kinds.pop() if len(kinds) == 1 else None
+    if kind not in parsers or typing.get_origin(info.type) not in (None, Union, types.UnionType):
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=_METAVARS[kind],
+        instance_from_str=lambda words: parsers[kind](words[0]),
+        is_instance=lambda value: value is None or isinstance(value, (int, float)),
+        str_from_instance=lambda value: [str(value)],
+    )
+
+
+# Options from dataclasses
 
 
 def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
-    """Make a dataclass of options from a record: its fields, defaults and documentation.
+    """Make a dataclass of options from the fields, defaults and docstring of another.
 
-    Angles are in degrees. A field that the record does not document is one of `PlainSand`.
+    Angles are in degrees.
 
     Args:
-        kind: a dataclass with a section `Attributes:`, where units stand in brackets at the end.
-        *names: of the fields; none for all.
+        kind: a dataclass with a section `Attributes:`, with units in brackets at the end.
+        *names: names of the fields; none for all.
         without: names of fields that are not options.
     """
     hints = typing.get_type_hints(kind)
@@ -51,7 +127,7 @@ def options_of(kind: type, *names: str, without: tuple[str, ...] = ()) -> Any:
 
 
 def _documented(kind: type) -> dict[str, str]:
-    """Return what the docstrings of a dataclass and its bases say of its attributes."""
+    """Return the descriptions of attributes in the docstrings of a dataclass and its bases."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         section = (inspect.cleandoc(base.__doc__ or "")).partition("Attributes:\n")[2]
@@ -61,12 +137,12 @@ def _documented(kind: type) -> dict[str, str]:
 
 
 def _annotated(hint: Any, text: str) -> Any:
-    """Return the type of an option with what tyro shows of it."""
+    """Return the type of an option with its help text and metavar for tyro."""
     text = f"{text[0].upper()}{text[1:].rstrip('.')}."
     if hint is bool:
         return Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help=text)]
     kinds = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-    if float in kinds and str in kinds:  # a number or words: words, which hold numbers too
+    if float in kinds and str in kinds:  # strings, which may contain a number
         kinds = tuple(kind for kind in kinds if kind is not float)
         hint = str | None if type(None) in kinds else str
     plain = next(kind for kind in kinds if kind is not type(None))
@@ -83,12 +159,12 @@ def _annotated(hint: Any, text: str) -> Any:
 
 
 def record_of(kind: type[T], command: object, **others: Any) -> T:
-    """Make a record from the options of a command that are called as its fields are.
+    """Make a dataclass of an experiment from the options of a command with the same names.
 
     Args:
-        kind: a dataclass.
+        kind: the dataclass.
         command: the command.
-        **others: fields that are not options, or other than these.
+        **others: fields that are not options, or differ from them.
     """
     names = [each.name for each in fields(kind)]  # pyright: ignore[reportArgumentType]
     given = {name: getattr(command, name) for name in names if hasattr(command, name)}
@@ -99,12 +175,7 @@ def record_of(kind: type[T], command: object, **others: Any) -> T:
 
 
 def given_options(command: object, *names: str) -> list[str]:
-    """Return the names of the options that were given another value than their default.
-
-    Args:
-        command: a dataclass.
-        names: of the options that are meant.
-    """
+    """Return which of the named options of a command differ from their defaults."""
     return [
         each.name
         for each in fields(command)  # pyright: ignore[reportArgumentType]
@@ -123,58 +194,42 @@ _ADVICE = re.compile(
 )
 
 
-_NAMES = re.compile(r"'([^']*)'|([^\[\],\s']+)")
-
-
 def in_options(command: object, text: str) -> str:
-    """Return a message with its advice as a user of the command types it.
+    """Return a message with advice for Python, `geoms=['a', 'b']`, as options, `--geoms a b`."""
 
-    The library says `geoms=['left', 'right']`, which is `--geoms left right` here.
-
-    Args:
-        command: what was called; advice on options that it has not stays as it is.
-        text: of the message.
-    """
-
-    def typed(found: re.Match[str]) -> str:
+    def as_option(found: re.Match[str]) -> str:
         name, value = found.groups()
         if not hasattr(command, name):
             return found[0]
-        names = [quoted or plain for quoted, plain in _NAMES.findall(value)]
-        words = "NAME" if value == "[...]" else shlex.join(names)
-        return f"{option(name)} {words}"
+        names = [
+            quoted or plain for quoted, plain in re.findall(r"'([^']*)'|([^\[\],\s']+)", value)
+        ]
+        return f"{option(name)} {'NAME' if value == '[...]' else shlex.join(names)}"
 
     if not hasattr(command, "geoms"):
         text = text.replace(f"{CHOOSE}; or ", "")
-    return (
-        text if "(--" in text else _ADVICE.sub(typed, text)
-    )  # where it says both there is no need
+    return text if "(--" in text else _ADVICE.sub(as_option, text)  # "(--": it names both
 
 
 def law_named(text: str | None) -> str | None:
-    """Return a law as the library knows it: of `my_laws:Drag k=2` the module is imported.
+    """Return a registered law; import the module of a custom one, `my_laws:Drag k=2`.
 
     Raises:
-        UnknownNameError: no such module, or no such law in it; lists those there are.
+        UnknownNameError: no such module, or no such law in it.
         InputError: the module cannot be imported.
     """
     named, _, options = (text or "").strip().partition(" ")
     module, colon, name = named.partition(":")
     if not colon:
         return text
-    things = vars(import_own(module, f"the law {named}"))
-    found = {key: one for key, one in things.items() if isinstance(one, type)}
-    found = {key: one for key, one in found.items() if issubclass(one, Law) and one is not Law}
+    content = vars(import_own(module, f"the law {named}"))
+    found = {
+        key: one
+        for key, one in content.items()
+        if isinstance(one, type) and issubclass(one, Law) and one is not Law
+    }
     if name not in found and name in laws:
         return f"{name} {options}".strip()
     if name not in found:
         raise UnknownNameError(f"law in the module {module}", name, sorted(found))
     return f"{register_law(found[name]).name} {options}".strip()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelOptions(options_of(PlainSand)):
-    """A model, and the sand under it."""
-
-    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
-    """The MJCF file."""

@@ -1,18 +1,32 @@
-"""Options of commands that write a result, and what such commands share."""
+"""Options of commands that write a result, and the steps that such commands share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from mjgranular.cli.console import err, out, show_error
-from mjgranular.errors import GranularError, InputError, MissingExtraError, RenderError
+from mjgranular.cli.console import err, out, progress_bar, show_error
+from mjgranular.errors import (
+    GranularError,
+    InputError,
+    MissingExtraError,
+    OutputError,
+    RenderError,
+)
 from mjgranular.experiment.folder import ResultFolder
+from mjgranular.pool import UNFINISHED, Journal, Workers
+
+if TYPE_CHECKING:
+    from mjgranular.picture.video import Film
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Frames = Callable[[], tuple[int, Iterator[Any]]]
+"""Returns the number of frames of a film, and the frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,9 +35,9 @@ class OutputOptions:
 
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the results; nothing is written without it."""
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Replace a result that the folder holds already."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    overwrite: Flag = False
+    """Replace a result that the folder contains."""
+    json: Flag = False
     """Print JSON instead of a table."""
 
     @contextmanager
@@ -31,7 +45,7 @@ class OutputOptions:
         """Claim the folder of `--out`; yield None without one.
 
         Args:
-            *names: of all files that the result may have.
+            *names: names of all files that the result may have.
 
         Raises:
             OutputError: the folder holds a result already, or it cannot be written to.
@@ -43,9 +57,9 @@ class OutputOptions:
             yield folder
 
     def finish(self, problems: Sequence[GranularError] = ()) -> int:
-        """Say where the result is, and what could not be drawn; return the exit status."""
+        """Print where the result is and what could not be drawn; return the exit status."""
         if self.out is not None and not self.json:
-            out.print(f"written to {self.out}", highlight=False, markup=False)
+            out.print(f"written to {self.out}")
         for problem in problems:
             show_error(f"{problem} (the numbers are in {self.out})")
         return 2 if problems else 0
@@ -55,7 +69,7 @@ class OutputOptions:
 class FilmOptions(OutputOptions):
     """Where results go, and whether a film is one of them."""
 
-    video: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    video: Flag = False
     """Write a film into the folder."""
     camera: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Camera of the film: side, close or corner of the link; one of a model's, or free."""
@@ -68,6 +82,75 @@ class FilmOptions(OutputOptions):
             raise InputError("--camera is for a film: add --video")
 
 
+@dataclass(frozen=True, kw_only=True)
+class EngineOptions(OutputOptions):
+    """Where many independent runs are done, and whether they are resumed."""
+
+    engine: Literal["local", "ray"] = "local"
+    """Processes of this machine, or Ray: on this machine, or with --address on a cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
+    """Head of a Ray cluster; auto for the one that this machine belongs to."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Number of processes. Default: one per core."""
+    chunk: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Number of runs that a process is given at a time. Default: about a second's worth."""
+    resume: Flag = False
+    """Resume the result in the folder of --out, and never start over."""
+
+    @property
+    def where(self) -> Workers:
+        """Where the runs are done."""
+        return Workers(self.engine, self.workers, self.chunk, self.address)
+
+    def check_resume(self) -> None:
+        """Raise if `--resume` contradicts other options."""
+        if self.resume and (self.out is None or self.overwrite):
+            raise InputError(
+                "--resume continues in the folder of --out: add --out DIR, omit --overwrite"
+            )
+
+    @contextmanager
+    def resumable(self, journal: Journal, *names: str) -> Iterator[ResultFolder | None]:
+        """Claim the folder of `--out`, and open the journal of what is finished in it.
+
+        Args:
+            journal: journal of that folder.
+            names: names of all files that a result may have.
+
+        Raises:
+            OutputError: the folder holds something else, or nothing to resume.
+        """
+        with closing(journal):
+            if self.out is None:
+                journal.begin()
+                yield None
+                return
+            fault = journal.fault() if self.resume else None
+            if fault is not None:
+                raise OutputError(
+                    f"{self.out} has nothing to resume ({UNFINISHED}: {fault}): give the "
+                    "options that it was started with, or start over without --resume"
+                )
+            claim = ResultFolder(self.out, (*names, UNFINISHED))
+            with claim.claimed(overwrite=self.overwrite, goes_on=journal.goes_on) as folder:
+                try:
+                    journal.begin()
+                    if journal.count:
+                        err.print(f"{journal.count} of {len(journal)} are finished", style="dim")
+                    yield folder
+                finally:
+                    journal.close()
+                    if not journal.count:
+                        (self.out / UNFINISHED).unlink(missing_ok=True)
+
+    def show_interrupted(self, journal: Journal, stopped_by: int | None) -> int:
+        """Print how far an interrupted run came; return the exit status."""
+        hint = f", saved in {self.out}; the same command resumes it" if self.out else ""
+        saved = hint if journal.count else ""
+        show_error(f"interrupted: {journal.count} of {len(journal)} are finished{saved}")
+        return 2 if stopped_by is None else 128 + stopped_by
+
+
 @contextmanager
 def collected(problems: list[GranularError]) -> Iterator[None]:
     """Append the error to a list if something cannot be drawn, and continue after the block."""
@@ -77,6 +160,13 @@ def collected(problems: list[GranularError]) -> Iterator[None]:
         problems.append(error)
 
 
-def note(text: str) -> None:
-    """Print a remark to standard error."""
-    err.print(text, highlight=False, markup=False)
+def write_film(folder: ResultFolder, name: str, film: Film, frames: Frames) -> None:
+    """Write a film with a progress bar."""
+    from mjgranular.picture.video import write_video
+
+    with progress_bar("filming", 1.0, remaining=True) as show:
+
+        def write(path: Path) -> None:
+            write_video(path, film, *frames(), progress=lambda done, count: show(done / count))
+
+        folder.write(name, write)

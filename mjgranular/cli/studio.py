@@ -12,17 +12,17 @@ from mjgranular.errors import InputError
 
 @dataclass(frozen=True)
 class StudioCommand:
-    """Prints the place of the plugin file for MuJoCo Studio, which comes with MuJoCo 4.
+    """Print the path of the plugin file for MuJoCo Studio, which comes with MuJoCo 4.
 
     python -m mujoco.studio.viewer MODEL.xml --plugins="$(mjgranular studio)" loads the model with
     sand under it and has a panel for medium, law and surface.
     """
 
     def run(self) -> int:
-        """Runs the command."""
+        """Run the command."""
         if find_spec("mujoco.studio") is None:
             raise InputError(
-                f"MuJoCo Studio comes with MuJoCo 4.0 and later; here is {mujoco.__version__}"
+                f"MuJoCo Studio comes with MuJoCo 4.0 and later, got {mujoco.__version__}"
             )
         from mjgranular.studio import PLUGIN
 

@@ -7,21 +7,26 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Union
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
 from mjgranular._util.parse import split_words
-from mjgranular.cli.console import out, progress_bar, show_error, table
+from mjgranular.cli.console import note, out, progress_bar, show_error, table
 from mjgranular.cli.drop import DropCommand
-from mjgranular.cli.engines import EngineOptions
 from mjgranular.cli.impact import ImpactCommand
 from mjgranular.cli.intrude import IntrudeCommand
-from mjgranular.cli.numbers import number_rules, whole_number
-from mjgranular.cli.options import given_options, law_named, option
-from mjgranular.cli.results import FilmOptions, note
+from mjgranular.cli.options import (
+    given_options,
+    law_named,
+    option,
+    parse_command,
+    parse_integer,
+    parse_number,
+)
+from mjgranular.cli.results import EngineOptions, FilmOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Between, Impact, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
@@ -30,19 +35,11 @@ from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
 from mjgranular.experiment.table import need_parquet, write_csv, write_parquet
 from mjgranular.pool import UNFINISHED
 
-_COMMANDS: dict[str, Any] = {
-    "impact": ImpactCommand,
-    "drop": DropCommand,
-    "intrude": IntrudeCommand,
-}
-_Command: Any = Union[  # noqa: UP007 - of a list
-    tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in _COMMANDS.items())
-]
-_OUTPUTS = tuple(FilmOptions.__dataclass_fields__)
-_MOST = 10**6  # values of one field; chosen, as are these
-_SHOWN = 40  # rows of the table for people
-_TOLD = 10  # failures
-_DRAWN = 2  # fields that fit in a figure
+_COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}
+_MOST_VALUES = 10**6  # of one field; chosen, as are the next three
+_ROWS_SHOWN = 40
+_FAILURES_SHOWN = 10
+_MOST_AXES = 2  # fields in a figure
 
 
 @dataclass(frozen=True)
@@ -50,27 +47,27 @@ class SweepCommand(EngineOptions):
     """Run an experiment many times, with any of its fields varied; by default as in Fig. 5.
 
     The runs are spread over the cores, or with --engine ray over a cluster. Ctrl-C ends the sweep;
-    with --out what is finished is kept, and the same command resumes it.
+    with --out finished runs are saved, and the same command resumes it.
     """
 
     vary: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES ...")] = ("speed=1:10:19",)
-    """What differs from run to run, every value with every other: speed=1:10:19 has 19 values,
+    """Values of each varied field; all combinations are run. speed=1:10:19 has 19 values,
     angle=30,45,60 three. Fields of the experiment, law.NAME or medium.density; degrees."""
     of: Annotated[str, tyro.conf.arg(metavar="COMMAND")] = "impact"
-    """What is run: a command in quotes, such as "impact --speed 2 --law rft2d", "drop MODEL.xml
+    """The experiment: a command in quotes, such as "impact --speed 2 --law rft2d", "drop MODEL.xml
     --slope 15" or "intrude --intruder sphere"."""
     sample: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Draw N points from ranges such as --vary speed=1:10 in place of a grid."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
-    """Of --sample."""
+    """Seed of --sample."""
     method: Literal["latin", "sobol"] = "latin"
-    """Of --sample: a Latin hypercube or a Sobol sequence."""
+    """Method of --sample: a Latin hypercube or a Sobol sequence."""
     table: Literal["csv", "parquet"] = "csv"
-    """Form of the table in the folder of --out."""
+    """Format of the table in the folder of --out."""
 
     def run(self) -> int:
         """Run the command."""
-        where = self.where  # which checks itself
+        workers = self.where  # raises for contradicting options
         self.check_resume()
         study = self._study()
         if self.table == "parquet":
@@ -81,8 +78,11 @@ class SweepCommand(EngineOptions):
         names = (CONFIG, SUMMARY, "sweep.csv", "sweep.parquet", "sweep.png")
         with self.resumable(journal, *names) as folder:
             with progress_bar("running", len(study)) as progress:
-                result = run_study(study, workers=where, journal=journal, progress=progress)
-            self._show(result)
+                result = run_study(study, workers=workers, journal=journal, progress=progress)
+            if self.json:
+                _print_rows(result)
+            else:
+                _show(result)
             if folder is not None and result.finished:
                 self._write(folder, result)
                 self.finish()
@@ -96,32 +96,8 @@ class SweepCommand(EngineOptions):
         experiment = read_experiment(self.of, varied)
         return Study(experiment, varied, self.sample, self.seed, self.method)
 
-    def _show(self, result: StudyResult) -> None:
-        if self.json:  # row by row
-            between = "["
-            for row in result.rows():
-                sys.stdout.write(f"{between}\n  {json.dumps(row, allow_nan=False)}")
-                between = ","
-            sys.stdout.write("[]\n" if between == "[" else "\n]\n")
-            return
-        from mjgranular.picture.studies import OUTCOMES, axis_of
-
-        study = result.study
-        axes = [axis_of(column_of(name)) for name in study.vary]
-        axes += OUTCOMES[type(study.experiment).__name__.lower()]
-        cells = (
-            [_cell(row.get(axis.column), axis.scale) for axis in axes]
-            for row in itertools.islice(result.rows(), _SHOWN)
-        )
-        title = f"{result.finished} runs of {study.experiment.title}"
-        out.print(table(title, [axis.label for axis in axes], cells, words=0))
-        if result.finished > _SHOWN:
-            out.print(f"and {result.finished - _SHOWN} more", highlight=False)
-
     def _write(self, folder: ResultFolder, result: StudyResult) -> None:
-        columns = result.columns()
-        goes_on = result.interrupted or result.lost > 0
-        study = result.study
+        study, unfinished = result.study, result.interrupted or result.lost > 0
         summary = {
             "runs": len(study),
             "finished": result.finished,
@@ -130,10 +106,11 @@ class SweepCommand(EngineOptions):
             "interrupted": result.interrupted,
             "failures": [result.told(failure) for failure in result.failures],
         }
-        with folder.published(keep=(UNFINISHED,) if goes_on else ()):
+        write = write_parquet if self.table == "parquet" else write_csv
+        columns = result.columns()
+        with folder.published(keep=(UNFINISHED,) if unfinished else ()):
             folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
             folder.write_json(SUMMARY, summary)
-            write = write_parquet if self.table == "parquet" else write_csv
             folder.write(f"sweep.{self.table}", lambda path: write(path, columns, result.rows))
             try:
                 _draw(folder, result)
@@ -141,17 +118,44 @@ class SweepCommand(EngineOptions):
                 note(f"no figure: {error}")
 
     def _status(self, result: StudyResult) -> int:
-        for failure in result.failures[:_TOLD]:
+        """Print failures; return the exit status."""
+        for failure in result.failures[:_FAILURES_SHOWN]:
             show_error(result.told(failure))
-        if result.failed > _TOLD:
-            where = f"; {SUMMARY} has them" if self.out else ""
-            show_error(f"and {result.failed - _TOLD} more have no result{where}")
+        if result.failed > _FAILURES_SHOWN:
+            where = f"; {SUMMARY} lists them" if self.out else ""
+            show_error(f"and {result.failed - _FAILURES_SHOWN} more have no result{where}")
         if result.interrupted:
             return self.show_interrupted(result.journal, result.stopped_by)
         if result.lost:
             again = "; the same command tries them again" if self.out and result.finished else ""
             show_error(f"{result.lost} runs were lost with their processes{again}")
         return 2 if result.failed else 0
+
+
+def _print_rows(result: StudyResult) -> None:
+    """Print a JSON list row by row: it may not fit into memory."""
+    separator = "["
+    for row in result.rows():
+        sys.stdout.write(f"{separator}\n  {json.dumps(row, allow_nan=False)}")
+        separator = ","
+    sys.stdout.write("[]\n" if separator == "[" else "\n]\n")
+
+
+def _show(result: StudyResult) -> None:
+    """Print the first rows as a table."""
+    from mjgranular.picture.studies import OUTCOMES, axis_of
+
+    study = result.study
+    axes = [axis_of(column_of(name)) for name in study.vary]
+    axes += OUTCOMES[type(study.experiment).__name__.lower()]
+    cells = (
+        [_cell(row.get(axis.column), axis.scale) for axis in axes]
+        for row in itertools.islice(result.rows(), _ROWS_SHOWN)
+    )
+    title = f"{result.finished} runs of {study.experiment.title}"
+    out.print(table(title, [axis.label for axis in axes], cells, words=0))
+    if result.finished > _ROWS_SHOWN:
+        out.print(f"and {result.finished - _ROWS_SHOWN} more")
 
 
 def _cell(value: object, scale: float) -> str:
@@ -161,41 +165,33 @@ def _cell(value: object, scale: float) -> str:
 
 
 def _draw(folder: ResultFolder, result: StudyResult) -> None:
-    """Draw the figure, if so few fields are varied that there is one."""
+    """Draw the outcomes if at most two fields are varied."""
     from mjgranular.picture.studies import OUTCOMES, draw_study
 
     study = result.study
     varied = [column_of(name) for name in study.vary]
-    if len(varied) > _DRAWN:
+    if len(varied) > _MOST_AXES:
         return
     outcomes = OUTCOMES[type(study.experiment).__name__.lower()]
-    wanted = [*varied, *(axis.column for axis in outcomes)]
-    columns: dict[str, list[object]] = {name: [] for name in wanted}
-    for row in result.rows():
-        for name in wanted:
+    names = [*varied, *(axis.column for axis in outcomes)]
+    columns: dict[str, list[object]] = {name: [] for name in names}
+    for row in result.rows():  # all of them may not fit into memory
+        for name in names:
             columns[name].append(row.get(name))
     first = next(result.rows())
     fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
     words = [text for name, text in fixed.items() if name not in study.vary]
-    title = ", ".join([study.experiment.title, *words])
     printed = None
     if isinstance(study.experiment, Impact) and varied in (["speed"], ["angle_deg"]):
         cases = cases_beside(study.experiment, varied[0].removesuffix("_deg"))
-        printed = (
-            {name: [getattr(case, name) for case in cases] for name in wanted} if cases else None
-        )
-    folder.write(
-        "sweep.png",
-        lambda path: draw_study(
-            path,
-            columns,
-            varied,
-            outcomes,
-            joined=study.sample is None,
-            printed=printed,
-            title=title,
-        ),
-    )
+        if cases:
+            printed = {name: [getattr(case, name) for case in cases] for name in names}
+    options = {
+        "joined": study.sample is None,
+        "printed": printed,
+        "title": ", ".join([study.experiment.title, *words]),
+    }
+    folder.write("sweep.png", lambda path: draw_study(path, columns, varied, outcomes, **options))
 
 
 def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value] | Between]:
@@ -204,15 +200,15 @@ def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value] | Between]:
     `FIRST:LAST:COUNT` is evenly spaced, both ends included; `LOW:HIGH` a range to draw from.
 
     Raises:
-        InputError: not of this form; says what would be.
+        InputError: not of this form.
     """
     found: dict[str, Sequence[Value] | Between] = {}
     for word in words:
         name, equals, text = word.partition("=")
         if not (equals and name and text):
             raise InputError(
-                "what is varied is NAME=FIRST:LAST:COUNT, NAME=VALUE,VALUE,... or, for a sample, "
-                f"NAME=LOW:HIGH, not {shown(word)}"
+                "--vary takes NAME=FIRST:LAST:COUNT, NAME=VALUE,VALUE,... or, for a sample, "
+                f"NAME=LOW:HIGH, got {shown(word)}"
             )
         if name in found:
             raise InputError(f"{name} is varied twice")
@@ -223,29 +219,22 @@ def read_vary(words: Sequence[str]) -> dict[str, Sequence[Value] | Between]:
 def _values(name: str, text: str) -> Sequence[Value] | Between:
     scale = math.radians(1) if name in ANGLES else 1.0
     parts = text.split(":")
-    numbers = [_number(part) for part in parts[:2]]
-    if len(parts) == 1 or name == "law" or None in numbers:  # my_laws:Mud is a name
+    ends = [parse_number(part) for part in parts[:2]]
+    if len(parts) == 1 or name == "law" or None in ends:  # my_laws:Mud is a name
         return [_value(name, part.strip()) for part in text.split(",")]
-    low, high = (scale * (number or 0.0) for number in numbers)
+    low, high = (scale * (end or 0.0) for end in ends)
     if len(parts) == 2:
         return Between(low, high)
     if len(parts) > 3:
-        raise InputError(f"{name} varies from FIRST:LAST:COUNT, not {shown(text)}")
+        raise InputError(f"{name} varies from FIRST:LAST:COUNT, got {shown(text)}")
     try:
-        count = whole_number(parts[2])
+        count = parse_integer(parts[2])
     except ValueError as error:
-        raise InputError(f"{name}={text}: {error}") from None
-    if not 2 <= count <= _MOST:
-        raise InputError(f"{name}={text}: from 2 to {_MOST} values, not {count}")
-    Between(min(low, high), max(low, high))  # which checks that both are finite and differ
+        raise InputError(f"{name}={text}: the number of values {error}") from None
+    if not 2 <= count <= _MOST_VALUES:
+        raise InputError(f"{name}={text}: there must be 2 to {_MOST_VALUES} values, got {count}")
+    Between(min(low, high), max(low, high))  # raises unless both are finite and differ
     return np.linspace(low, high, count).tolist()
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _value(name: str, text: str) -> Value:
@@ -253,37 +242,29 @@ def _value(name: str, text: str) -> Value:
         raise InputError(f"{name} has an empty value: write NAME=VALUE,VALUE,...")
     if name == "law":
         return str(law_named(text))
-    number = _number(text)
+    number = parse_number(text)
     if number is None:
         return text
     return math.radians(number) if name in ANGLES else number
 
 
 def read_experiment(text: str, varied: Iterable[str] = ()) -> Experiment:
-    """Read the experiment of a command in one text, such as "drop block.xml --slope 15".
+    """Read the experiment of a command, such as "drop block.xml --slope 15".
 
     Args:
         text: the command.
-        varied: names of what is varied.
+        varied: names of the varied fields.
 
     Raises:
-        UnknownNameError: no command of an experiment.
-        InputError: options of output within it or of what is varied, or a body that is a chain.
+        UnknownNameError: the command does not run an experiment.
+        InputError: it has options of the output or of varied fields, or its body is a chain.
     """
     words = split_words(text)
     if not words or words[0] not in _COMMANDS:
         raise UnknownNameError("experiment to sweep", (words or [""])[0], _COMMANDS)
-    command = tyro.cli(
-        _Command,
-        prog="mjgranular sweep --of",
-        args=words,
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes),
-        registry=number_rules(),
-    )
-    for name in given_options(command, *_OUTPUTS):
-        raise InputError(
-            f"--{name} is an option of the sweep, not of its runs: omit it within --of"
-        )
+    command: Any = parse_command(_COMMANDS, words, program="mjgranular sweep --of")
+    for name in given_options(command, *(each.name for each in fields(FilmOptions))):
+        raise InputError(f"--{name} is an option of the sweep, not of its runs: omit it in --of")
     for name in given_options(command, *varied):
         raise InputError(
             f"{name} is varied, and {option(name)} {shown(getattr(command, name))} fixes it: omit "

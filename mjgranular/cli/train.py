@@ -4,40 +4,34 @@ from __future__ import annotations
 
 import importlib
 import time
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import tyro
 
-from mjgranular.cli.console import (
-    err,
-    out,
-    print_json,
-    progress_bar,
-    show_error,
-    show_warp_compilation,
-)
+from mjgranular._util.extras import require
+from mjgranular.cli.console import note, out, print_json, progress_bar, show_error
+from mjgranular.cli.options import given_options, option
+from mjgranular.cli.results import Flag
 from mjgranular.errors import InputError, MissingExtraError, warn_user
 from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, open_run
-from mjgranular.learn.sands import sands_of
-from mjgranular.learn.settings import Settings, change, find_settings
+from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import Training, train
 
-_REFRESH = 0.2  # [s]
-_FIGURE = "curve.png"
+_REFRESH = 0.2  # of the progress bar [s]
 
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Trains a policy with PPO, SAC or TD3 of Stable-Baselines3.
+    """Train a policy with PPO, SAC or TD3 of Stable-Baselines3.
 
-    ENV is an id of Gymnasium's: one of `mjgranular list envs` or any other, `my_module:My-v0`
-    for your own. Each has its settings in a file; --set changes them one by one. Ctrl-C or SIGTERM
-    ends the training with a checkpoint; --resume DIR goes on, also after a crash.
+    ENV is a Gymnasium id: one of `mjgranular list envs` or any other, `my_module:My-v0` for a
+    custom one. Each has its settings in a file; --set changes them one by one. Ctrl-C or SIGTERM
+    ends the training with a checkpoint; --resume DIR continues it, also after a crash.
     """
 
     environment: Annotated[
@@ -45,46 +39,42 @@ class TrainCommand:
     ] = None
     """Id of the environment."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Go on with the run in this folder, up to its --total-steps or to a new number of them."""
-    trust: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """With --resume: import the module of an environment that only the run's file names: this
-    executes it."""
+    """Resume the run in this folder, up to its --total-steps or to a new number of them."""
+    trust: Flag = False
+    """With --resume: import and so execute the module of an environment that only the run's file
+    names."""
     algorithm: Annotated[str | None, tyro.conf.arg(metavar="ppo|sac|td3")] = None
     """Default: the one that the settings name."""
     total_steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Steps of all environments together. Default: as in the settings."""
     settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE.toml")] = None
-    """Settings to read in place of the environment's own."""
+    """Settings to read in place of those of the environment."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
     """Changes of the settings: num_envs=8 net=[256,256] gamma=0.98 environment.medium=poppy_seed"""
     engine: Literal["local", "warp"] = "local"
     """Step environments on the cores of this machine, or all at once in MuJoCo Warp. A run may
     change with every --resume."""
     device: Annotated[str | None, tyro.conf.arg(metavar="cuda:0|cpu")] = None
-    """With --engine warp: where. Default: a GPU where there is one."""
+    """With --engine warp: where. Default: a GPU if there is one."""
     num_envs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Environments that are stepped at once, as --set num_envs=N."""
-    processes: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    processes: Flag = False
     """Step each environment in a separate process, for custom ones, which are not a batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Of all random numbers. Default: 0."""
+    """Seed of all random numbers. Default: 0."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for the run. Default: runs/NAME-ALGORITHM-SEED."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    json: Flag = False
     """Print one JSON object at the end."""
 
-    @property
-    def _warp(self) -> str | None:
-        return (self.device or "auto") if self.engine == "warp" else None
-
     def run(self) -> int:
-        """Runs the command."""
+        """Run the command."""
         if self.device is not None and self.engine != "warp":
             raise InputError("--device is for --engine warp")
-        run = self._begun() if self.resume is None else self._resumed(self.resume)
+        run = self._new_run() if self.resume is None else self._saved_run(self.resume)
         with run.locked():
             if self.resume is not None:
-                run = open_run(run.path, trust=self.trust)  # as it is now that it is ours
+                run = open_run(run.path, trust=self.trust)  # it may have changed before the lock
                 if self.total_steps is not None:
                     run = run.extended(self.total_steps)
             try:
@@ -94,11 +84,10 @@ class TrainCommand:
                     run.discard()
                 raise
             if training.progress.curve:
-                _draw(run, training)
-        return self._tell(run, training)
+                _draw_curve(run, training)
+        return self._show(run, training)
 
-    def _asked(self) -> tuple[str, Settings, int]:
-        """Environment, settings and seed, as far as they are right."""
+    def _new_run(self) -> Run:
         if self.environment is None:
             raise InputError(
                 "train needs an environment, for example mjgranular train mjgranular/ChainSwim-v0, "
@@ -107,73 +96,48 @@ class TrainCommand:
         if self.trust:
             raise InputError("--trust is for --resume")
         environments.find_spec(self.environment)
-        settings = change(self._settings(self.environment), self._changes)
-        if self.total_steps is not None:
-            settings = replace(settings, total_steps=self.total_steps)
+        algorithm = None if self.algorithm is None else self.algorithm.lower()
+        settings = find_settings(self.environment, algorithm=algorithm, file=self.settings)
+        settings = change(settings, self.set)
+        options = {"total_steps": self.total_steps, "num_envs": self.num_envs}
+        options["processes"] = self.processes or None
+        given = {name: value for name, value in options.items() if value is not None}
+        settings = replace(settings, **given)
         if "render_mode" in settings.environment:
             raise InputError(
-                "nothing is drawn while a policy is trained: leave environment.render_mode away; "
-                "mjgranular render films the run"
+                "nothing is drawn during a training: omit environment.render_mode; mjgranular "
+                "render films the run"
             )
-        if self.processes:
-            settings = replace(settings, processes=True)
-        seed = 0 if self.seed is None else self.seed
-        # A mistake in the arguments of the environment is found before a folder is made.
-        self._look(environments.one(self.environment, settings.environment))
-        return self.environment, settings, seed
+        name, seed = self.environment.replace(":", "/").rpartition("/")[2], self.seed or 0
+        path = self.out or Path("runs") / f"{name}-{settings.algorithm}-{seed}"
+        run = begin_run(path, self.environment, settings, seed=seed)
+        if run.sand == []:
+            task = name.rpartition("-v")[0]
+            known = task in importlib.import_module("mjgranular.envs.tasks").tasks
+            other = f"mjgranular/{task}-v0" if known else "what `mjgranular list envs` lists"
+            warn_user(f"{self.environment} has no sand in its model: {other} has")
+        return run
 
-    def _look(self, env: Any) -> None:
-        """Says so where a policy is trained without sand."""
-        with closing(env):
-            sands = sands_of(env)
-        if sands == []:
-            name = _short(str(self.environment)).rpartition("-v")[0]
-            there = importlib.import_module("mjgranular.envs.tasks").tasks
-            ours = f"mjgranular/{name}-v0" if name in there else "what `mjgranular list envs` lists"
-            warn_user(f"{self.environment} has no sand in its model: {ours} has")
-
-    def _begun(self) -> Run:
-        environment, settings, seed = self._asked()
-        path = self.out or Path("runs") / f"{_short(environment)}-{settings.algorithm}-{seed}"
-        return begin_run(path, environment, settings, seed=seed)
-
-    def _settings(self, environment: str) -> Settings:
-        algorithm = None if self.algorithm is None else self.algorithm.lower()
-        return find_settings(environment, algorithm=algorithm, file=self.settings)
-
-    def _resumed(self, path: Path) -> Run:
-        self._check_nothing_repeated(path)
+    def _saved_run(self, path: Path) -> Run:
+        names = ("algorithm", "settings", "set", "num_envs", "processes", "seed", "out")
+        given = ["ENV"] if self.environment is not None else []
+        given += [option(name) for name in given_options(self, *names)]
+        if given:
+            raise InputError(
+                f"--resume uses the settings of {path}: remove {', '.join(given)} "
+                "(--total-steps may be given)"
+            )
         run = open_run(path, trust=self.trust)
         run.check_environment()
         return run
 
-    @property
-    def _changes(self) -> tuple[str, ...]:
-        return self.set if self.num_envs is None else (*self.set, f"num_envs={self.num_envs}")
-
-    def _check_nothing_repeated(self, path: Path) -> None:
-        """Raise if an option repeats a setting of the resumed run."""
-        given = {
-            "ENV": self.environment,
-            "--algorithm": self.algorithm,
-            "--settings": self.settings,
-            "--set": self.set or None,
-            "--num-envs": self.num_envs,
-            "--processes": self.processes or None,
-            "--seed": self.seed,
-            "--out": self.out,
-        }
-        extra = [name for name, value in given.items() if value is not None]
-        if extra:
-            raise InputError(
-                f"--resume uses the settings of {path}: remove {', '.join(extra)} "
-                "(--total-steps may be given)"
-            )
-
     def _train(self, run: Run) -> Training:
-        total = run.settings.total_steps
-        if self._warp is not None:
-            show_warp_compilation()
+        total, warp = run.settings.total_steps, None
+        if self.engine == "warp":
+            warp = self.device or "auto"
+            wp = require("warp", extra="warp", purpose="Training in MuJoCo Warp")
+            wp.config.log_level = wp.LOG_ERROR  # it prints a line for each of its modules
+            note("MuJoCo Warp compiles its kernels: once per machine, some minutes")
         with progress_bar(run.name, total, remaining=True) as show:
             shown = 0.0
 
@@ -184,10 +148,11 @@ class TrainCommand:
                     reached = "" if newest is None else f", return {newest:.4g}"
                     show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
 
-            return train(run, report=report, warp=self._warp)
+            return train(run, report=report, warp=warp)
 
-    def _tell(self, run: Run, training: Training) -> int:
-        progress = training.progress
+    def _show(self, run: Run, training: Training) -> int:
+        """Print the result; return the exit status."""
+        progress, stopped_by = training.progress, training.stopped_by
         newest = progress.curve[-1][3] if progress.curve else None
         if self.json:
             print_json(
@@ -196,44 +161,44 @@ class TrainCommand:
                     "run": str(run.path),
                     "steps": progress.steps,
                     "seconds": progress.seconds,
-                    "finished": training.stopped_by is None,
+                    "finished": stopped_by is None,
                     "mean_return": newest,
                 }
             )
         else:
             reached = "no episode ended" if newest is None else f"last mean return {newest:.4g}"
-            out.print(
-                f"{run.name}: {progress.steps} steps in {progress.seconds:.0f} s, {reached}",
-                highlight=False,
-                markup=False,
-            )
-            out.print(f"in {run.path}", highlight=False, markup=False)
-        if training.stopped_by is not None:
+            out.print(f"{run.name}: {progress.steps} steps in {progress.seconds:.0f} s, {reached}")
+            out.print(f"in {run.path}")
+        if stopped_by is not None:
             show_error(
-                f"stopped after {progress.steps} steps, all of them kept; resume with mjgranular "
+                f"stopped after {progress.steps} steps, all of them saved; resume with mjgranular "
                 f"train --resume {run.path}"
             )
-            return 128 + training.stopped_by
+            return 128 + stopped_by
         if progress.steps == training.began:
-            err.print(
-                f"nothing to do: the run has its {progress.steps} steps; a greater --total-steps "
-                "goes on",
-                highlight=False,
-                markup=False,
+            note(
+                f"nothing to do: the run has its {progress.steps} steps; use a greater "
+                "--total-steps to continue"
             )
         return 0
 
 
-def _short(environment: str) -> str:
-    """The name of an environment, for a folder."""
-    return environment.replace(":", "/").rpartition("/")[2]
+def _draw_curve(run: Run, training: Training) -> None:
+    """Draw mean return against steps if matplotlib is installed."""
+    from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
+    from mjgranular.picture.plain import plain
 
+    def draw(path: Path) -> None:
+        figure, context = figure_of_size(6.4, 4.0)
+        axis = figure.subplots()
+        rows = training.progress.curve
+        thousands, returns = [row[0] / 1e3 for row in rows], [row[3] for row in rows]
+        axis.plot(thousands, returns, color=PALETTE[0], alpha=0.85)
+        axis.set_xlabel("steps [thousands]")
+        axis.set_ylabel("mean return of episodes in training")
+        figure.suptitle(plain(run.name))
+        save_figure(figure, context, path)
 
-def _draw(run: Run, training: Training) -> None:
-    """Draws the learning curve, where matplotlib is installed: the numbers are there anyway."""
-    from mjgranular.learn.figures import draw_curve
-
+    name = "curve.png"
     with suppress(MissingExtraError):
-        folder = ResultFolder(run.path, (_FIGURE,))
-        curve = training.progress.curve
-        folder.write(_FIGURE, lambda path: draw_curve(path, curve, run.name))
+        ResultFolder(run.path, (name,)).write(name, draw)

@@ -5,28 +5,27 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
 import mujoco
 import tyro
 
 from mjgranular.cli.console import err
-from mjgranular.cli.options import ModelOptions, options_of, record_of
+from mjgranular.cli.options import options_of, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
-from mjgranular.experiment.ground import (
-    hide_replaced,
-    refuse_contradiction,
-    refuse_floors,
-)
+from mjgranular.experiment.ground import hide_replaced, refuse_contradiction, refuse_floors
 from mjgranular.experiment.scenery import place_sun
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.sand.prepare import fitted
 
+_NOT_OPTIONS = ("model", "height", "velocity", "duration", "state", "site")
+
 
 @dataclass(frozen=True, kw_only=True)
-class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
+class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
     """Your own MJCF model on sand in MuJoCo's viewer, in real time.
 
     Space pauses and resumes, Backspace restarts, a double click and Ctrl with the mouse pull at a
@@ -34,20 +33,22 @@ class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
     shown with that.
     """
 
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
+    """The MJCF file."""
     draw: Annotated[
         tuple[Literal["forces", "depth"], ...], tyro.conf.arg(metavar="{forces,depth} ...")
     ] = ("forces",)
-    """Arrows for the forces, dots for the elements in the sand, coloured by depth."""
+    """Arrows for the forces, dots for the elements in the sand, colored by depth."""
     speed: Annotated[float, tyro.conf.arg(metavar="X")] = 1.0
     """Speed: 1 is real time, 0.1 a tenth of it."""
     duration: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
     """Time after which the window closes by itself [s]. Default: never."""
 
     def run(self) -> int:
-        """Runs the command."""
+        """Run the command."""
         for name, value in (("speed", self.speed), ("duration", self.duration)):
             if value is not None and not (math.isfinite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, not {value}")
+                raise InputError(f"the {name} must be positive and finite, got {value}")
         check_display()
         model = self.load()
         data = mujoco.MjData(model)
@@ -59,13 +60,13 @@ class ViewCommand(ModelOptions, options_of(Drop, "keyframe", "timestep")):
         return 0
 
     def load(self) -> mujoco.MjModel:
-        """The model with sand in it, by daylight.
+        """Return the model with sand in it, in daylight.
 
         Raises:
             InputError: MuJoCo cannot load it, the sand does not fit it, or its own ground
                 carries it.
         """
-        drop = record_of(Drop, self, duration=1.0)  # which nobody asks for
+        drop = record_of(Drop, self, duration=1.0)  # not used
         with loading(drop.title), warnings.catch_warnings():
             spec = read(drop)
             if any(plugin.plugin_name == NAME for plugin in spec.plugins):

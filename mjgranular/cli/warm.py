@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import mujoco
 import tyro
 
-from mjgranular.cli.console import err, progress_bar
+from mjgranular.cli.console import note, progress_bar
 from mjgranular.cli.options import given_options, law_named, option, options_of, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import GranularWarning, InputError
@@ -39,127 +39,119 @@ _MODEL = """
 </mujoco>
 """
 _SURFACES = {"plane": Plane(), "bed": Bed("bed"), "height_field": HeightField("field")}
-_SCHEMES = ["implicit", "explicit"]
-_Work = tuple[str, Callable[[], object]]
+_Task = tuple[str, Callable[[], None]]
+"""What is compiled, and the function that compiles it by making a step."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WarmCommand(options_of(PlainSand)):
-    """Compiles ahead what a run needs: for clusters and containers, where nobody wants to wait.
+    """Compile ahead what a run needs, for clusters and containers.
 
     Name a model, an environment, or laws and schemes; without any of them, every law under every
-    scheme over a plane. What is compiled is kept on disk (NUMBA_CACHE_DIR), for `Sand` and for sand
+    scheme over a plane. Compiled code is stored on disk (NUMBA_CACHE_DIR), for `Sand` and for sand
     inside mj_step.
     """
 
     model: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[MODEL.xml]")] = None
-    """An MJCF file: what it needs with the options of the sand that are given."""
+    """An MJCF file: what it needs with the given options of the sand."""
     env: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ...")] = ()
-    """Environments: mjgranular's, such as mjgranular/Hexapod-v0, for on_sand, such as Ant-v5, or
-    your own, my_module:My-v0, as they are."""
+    """Environments: of mjgranular, such as mjgranular/Hexapod-v0, for on_sand, such as Ant-v5, or
+    custom ones, my_module:My-v0, as they are."""
     over: Annotated[
         tuple[Literal["plane", "bed", "height_field"], ...],
         tyro.conf.arg(metavar="{plane,bed,height_field} ..."),
     ] = ("plane",)
-    """Surfaces, where neither model nor environment is named."""
+    """Surfaces, if neither model nor environment is named."""
 
     def run(self) -> int:
-        """Runs the command."""
-        warnings.simplefilter("ignore", GranularWarning)  # no step here means anything
-        works = list(self._works())
-        spent = []
-        with progress_bar("compiling", len(works)) as progress:
-            for number, (what, work) in enumerate(works):
-                progress(number, f"{number + 1} of {len(works)}: {what}")
+        """Run the command."""
+        warnings.simplefilter("ignore", GranularWarning)  # the steps are not a simulation
+        tasks = list(self._tasks())
+        with progress_bar("compiling", len(tasks)) as progress:
+            for number, (what, step) in enumerate(tasks):
+                progress(number, f"{number + 1} of {len(tasks)}: {what}")
                 begin = time.perf_counter()
-                work()
-                spent.append(time.perf_counter() - begin)
-        for (what, _), seconds in zip(works, spent, strict=True):
-            err.print(f"ready: {what} ({seconds:.1f} s)", highlight=False)
+                step()
+                note(f"ready: {what} ({time.perf_counter() - begin:.1f} s)")
         return 0
 
-    def _works(self) -> Iterator[_Work]:
-        """What is to be compiled, in words, and what compiles it."""
-        self._check_options()
+    def _tasks(self) -> Iterator[_Task]:
+        sand = [each.name for each in fields(PlainSand)]
         if self.model is not None:
             if self.env:
                 raise InputError("name a MODEL.xml or --env ID, not both")
-            drop = record_of(Drop, self)
-            spec = _read(drop)
-            own = any(plugin.plugin_name == NAME for plugin in spec.plugins)
-            if not own:
-                yield f"{drop.title} and Sand", partial(_step, spec, drop.sand)
-            yield f"{drop.title} and mj_step", partial(_step_within, spec, drop.sand, own=own)
-            return
-        if self.env:
+            self._reject("the sand is a plane, --bed GEOM or --height-field GEOM", "over")
+            yield from self._tasks_of_model()
+        elif self.env:
+            self._reject("an environment has its own sand", "over", *sand)
             for identity in self.env:
                 yield identity, partial(_step_environment, identity)
-            return
+        else:
+            others = [name for name in sand if name not in ("law", "medium", "scheme")]
+            self._reject("name a MODEL.xml", *others)
+            yield from self._tasks_of_laws()
+
+    def _reject(self, reason: str, *names: str) -> None:
+        """Raise if options are given that have no effect."""
+        for name in given_options(self, *names):
+            raise InputError(f"{option(name)} has no effect here: {reason}")
+
+    def _tasks_of_model(self) -> Iterator[_Task]:
+        drop = record_of(Drop, self)
+        with loading(drop.title):
+            spec = read(drop)
+        if any(plugin.plugin_name == NAME for plugin in spec.plugins):
+            yield f"{drop.title} and mj_step", partial(_step_inside, spec, None)
+        else:
+            yield f"{drop.title} and Sand", partial(_step_outside, spec, drop.sand)
+            yield f"{drop.title} and mj_step", partial(_step_inside, spec, drop.sand)
+
+    def _tasks_of_laws(self) -> Iterator[_Task]:
         named = law_named(self.law)
         for law in [named] if named else laws:
             medium = self.medium or medium_for(law)
-            every = ["implicit"] if law_of(law, get_medium(medium)).adds_mass else _SCHEMES
-            for scheme in [self.scheme] if self.scheme != "auto" else every:
+            schemes = ["implicit", "explicit"]
+            if law_of(law, get_medium(medium)).adds_mass:
+                schemes = ["implicit"]
+            for scheme in schemes if self.scheme == "auto" else [self.scheme]:
                 get_scheme(scheme)
                 for name in self.over:
                     sand = SandSpec(medium=medium, law=law, scheme=scheme, surface=_SURFACES[name])
                     spec = mujoco.MjSpec.from_string(_MODEL)
                     what = f"law {law}, scheme {scheme}, {name}"
-                    yield what, partial(_step, spec, sand)
-                    yield f"{what}, inside mj_step", partial(_step_within, spec, sand, own=False)
-
-    def _check_options(self) -> None:
-        """Refuses options that would be left aside without a word."""
-        of_sand = {field.name for field in fields(PlainSand)}
-        if self.model is not None:
-            for name in given_options(self, "over"):
-                raise InputError(
-                    f"{option(name)} is for laws without a model: over {self.model.name} the sand "
-                    "is a plane, --bed GEOM or --height-field GEOM"
-                )
-        elif self.env:
-            for name in given_options(self, "over", *of_sand):
-                raise InputError(
-                    f"{option(name)} goes with a MODEL.xml: an environment has its own sand"
-                )
-        else:
-            for name in given_options(self, *(of_sand - {"law", "medium", "scheme"})):
-                raise InputError(f"{option(name)} is of a model: name a MODEL.xml too")
+                    yield what, partial(_step_outside, spec, sand)
+                    yield f"{what}, inside mj_step", partial(_step_inside, spec, sand)
 
 
-def _read(drop: Drop) -> mujoco.MjSpec:
-    with loading(drop.title):
-        return read(drop)
-
-
-def _step(spec: mujoco.MjSpec, sand: SandSpec) -> None:
+def _step_outside(spec: mujoco.MjSpec, sand: SandSpec) -> None:
     model = spec.copy().compile()
     Sand(model, sand).step(mujoco.MjData(model))
 
 
-def _step_within(spec: mujoco.MjSpec, sand: SandSpec, *, own: bool) -> None:
-    within = spec.copy()
-    if not own:
-        add_sand(within, fitted(spec.copy().compile(), sand))
-    with loading(within.modelname):
-        model = within.compile()
+def _step_inside(spec: mujoco.MjSpec, sand: SandSpec | None) -> None:
+    """Step a model with sand inside `mj_step`: its own, or this."""
+    inside = spec.copy()
+    if sand is not None:
+        add_sand(inside, fitted(spec.copy().compile(), sand))
+    with loading(inside.modelname):
+        model = inside.compile()
         mujoco.mj_step(model, mujoco.MjData(model))
 
 
 def _step_environment(identity: str) -> None:
     from mjgranular.envs import SandEnv, on_sand
     from mjgranular.envs.ids import name_of
-    from mjgranular.envs.known import find_spec
     from mjgranular.envs.tasks import tasks
     from mjgranular.learn import environments
 
     name = name_of(identity)
-    if ":" in identity:
+    if name in tasks:
+        env = SandEnv(name)
+    elif ":" in identity:
         env = environments.one(identity, {})
     else:
-        if name not in tasks:
-            find_spec(identity)  # which knows of ours too
-        env = SandEnv(name) if name in tasks else on_sand(identity)
+        environments.find_spec(identity)  # lists environments, also of mjgranular
+        env = on_sand(identity)
     try:
         env.reset(seed=0)
         env.step(env.action_space.sample())

@@ -1,4 +1,4 @@
-"""Agents: zero, random, a scripted gait, or a trained policy (`policies.Policy`)."""
+"""Agents that need no training: zero, random, a scripted gait. `policies.Policy` is another."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Agent(Protocol):
 
 @dataclass(frozen=True)
 class Zero:
-    """Does nothing: the middle of the action space, or the first of discrete actions.
+    """Acts with the middle of the action space, or the first of discrete actions.
 
     Attributes:
         space: space of one action.
@@ -38,13 +38,10 @@ class Zero:
     space: Any
 
     def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        return np.array([self._idle()] * len(steps))
-
-    def _idle(self) -> Any:
+        action: Any = 0
         if hasattr(self.space, "low"):
-            middle = np.clip(0.0, self.space.low, self.space.high)
-            return middle.astype(self.space.dtype)
-        return 0
+            action = np.clip(0.0, self.space.low, self.space.high).astype(self.space.dtype)
+        return np.array([action] * len(steps))
 
 
 @dataclass(frozen=True)
@@ -74,18 +71,13 @@ class Gaits:
     dt: float
 
     def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        several = self.scripts * (len(steps) if len(self.scripts) == 1 else 1)
+        scripts = self.scripts * (len(steps) if len(self.scripts) == 1 else 1)
         times = steps * self.dt
-        return np.array([script(float(t)) for script, t in zip(several, times, strict=True)])
+        return np.array([script(float(t)) for script, t in zip(scripts, times, strict=True)])
 
 
 def make_baseline(
-    name: str,
-    env_id: str,
-    env: Any,
-    *,
-    seed: int = 0,
-    gait: Mapping[str, float] | None = None,
+    name: str, env_id: str, env: Any, *, seed: int = 0, gait: Mapping[str, float] | None = None
 ) -> Agent:
     """Return an agent that needs no training.
 
@@ -95,9 +87,6 @@ def make_baseline(
         env: the environment itself, one or several.
         seed: seed of the random agent.
         gait: parameters of the gait that differ from its defaults.
-
-    Raises:
-        InputError: the environment has no scripted gait.
     """
     space = getattr(env, "single_action_space", None) or env.action_space
     if name == "zero":
@@ -120,8 +109,7 @@ def make_gait(
             for each.
 
     Raises:
-        InputError: the environment has no gait, or the gait has no such parameter; lists its
-            parameters.
+        InputError: the environment has no gait, or the gait has no such parameter.
     """
     gaits = importlib.import_module("mjgranular.envs.gaits")
     task: Any = getattr(env.unwrapped, "task", None)
@@ -130,5 +118,5 @@ def make_gait(
             f"there is no scripted gait for {env_id}; there are some for "
             f"{', '.join(f'mjgranular/{name}-v0' for name in gaits.gaits)}"
         )
-    several = [parameters] if isinstance(parameters, Mapping) else list(parameters)
+    several = [parameters] if isinstance(parameters, Mapping) else parameters
     return Gaits(tuple(gaits.gait(task, **given) for given in several), task.dt)

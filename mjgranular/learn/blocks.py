@@ -15,8 +15,16 @@ import numpy as np
 
 from mjgranular.errors import InputError
 from mjgranular.learn.agents import Agent, make_baseline
-from mjgranular.learn.episodes import AT_ONCE, Episodes, joined, run_episodes
-from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, parse_variant
+from mjgranular.learn.evaluate import (
+    AT_ONCE,
+    FIRST_SEED,
+    Episodes,
+    Score,
+    check_seeds,
+    joined,
+    parse_variant,
+    run_episodes,
+)
 from mjgranular.learn.policies import Policy
 from mjgranular.pool import Journal, Mapped, Workers, map_tasks
 
@@ -29,58 +37,45 @@ class Actor:
         name: display name.
         environment: Gymnasium's id.
         arguments: arguments of the environment.
-        who: a policy, or the name of a baseline.
+        agent: a policy, or the name of a baseline.
         gait: parameters of the baseline `gait` that differ from its defaults.
     """
 
     name: str
     environment: str
     arguments: Mapping[str, Any]
-    who: Policy | str
+    agent: Policy | str
     gait: Mapping[str, float] | None = None
 
     def make(self, env: Any) -> Agent:
         """Return the agent for an environment, or for several."""
-        if isinstance(self.who, str):
-            return make_baseline(self.who, self.environment, env, gait=self.gait)
-        return self.who.checked(self.environment, env)
+        if isinstance(self.agent, str):
+            return make_baseline(self.agent, self.environment, env, gait=self.gait)
+        return self.agent.checked(self.environment, env)
 
     def config(self) -> dict[str, Any]:
         """Return what determines its episodes, in plain values."""
-        who = self.who if isinstance(self.who, str) else _digest(self.who)
-        gait = None if self.gait is None else dict(self.gait)
-        return {**vars(self), "arguments": dict(self.arguments), "who": who, "gait": gait}
+        agent = self.agent if isinstance(self.agent, str) else _digest(self.agent)
+        return {**vars(self), "arguments": dict(self.arguments), "agent": agent}
 
 
 class Job(NamedTuple):
-    """An agent on a variant of its environment.
-
-    Attributes:
-        actor: the agent.
-        variant: `name=value,...`, changes of its environment's arguments; "" for none.
-    """
+    """An agent on a variant of its environment, `name=value,...`; "" for none."""
 
     actor: Actor
     variant: str = ""
 
 
 class _Block(NamedTuple):
-    """Episodes that are stepped together: number of the job, and seeds."""
+    """Episodes of one job that are stepped together."""
 
     job: int
-    first_seed: int
-    seeds: int
+    seeds: range
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Jobs and seeds of an evaluation.
-
-    Attributes:
-        jobs: agents and their environments.
-        seeds: number of episodes of each job, one per seed.
-        first_seed: the first of consecutive seeds.
-    """
+    """One episode of each job for each of consecutive seeds."""
 
     jobs: Sequence[Job]
     seeds: int = 10
@@ -91,10 +86,11 @@ class Evaluation:
 
     def blocks(self) -> list[_Block]:
         """Return the episodes, job by job."""
+        seeds = range(self.first_seed, self.first_seed + self.seeds)
         return [
-            _Block(job, self.first_seed + done, min(AT_ONCE, self.seeds - done))
+            _Block(job, seeds[first : first + AT_ONCE])
             for job in range(len(self.jobs))
-            for done in range(0, self.seeds, AT_ONCE)
+            for first in range(0, self.seeds, AT_ONCE)
         ]
 
     def journal(self, folder: Path | None) -> Journal:
@@ -117,46 +113,36 @@ def run_evaluation(
     """Run all episodes. The results do not depend on where they run.
 
     Args:
-        evaluation: jobs and seeds.
+        evaluation: the episodes.
         on: pool that steps blocks of episodes; None for this process, on all cores.
         journal: `evaluation.journal`, opened; None for a temporary one.
-        progress: called with the number of episodes that are done.
+        progress: called with the number of blocks that are done.
 
     Returns:
-        A score for each job; after an interruption, of the episodes that were finished.
+        A score for each job; after an interruption what is finished.
 
     Raises:
-        InputError: a job cannot be run; says which, and why.
+        InputError: a job cannot be run.
     """
     on = on or Workers(count=1)
-    blocks = evaluation.blocks()
+    jobs, blocks = evaluation.jobs, evaluation.blocks()
     if journal is None:
         journal = evaluation.journal(None)
         journal.begin()
-    alone = on.engine == "local" and on.count == 1
-    found = map_tasks(
-        _run_block,
-        blocks,
-        shared=(tuple(evaluation.jobs), None if alone else 1),
-        on=on,
-        journal=journal,
-        progress=None
-        if progress is None
-        else lambda done: progress(done * evaluation.seeds * len(evaluation.jobs) // len(blocks)),
-    )
+    threads = None if on.engine == "local" and on.count == 1 else 1
+    shared = (tuple(jobs), threads)
+    found = map_tasks(_run_block, blocks, shared=shared, on=on, journal=journal, progress=progress)
     if found.interrupted:
         return found
     for failure in found.failures:
-        job = evaluation.jobs[blocks[failure.index].job]
-        raise InputError(
-            failure.reason if len(evaluation.jobs) == 1 else f"{job.actor.name}: {failure.reason}"
-        )
-    parts: list[list[Episodes]] = [[] for _ in evaluation.jobs]
+        name = jobs[blocks[failure.index].job].actor.name
+        raise InputError(failure.reason if len(jobs) == 1 else f"{name}: {failure.reason}")
+    parts: list[list[Episodes]] = [[] for _ in jobs]
     for block, row in zip(blocks, journal.results(), strict=True):
-        parts[block.job].append(_episodes(block, row))
+        parts[block.job].append(_episodes(block.seeds, row))
     return [
-        Score(job.actor.name, job.actor.environment, job.variant, joined(some))
-        for job, some in zip(evaluation.jobs, parts, strict=True)
+        Score(actor.name, actor.environment, variant, joined(some))
+        for (actor, variant), some in zip(jobs, parts, strict=True)
     ]
 
 
@@ -164,13 +150,8 @@ def _run_block(shared: tuple[Sequence[Job], int | None], block: _Block) -> dict[
     """Return the episodes of one block as plain values, in any process."""
     jobs, threads = shared
     actor, variant = jobs[block.job]
-    found = run_episodes(
-        actor.environment,
-        {**actor.arguments, **parse_variant(variant)},
-        actor.make,
-        range(block.first_seed, block.first_seed + block.seeds),
-        threads=threads,
-    )
+    arguments = {**actor.arguments, **parse_variant(variant)}
+    found = run_episodes(actor.environment, arguments, actor.make, block.seeds, threads=threads)
     return {
         "returns": _plain(found.returns),
         "lengths": found.lengths.tolist(),
@@ -183,9 +164,9 @@ def _plain(values: np.ndarray) -> list[str]:
     return [repr(float(value)) for value in values]
 
 
-def _episodes(block: _Block, row: Mapping[str, Any]) -> Episodes:
+def _episodes(seeds: range, row: Mapping[str, Any]) -> Episodes:
     return Episodes(
-        np.arange(block.first_seed, block.first_seed + block.seeds),
+        np.array(seeds),
         np.array([float(value) for value in row["returns"]]),
         np.array(row["lengths"], dtype=np.int64),
         {name: np.array([float(v) for v in values]) for name, values in row["figures"].items()},
@@ -195,7 +176,7 @@ def _episodes(block: _Block, row: Mapping[str, Any]) -> Episodes:
 def _is_block(row: Mapping[str, Any]) -> bool:
     try:
         count = len(row["returns"])
-        found = _episodes(_Block(0, 0, count), row)
+        found = _episodes(range(count), row)
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError):
         return False
     arrays = [found.returns, found.lengths, *found.figures.values()]
@@ -207,6 +188,5 @@ def _digest(policy: Policy) -> str:
     digest = hashlib.sha256()
     for name, value in policy.model.state_dict().items():
         digest.update(name.encode() + value.numpy().tobytes())
-    if policy.normalizer is not None:
-        digest.update(policy.normalizer.mean.tobytes() + policy.normalizer.variance.tobytes())
+    digest.update(policy.normalizer.mean.tobytes() + policy.normalizer.variance.tobytes())
     return digest.hexdigest()

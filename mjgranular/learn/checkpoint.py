@@ -1,21 +1,22 @@
-"""Checkpoints: all that a training needs to resume, and the policy as it is evaluated."""
+"""Checkpoints: all that a training needs to resume, read as data, without unpickling."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.io import read_arrays
+from mjgranular._util.io import number, read_arrays, read_json
 from mjgranular.errors import OutputError
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.run import (
     CURVE,
+    NORMALIZER,
     POLICY,
     REPLAY,
     STATE,
@@ -23,30 +24,23 @@ from mjgranular.learn.run import (
     curve_text,
     open_run,
     read_curve,
-    read_state,
 )
-from mjgranular.learn.weights import (
-    NORMALIZER,
-    Weights,
-    add_spaces,
-    brief,
-    check_size,
-    read_statistics,
-    read_weights,
-    restore_statistics,
-    statistics_of,
-)
+from mjgranular.learn.settings import Settings
+from mjgranular.learn.weights import add_spaces, check_size, check_spaces, read_weights
 
-_OF_THE_END = (POLICY, NORMALIZER, CURVE)  # files of a finished run in its folder itself
+_REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
-# State of the running episodes, which a checkpoint does not keep: see `train.begin_episodes`.
-_OF_EPISODES = (
+# State of the running episodes, which a checkpoint does not keep: see `callback.restart_episodes`.
+_EPISODE_STATE = (
     "_last_obs",
     "_last_original_obs",
     "_last_episode_starts",
     "ep_info_buffer",
     "ep_success_buffer",
 )
+
+
+# Whole checkpoints
 
 
 @dataclass(frozen=True)
@@ -64,62 +58,42 @@ class Progress:
     curve: Sequence[tuple[float, ...]]
 
 
-def save_checkpoint(run: Run, model: Any, progress: Progress) -> Path:
-    """Write a checkpoint atomically, and remove all but the newest two.
-
-    Args:
-        run: the run, to whose folder it is written.
-        model: an algorithm of Stable-Baselines3 on a `VecNormalize`.
-        progress: progress so far.
-
-    Returns:
-        The checkpoint's folder.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
+    """Write a checkpoint of an algorithm of Stable-Baselines3 atomically; keep the newest two."""
 
     def fill(folder: Path) -> None:
         _write_json(folder / CONFIG, run.config())
-        model.save(folder / POLICY, exclude=_OF_EPISODES)
-        add_spaces(folder / POLICY, model.observation_space, model.action_space)
-        _write_json(folder / NORMALIZER, statistics_of(model.get_vec_normalize_env()))
+        model.save(folder / POLICY, exclude=_EPISODE_STATE)
+        add_spaces(folder / POLICY, model)
+        _write_json(folder / NORMALIZER, Normalizer.of(model.get_vec_normalize_env()).as_json())
         (folder / CURVE).write_text(curve_text(progress.curve), encoding="utf-8")
         if hasattr(model, "replay_buffer"):
-            write_replay(folder / REPLAY, model.replay_buffer)
+            _write_replay(folder / REPLAY, model.replay_buffer)
         _write_json(folder / STATE, {"steps": progress.steps, "seconds": progress.seconds})
 
     folder = run.checkpoint_folder(progress.steps)
     files.write_folder(folder, fill)
     run.remove_old_checkpoints(folder)
-    return folder
 
 
 def load_checkpoint(
     folder: Path, run: Run, env: Any, make_model: Callable[[], Any]
 ) -> tuple[Any, Progress]:
-    """Return the model and progress of a checkpoint.
-
-    Nothing in it is executed.
+    """Return the model and progress of an undamaged checkpoint.
 
     Args:
-        folder: folder of the checkpoint, without a fault.
-        run: the run that it belongs to.
-        env: a fresh `VecNormalize`, which gets the saved state.
-        make_model: makes a fresh model with the run's settings in it.
+        folder: folder of the checkpoint.
+        run: the run.
+        env: a new `VecNormalize`, to which the saved statistics are restored.
+        make_model: makes a new model with the run's settings.
 
     Raises:
-        OutputError: it is damaged, belongs to another run, or the installed packages cannot read
-            it; says which versions wrote it.
+        GranularError: a file is damaged or of another run, or was written by other versions.
     """
     check_belongs(folder, run)
-    state = read_statistics(
-        folder / NORMALIZER,
-        normalized=run.settings.normalize_observations,
-        shape=env.observation_space.shape,
-    )
+    normalizer = Normalizer.read(folder / NORMALIZER, run.settings, env.observation_space.shape)
     weights = read_weights(folder / POLICY)
-    check_spaces(weights, env, folder, run)
+    check_spaces(weights, env, folder, run.environment)
     check_size(run.settings, weights, folder / POLICY)
     model = make_model()
     try:
@@ -129,88 +103,168 @@ def load_checkpoint(
             model.log_ent_coef.data = entropy.data.reshape(model.log_ent_coef.shape)
     except Exception as error:  # files of other versions fail in many ways
         raise OutputError(
-            f"{folder} cannot be read by the packages installed here ({brief(error)}); it was "
-            f"written with {_versions(run)}"
+            f"{folder} cannot be read by the installed packages ({error}); it was written with "
+            f"{run.version_names()}"
         ) from None
     for name, value in weights.counters.items():
         setattr(model, name, value)
     if hasattr(model, "replay_buffer"):
-        read_replay(folder / REPLAY, model.replay_buffer)
-    steps, seconds = read_state(folder)
-    if steps != model.num_timesteps:
-        raise OutputError(f"{folder} is damaged: {STATE} and {POLICY} differ in the steps")
-    # Into the environment last: it is unchanged if anything was wrong.
-    restore_statistics(env, state)
-    return model, Progress(steps, seconds, read_curve(folder / CURVE))
+        _read_replay(folder / REPLAY, model.replay_buffer)
+    if folder != run.checkpoint_folder(model.num_timesteps):
+        raise OutputError(f"{folder} is damaged: it holds {model.num_timesteps} steps")
+    seconds = number(read_json(folder / STATE), "seconds", folder / STATE) or 0.0
+    normalizer.restore(env)  # last: the environment is unchanged if anything was wrong
+    return model, Progress(model.num_timesteps, seconds, read_curve(folder / CURVE))
 
 
 def check_belongs(checkpoint: Path, run: Run) -> None:
-    """Raise if a checkpoint is of another run, whose files were mixed with this one's."""
-    whose = open_run(checkpoint)
-    mine, theirs = (replace(each.settings, total_steps=1) for each in (run, whose))
-    if (run.environment, run.seed, mine) != (whose.environment, whose.seed, theirs):
+    """Check that a checkpoint is of a run: files of several runs may have been mixed."""
+    other = open_run(checkpoint)
+    here, there = (replace(each.settings, total_steps=1) for each in (run, other))
+    if (run.environment, run.seed, here) != (other.environment, other.seed, there):
         raise OutputError(
-            f"{checkpoint} is of another run ({whose.name}) than {run.path / CONFIG} ({run.name})"
+            f"{checkpoint} is of another run ({other.name}) than {run.path / CONFIG} ({run.name})"
         )
-
-
-def check_spaces(weights: Weights, env: Any, folder: Path, run: Run) -> None:
-    """Raise if weights are for an environment with other observations or actions."""
-    for what in ("observation_space", "action_space"):
-        mine, there = getattr(weights, what), getattr(env, what)
-        if type(mine) is not type(there) or mine.shape != there.shape:
-            raise OutputError(
-                f"{folder} is not of {run.environment}: its {what.replace('_', ' ')} is {mine}, "
-                f"that of the environment {there}"
-            )
 
 
 def write_policy(run: Run, checkpoint: Path) -> None:
     """Copy what evaluation needs from a checkpoint to the run's folder, atomically."""
     with files.replace_directory(run.path) as waiting:
-        for name in _OF_THE_END:
+        for name in (POLICY, NORMALIZER, CURVE):
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
 
 
-def write_replay(file: Path, buffer: Any) -> None:
+def _write_json(file: Path, content: Any) -> None:
+    file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+# Statistics of observations and returns
+
+
+@dataclass(frozen=True)
+class Normalizer:
+    """Statistics of a `VecNormalize`, which scales observations as it does.
+
+    Attributes:
+        observations: whether observations are scaled.
+        mean: of the observations, shape of one; empty if they are not scaled, as the next.
+        variance: of the observations.
+        count: number of observations.
+        clip: largest absolute value of a scaled number.
+        epsilon: added to the variance.
+        return_mean: mean of the discounted returns.
+        return_variance: their variance.
+        return_count: their number.
+    """
+
+    observations: bool
+    mean: np.ndarray
+    variance: np.ndarray
+    count: float
+    clip: float
+    epsilon: float
+    return_mean: float
+    return_variance: float
+    return_count: float
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        if not self.observations:
+            return observations
+        scaled = (observations - self.mean) / np.sqrt(self.variance + self.epsilon)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+    @classmethod
+    def of(cls, env: Any) -> Normalizer:
+        """Return the statistics of a `VecNormalize`."""
+        seen, returns = env.obs_rms if env.norm_obs else None, env.ret_rms
+        return cls(
+            observations=env.norm_obs,
+            mean=seen.mean if seen else np.array([]),
+            variance=seen.var if seen else np.array([]),
+            count=float(seen.count) if seen else 0.0,
+            clip=float(env.clip_obs),
+            epsilon=float(env.epsilon),
+            return_mean=float(returns.mean),
+            return_variance=float(returns.var),
+            return_count=float(returns.count),
+        )
+
+    def restore(self, env: Any) -> None:
+        """Put the statistics into a `VecNormalize`."""
+        if self.observations:
+            env.obs_rms.mean, env.obs_rms.var = self.mean, self.variance
+            env.obs_rms.count = self.count
+        env.ret_rms.mean = np.float64(self.return_mean)
+        env.ret_rms.var = np.float64(self.return_variance)
+        env.ret_rms.count = self.return_count
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values; floats in JSON read back the same."""
+        return {**asdict(self), "mean": self.mean.tolist(), "variance": self.variance.tolist()}
+
+    @classmethod
+    def read(cls, file: Path, settings: Settings, shape: tuple[int, ...]) -> Normalizer:
+        """Read what `as_json` returned, for observations of a shape.
+
+        Raises:
+            OutputError: it is missing, damaged, or from another policy.
+        """
+        content = read_json(file)
+        scaled = settings.normalize_observations
+        if content.get("observations") is not scaled:
+            raise OutputError(f"{file} is not of this policy: observations must be {scaled}")
+        found: dict[str, Any] = {"observations": scaled}
+        for name in (each.name for each in fields(cls) if each.type == "float"):
+            found[name] = number(content, name, file)
+            if found[name] is None or (name != "return_mean" and found[name] < 0):
+                raise OutputError(f"{file} is damaged: {name} must be a number of at least 0")
+        for name in ("mean", "variance"):
+            found[name] = _vector(content.get(name), name, file, shape if scaled else (0,))
+        if (found["variance"] + found["epsilon"] <= 0).any():
+            raise OutputError(f"{file} is damaged: variance must be positive")
+        return cls(**found)
+
+
+def _vector(content: object, name: str, file: Path, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        vector = np.array(content, dtype=float)
+    except (ValueError, TypeError, OverflowError):
+        vector = np.array(np.nan)
+    if vector.shape != shape or not np.isfinite(vector).all():
+        raise OutputError(
+            f"{file} is damaged, or not of this policy: {name} must be finite numbers of shape "
+            f"{shape}"
+        )
+    return vector
+
+
+# Replay buffers of SAC and TD3
+
+
+def _replay_arrays(buffer: Any) -> list[str]:
+    return [name for name in _REPLAY_ARRAYS if hasattr(buffer, name)]
+
+
+def _write_replay(file: Path, buffer: Any) -> None:
     """Write the part of a `ReplayBuffer` that is in use, as arrays."""
     used = len(buffer.rewards) if buffer.full or buffer.optimize_memory_usage else buffer.pos
-    arrays = {name: getattr(buffer, name)[:used] for name in _arrays_of(buffer)}
+    arrays = {name: getattr(buffer, name)[:used] for name in _replay_arrays(buffer)}
     with file.open("wb") as stream:
         np.savez(stream, **arrays, pos=buffer.pos, full=buffer.full)
 
 
-def read_replay(file: Path, buffer: Any) -> None:
-    """Put what `write_replay` wrote into a fresh buffer.
-
-    Raises:
-        OutputError: it is damaged, or from a buffer of other spaces or size.
-    """
-    names = _arrays_of(buffer)
+def _read_replay(file: Path, buffer: Any) -> None:
+    """Put what `_write_replay` wrote into a new buffer."""
+    names = _replay_arrays(buffer)
     arrays = read_arrays(file, [*names, "pos", "full"], most=None)
     rows, used = len(buffer.rewards), len(arrays["rewards"])
     pos, full = arrays["pos"], arrays["full"]
-    if pos.shape or full.shape or not 0 <= pos < rows or used > rows or (full and used != rows):
+    valid = not (pos.shape or full.shape) and 0 <= pos < rows and used <= rows
+    if not valid or used < (rows if full else pos):
         raise OutputError(f"{file} is damaged: it is not of a buffer of {rows} rows")
-    if not full and pos > used:
-        raise OutputError(f"{file} is damaged: it ends before row {int(pos)}")
     for name in names:
         to, array = getattr(buffer, name), arrays[name]
         if array.shape != (used, *to.shape[1:]) or array.dtype != to.dtype:
             raise OutputError(f"{file} is damaged: {name} is not of this run")
         to[:used] = array
     buffer.pos, buffer.full = int(pos), bool(full)
-
-
-def _arrays_of(buffer: Any) -> list[str]:
-    names = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-    return [name for name in names if hasattr(buffer, name)]
-
-
-def _versions(run: Run) -> str:
-    names = ("stable-baselines3", "torch", "gymnasium", "numpy")
-    return ", ".join(f"{name} {run.versions.get(name)}" for name in names)
-
-
-def _write_json(file: Path, content: Any) -> None:
-    file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -48,15 +48,12 @@ def several(
     one after another.
     """
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
-    mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
-    more = {"threads": threads} if mode != "sync" and threads is not None else {}
-    return _made(
-        env_id,
-        arguments,
-        lambda given: gym.make_vec(
-            env_id, num_envs=num_envs, vectorization_mode=mode, **{**more, **given}
-        ),
-    )
+    options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": "sync"}
+    if _has_vector_form(env_id):
+        options["vectorization_mode"] = "vector_entry_point"
+        if threads is not None:
+            options["threads"] = threads
+    return _made(env_id, arguments, lambda given: gym.make_vec(env_id, **{**options, **given}))
 
 
 def for_training(
@@ -83,28 +80,27 @@ def for_training(
             that step in one batch, or `warp` for others.
     """
     require("stable_baselines3", extra="train", purpose="Training a policy")
-    if warp is not None and (processes or not _has_vector_form(env_id)):
-        raise InputError(
-            f"MuJoCo Warp steps environments of mjgranular's own, such as mjgranular/Hopper-v0, in "
-            f"one batch, not {'in processes' if processes else env_id}: train with --engine local"
-        )
-    if processes:
-        return _in_processes(env_id, arguments, num_envs)
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecMonitor
 
-    if not _has_vector_form(env_id):
+    batch = _has_vector_form(env_id)
+    if warp is not None and (processes or not batch):
+        raise InputError(
+            "MuJoCo Warp steps environments of mjgranular, such as mjgranular/Hopper-v0, in one "
+            f"batch, not {'in processes' if processes else env_id}: train with --engine local"
+        )
+    if processes and batch:
+        raise InputError(f"{env_id} steps in a batch on all cores: omit processes")
+    if processes:
+        return _in_processes(env_id, arguments, num_envs)
+    if not batch:
         return _made(
-            env_id,
-            arguments,
-            lambda given: make_vec_env(env_id, n_envs=num_envs, env_kwargs=given),
+            env_id, arguments, lambda given: make_vec_env(env_id, num_envs, env_kwargs=given)
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    more: dict[str, Any] = {} if threads is None else {"threads": threads}
-    if warp is not None:
-        more["warp"] = warp
+    options = {} if threads is None else {"threads": threads}
     env = _made(
-        env_id, arguments, lambda given: make(env_id, num_envs=num_envs, **{**more, **given})
+        env_id, arguments, lambda given: make(env_id, num_envs, warp=warp, **{**options, **given})
     )
     return VecMonitor(env)
 
@@ -113,12 +109,9 @@ def _in_processes(env_id: str, arguments: Mapping[str, Any], num_envs: int) -> A
     """Return environments in one process each, which import all that they need."""
     from stable_baselines3.common.vec_env import SubprocVecEnv
 
-    if _has_vector_form(env_id):
-        raise InputError(f"{env_id} steps in a batch on all cores: omit processes")
-
     class Processes(SubprocVecEnv):
         def step_wait(self) -> Any:
-            # In single precision, as a DummyVecEnv has rewards: learning is the same to the bit.
+            # Single precision, as the rewards of a DummyVecEnv: results are the same to the bit.
             observations, rewards, *others = super().step_wait()
             return observations, np.asarray(rewards, np.float32), *others
 
@@ -133,7 +126,7 @@ def _monitored(env_id: str, arguments: Mapping[str, Any]) -> Any:
 
     # Ctrl-C reaches all processes: the training process decides when to end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", GranularWarning)  # given once, by the training process
+    warnings.simplefilter("ignore", GranularWarning)  # the training process has shown them
     return Monitor(one(env_id, arguments))
 
 
@@ -146,50 +139,25 @@ def for_filming(
         RenderError: rendering fails on this machine.
         InputError: it has no cameras, and one was requested.
     """
-    spec = find_spec(env_id)
-    wanted: dict[str, Any] = {"width": width, "height": height}
-    if camera is not None:
-        wanted["camera_name"] = camera
-    taken = _parameters(spec)
-    if camera is not None and not _takes(taken, "camera_name"):
-        raise InputError(f"{env_id} has no cameras to choose from; leave --camera away")
-    wanted = {name: value for name, value in wanted.items() if _takes(taken, name)}
-    return one(env_id, {**arguments, "render_mode": "rgb_array", **wanted})
-
-
-def _parameters(spec: Any) -> Mapping[str, inspect.Parameter]:
     from gymnasium.envs.registration import load_env_creator
 
-    point = spec.entry_point
-    return inspect.signature(
-        load_env_creator(point) if isinstance(point, str) else point
-    ).parameters
-
-
-def _takes(parameters: Mapping[str, inspect.Parameter], name: str) -> bool:
-    return name in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    creator = find_spec(env_id).entry_point
+    if isinstance(creator, str):
+        creator = load_env_creator(creator)
+    parameters = inspect.signature(creator).parameters
+    takes_all = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
+    if camera is not None and not (takes_all or "camera_name" in parameters):
+        raise InputError(f"{env_id} has no cameras to choose from: omit --camera")
+    options: dict[str, Any] = {"width": width, "height": height}
+    if camera is not None:
+        options["camera_name"] = camera
+    options = {name: options[name] for name in options if takes_all or name in parameters}
+    return one(env_id, {**arguments, "render_mode": "rgb_array", **options})
 
 
 def _has_vector_form(env_id: str) -> bool:
-    return find_spec(env_id).vector_entry_point is not None and env_id.rpartition(":")[
-        2
-    ].startswith("mjgranular/")
-
-
-def _resolved(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments for environments: a table of ranges of sand becomes `SandRanges`."""
-    resolved = dict(arguments)
-    table = resolved.get("randomise")
-    if isinstance(table, Mapping):
-        from mjgranular.envs.ranges import SandRanges  # pyright: ignore[reportMissingImports]
-
-        try:
-            resolved["randomise"] = SandRanges(
-                **{name: tuple(value) for name, value in table.items()}
-            )
-        except TypeError as error:
-            raise InputError(f"randomise must be a table of ranges of sand: {error}") from None
-    return resolved
+    ours = env_id.rpartition(":")[2].startswith("mjgranular/")
+    return find_spec(env_id).vector_entry_point is not None and ours
 
 
 def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
@@ -200,54 +168,59 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
     learned the time step and not the robot.
     """
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
-    given = _resolved(arguments)
-    times = given.pop("refine", 1)
-    check_count("refine", times)
+    given = _with_ranges(arguments)
+    refine = given.pop("refine", 1)
+    check_count("refine", refine)
     try:
-        if times == 1:
+        if refine == 1:
             return make(given)
         coarse = gym.make(env_id, **given)
-        try:
-            given["frame_skip"] = times * _frame_skip_of(coarse)
-        finally:
-            coarse.close()
-        env = make(given)
-        _shorten_steps(env, times)
+        frame_skip = getattr(_inner(coarse), "frame_skip", None)
+        coarse.close()
+        if frame_skip is None or not hasattr(_inner(coarse), "model"):
+            raise InputError(f"refine must be for a MuJoCo environment, got {env_id}")
+        env = make({**given, "frame_skip": refine * frame_skip})
+        _divide_timestep(env, refine)
         return env
     except GranularError:
         raise
     except gym.error.DependencyNotInstalled as error:
         raise RenderError(f"{env_id}: {' '.join(str(error).split())}") from None
-    except (gym.error.Error, TypeError, ValueError) as error:
-        raise InputError(f"{env_id} cannot be made: {' '.join(str(error).split())}") from None
     except Exception as error:  # neither the arguments nor the environment are trusted
-        raise InputError(
-            f"{env_id} cannot be made: {type(error).__name__}: {' '.join(str(error).split())}"
-        ) from error
+        expected = isinstance(error, (gym.error.Error, TypeError, ValueError))
+        kind = "" if expected else f"{type(error).__name__}: "
+        text = f"{env_id} cannot be made: {kind}{' '.join(str(error).split())}"
+        raise InputError(text) from (None if expected else error)
 
 
-def _frame_skip_of(env: Any) -> int:
-    """Return the number of substeps between two actions.
+def _with_ranges(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arguments of an environment: a table of ranges of sand becomes `SandRanges`."""
+    table = arguments.get("randomise")
+    if not isinstance(table, Mapping):
+        return dict(arguments)
+    from mjgranular.envs.ranges import SandRanges  # pyright: ignore[reportMissingImports]
 
-    Raises:
-        InputError: not a MuJoCo environment.
-    """
-    inner = getattr(env.unwrapped, "task", env.unwrapped)
-    if not hasattr(inner, "frame_skip") or not hasattr(inner, "model"):
-        raise InputError(f"refine is for environments of MuJoCo's; {env.unwrapped} is none")
-    return int(inner.frame_skip)
+    try:
+        ranges = SandRanges(**{name: tuple(value) for name, value in table.items()})
+    except TypeError as error:
+        raise InputError(f"randomise must be a table of ranges of sand: {error}") from None
+    return {**arguments, "randomise": ranges}
 
 
-def _shorten_steps(env: Any, times: int) -> None:
-    """Shorten the substeps of one environment, or of several: a batch, or a vector environment."""
-    inside = getattr(env, "batch", None)
-    if hasattr(inside, "task"):  # `SandVecEnv` around `SandVectorEnv`
-        env = inside
-    for one in getattr(env, "envs", None) or [env]:
-        inner = getattr(one.unwrapped, "task", one.unwrapped)
-        inner.model.opt.timestep /= times
-        # A task caches the duration of a step at the first access.
-        inner.__dict__.pop("dt", None)
-        batch = getattr(one, "batch", None)
-        if batch is not None:  # which has copied the model
+def _inner(env: Any) -> Any:
+    """Return the object with model and time step: a task of mjgranular or a MuJoCo environment."""
+    return getattr(env.unwrapped, "task", env.unwrapped)
+
+
+def _divide_timestep(env: Any, divisor: int) -> None:
+    """Divide the time step of one environment, or of several: a batch, or a vector environment."""
+    batch = getattr(env, "batch", None)
+    if hasattr(batch, "task"):  # `SandVecEnv` around `SandVectorEnv`
+        env = batch
+    for each in getattr(env, "envs", None) or [env]:
+        inner = _inner(each)
+        inner.model.opt.timestep /= divisor
+        inner.__dict__.pop("dt", None)  # a task caches the duration of a step
+        batch = getattr(each, "batch", None)
+        if batch is not None:  # it has copied the model
             batch.expand("opt.timestep")[:] = inner.model.opt.timestep

@@ -1,4 +1,4 @@
-"""Evaluation of an agent: returns over many seeds, with confidence intervals."""
+"""Evaluation of an agent: complete episodes, one per seed, and means with confidence intervals."""
 
 from __future__ import annotations
 
@@ -11,14 +11,114 @@ import numpy as np
 from mjgranular._util.checks import check_count, kind_of
 from mjgranular._util.extras import require
 from mjgranular.errors import InputError
+from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
-from mjgranular.learn.episodes import Episodes, run_episodes
 from mjgranular.learn.settings import toml_value
 
 FIRST_SEED = 10_000
 """Far from the usual training seeds: no episode of the training is repeated."""
-LEAST_SEEDS = 2
-CONFIDENCE = 0.95
+AT_ONCE = 64
+"""Episodes that are stepped together."""
+LONGEST = 10_000
+"""Steps after which an episode without a limit is ended."""
+_LEAST_SEEDS = 2
+_CONFIDENCE = 0.95
+
+
+# Episodes
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Outcome of n episodes: arrays of shape (n,).
+
+    Attributes:
+        seeds: seeds of the resets.
+        returns: sums of rewards.
+        lengths: numbers of steps.
+        figures: means over each episode of the numbers in `info`, by name.
+    """
+
+    seeds: np.ndarray
+    returns: np.ndarray
+    lengths: np.ndarray
+    figures: dict[str, np.ndarray]
+
+
+def run_episodes(
+    env_id: str,
+    arguments: Mapping[str, Any],
+    make_agent: Callable[[Any], Agent],
+    seeds: Sequence[int],
+    *,
+    threads: int | None = None,
+) -> Episodes:
+    """Run one episode for each seed.
+
+    Args:
+        env_id: Gymnasium id.
+        arguments: arguments of the environment.
+        make_agent: returns the agent for given environments.
+        seeds: seeds of the resets.
+        threads: threads of a batch of mjgranular; None for one per core.
+    """
+    if not seeds:
+        raise InputError("at least one seed is needed")
+    parts = []
+    for first in range(0, len(seeds), AT_ONCE):
+        some = list(seeds[first : first + AT_ONCE])
+        env = environments.several(env_id, arguments, num_envs=len(some), threads=threads)
+        try:
+            parts.append(_step_to_end(env, make_agent(env), some))
+        finally:
+            env.close()
+    return joined(parts)
+
+
+def joined(parts: Sequence[Episodes]) -> Episodes:
+    """Concatenate episodes, with the figures that all have."""
+    names = [name for name in parts[0].figures if all(name in part.figures for part in parts)]
+    return Episodes(
+        np.concatenate([part.seeds for part in parts]),
+        np.concatenate([part.returns for part in parts]),
+        np.concatenate([part.lengths for part in parts]),
+        {name: np.concatenate([part.figures[name] for part in parts]) for name in names},
+    )
+
+
+def _step_to_end(env: Any, agent: Agent, seeds: list[int]) -> Episodes:
+    """Step environments until the first episode of each has ended."""
+    count = len(seeds)
+    returns, lengths = np.zeros(count), np.zeros(count, dtype=np.int64)
+    running = np.ones(count, dtype=bool)
+    sums: dict[str, np.ndarray] = {}
+    observations, _ = env.reset(seed=seeds)
+    while running.any():
+        # Environments that have ended continue until the last has: their steps are not counted.
+        actions = agent.act(observations, lengths)
+        observations, rewards, terminated, truncated, info = env.step(actions)
+        returns[running] += rewards[running]
+        lengths[running] += 1
+        for name, values in info.items():
+            # Names with a leading underscore say which simulations have the entry.
+            if not name.startswith("_") and _is_number_each(values, count):
+                total = sums.setdefault(name, np.zeros(count))
+                total[running] += values[running]
+        running &= ~(terminated | truncated) & (lengths < LONGEST)
+    figures = {name: total / lengths for name, total in sums.items()}
+    return Episodes(np.array(seeds), returns, lengths, figures)
+
+
+def _is_number_each(values: object, count: int) -> bool:
+    """Return True if an entry of `info` is one number, or one boolean, for each simulation."""
+    return (
+        isinstance(values, np.ndarray)
+        and values.shape == (count,)
+        and (np.issubdtype(values.dtype, np.number) or values.dtype == bool)
+    )
+
+
+# Scores
 
 
 @dataclass(frozen=True)
@@ -45,12 +145,11 @@ def mean_of(values: Sequence[float] | np.ndarray) -> Mean:
     """Return the mean of at least two values and its 95 % confidence interval."""
     stats = require("scipy.stats", extra="train", purpose="Evaluating policies")
     array = np.asarray(values, dtype=float)
-    if array.size < LEAST_SEEDS:
-        raise InputError(f"an interval needs at least {LEAST_SEEDS} seeds, not {array.size}")
+    check_seeds(array.size)
     mean = float(array.mean())
     error = float(array.std(ddof=1)) / np.sqrt(array.size)
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, array.size - 1)) * error
-    return Mean(mean, mean - half, mean + half, tuple(float(value) for value in array))
+    half = float(stats.t.ppf((1 + _CONFIDENCE) / 2, array.size - 1)) * error
+    return Mean(mean, mean - half, mean + half, tuple(array.tolist()))
 
 
 @dataclass(frozen=True)
@@ -86,20 +185,16 @@ class Score:
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
-
-        def plain(mean: Mean) -> dict[str, Any]:
-            return {"mean": mean.mean, "low": mean.low, "high": mean.high, "values": mean.values}
-
         figures = {name: mean_of(values) for name, values in self.episodes.figures.items()}
         return {
             "agent": self.agent,
             "environment": self.environment,
             "variant": self.variant,
             "seeds": self.episodes.seeds.tolist(),
-            "return": plain(self.returned),
-            "length": plain(self.length),
+            "return": vars(self.returned),
+            "length": vars(self.length),
             "figures": {
-                name: plain(mean) for name, mean in figures.items() if np.isfinite(mean.mean)
+                name: vars(mean) for name, mean in figures.items() if np.isfinite(mean.mean)
             },
         }
 
@@ -113,7 +208,6 @@ def evaluate(
     variant: str = "",
     seeds: int = 10,
     first_seed: int = FIRST_SEED,
-    progress: Callable[[int], None] | None = None,
 ) -> Score:
     """Run an agent for one episode per seed.
 
@@ -125,37 +219,28 @@ def evaluate(
         variant: `name=value,...`, changes of the arguments; "" for none.
         seeds: number of seeds.
         first_seed: the first of consecutive seeds.
-        progress: called with the number of episodes done.
 
     Raises:
         InputError: fewer than two seeds, or a variant that is not of this form.
     """
     if not callable(make_agent):
         raise InputError(
-            "make_agent is a function that is given the environments and gives who acts in them, "
-            f"lambda env: policy for example, not {kind_of(make_agent)}"
+            "make_agent must be a function of the environments, such as lambda env: policy, got "
+            f"{kind_of(make_agent)}"
         )
     check_seeds(seeds, first_seed)
-    episodes = run_episodes(
-        env_id,
-        {**arguments, **parse_variant(variant)},
-        make_agent,
-        range(first_seed, first_seed + seeds),
-        progress=progress,
-    )
+    arguments = {**arguments, **parse_variant(variant)}
+    consecutive = range(first_seed, first_seed + seeds)
+    episodes = run_episodes(env_id, arguments, make_agent, consecutive)
     return Score(agent, env_id, variant, episodes)
 
 
 def check_seeds(seeds: int, first_seed: int = FIRST_SEED) -> None:
-    """Check that seeds suffice for an evaluation.
-
-    Raises:
-        InputError: they do not; says what would.
-    """
+    """Check that there are enough seeds for an evaluation."""
     check_count("seeds", seeds)
     check_count("first_seed", first_seed, least=0)
-    if seeds < LEAST_SEEDS:
-        raise InputError(f"an evaluation needs at least {LEAST_SEEDS} seeds, not {seeds}")
+    if seeds < _LEAST_SEEDS:
+        raise InputError(f"an evaluation needs at least {_LEAST_SEEDS} seeds, got {seeds}")
 
 
 def parse_variant(text: str) -> dict[str, Any]:
@@ -165,18 +250,18 @@ def parse_variant(text: str) -> dict[str, Any]:
         InputError: not of this form.
     """
     arguments: dict[str, Any] = {}
-    for part in split_values(text):
-        name, given, value = part.partition("=")
-        if not given or not name.strip().isidentifier():
+    for part in _split_at_commas(text):
+        name, equals, value = part.partition("=")
+        if not equals or not name.strip().isidentifier():
             raise InputError(
-                f"a variant of an environment is NAME=VALUE,NAME=VALUE, for example "
-                f"medium=glass_beads; not {text!r}"
+                "a variant of an environment must be NAME=VALUE,NAME=VALUE, such as "
+                f"medium=glass_beads, got {text!r}"
             )
         arguments[name.strip()] = toml_value(value)
     return arguments
 
 
-def split_values(text: str) -> list[str]:
+def _split_at_commas(text: str) -> list[str]:
     """Split a string at commas that are not within brackets."""
     parts, depth = [""], 0
     for character in text:

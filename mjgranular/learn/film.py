@@ -16,8 +16,10 @@ from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 from mjgranular.picture.video import Film
 
-_PURPOSE = "Writing a video"
-ENDINGS = (".mp4", ".gif")
+_CODECS: dict[str, dict[str, Any]] = {
+    ".mp4": {"codec": "h264", "crf": 20},
+    ".gif": {"codec": "gif"},
+}
 
 
 def film_episode(
@@ -50,10 +52,10 @@ def film_episode(
         InputError: another file extension, or no such camera.
         RenderError: the environment cannot be drawn on this machine.
     """
-    if path.suffix not in ENDINGS:
-        raise InputError(f"a film is written as .mp4 or .gif, not {path.suffix or path.name!r}")
-    mediapy = require("mediapy", extra="video", purpose=_PURPOSE)
-    ffmpeg = require("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
+    if path.suffix not in _CODECS:
+        raise InputError(f"a film must be written as .mp4 or .gif, got {path.name!r}")
+    mediapy = require("mediapy", extra="video", purpose="Writing a video")
+    ffmpeg = require("imageio_ffmpeg", extra="video", purpose="Writing a video")
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     env = environments.for_filming(
         env_id, arguments, width=film.width, height=film.height, camera=camera
@@ -64,37 +66,32 @@ def film_episode(
         rate = 1 / step_time if step_time else env.metadata.get("render_fps") or film.fps
         every = max(1, math.ceil(rate / film.fps))  # steps from one frame to the next
         observation, _ = env.reset(seed=seed)
-        pictures, total, step, over = [_picture(env)], 0.0, 0, False
+        frames, total, step, over = [_frame(env)], 0.0, 0, False
         while not over and step < film.seconds * rate:
             action = agent.act(observation[None], np.array([step]))[0]
-            observation, reward, ended, cut, _ = env.step(action)
+            observation, reward, terminated, truncated, _ = env.step(action)
             total += float(reward)
             step += 1
-            over = ended or cut
+            over = terminated or truncated
             if step % every == 0:
-                pictures.append(_picture(env))
+                frames.append(_frame(env))
                 if progress is not None:
-                    progress(len(pictures))
+                    progress(len(frames))
     finally:
         env.close()
-    codec = {"codec": "gif"} if path.suffix == ".gif" else {"codec": "h264", "crf": 20}
     with atomic_write(path) as part:
-        mediapy.write_video(part, pictures, fps=rate / every, **codec)
+        mediapy.write_video(part, frames, fps=rate / every, **_CODECS[path.suffix])
     return total
 
 
-def _picture(env: Any) -> np.ndarray:
-    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
+def _frame(env: Any) -> np.ndarray:
     try:
-        picture = env.render()
+        return np.asarray(env.render(), dtype=np.uint8)
     except GranularError:
         raise
-    except gym.error.DependencyNotInstalled as error:
-        raise RenderError(f"the environment cannot be drawn: {error}") from None
     except Exception as error:  # each platform's GL fails differently
         raise RenderError(
-            f"the environment cannot be drawn on this machine ({type(error).__name__}: {error}); "
-            "on Linux without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), "
-            "import mjgranular before mujoco, or set MUJOCO_GL=egl yourself"
+            f"the environment cannot be drawn ({type(error).__name__}: {error}); on Linux without "
+            "a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import mjgranular "
+            "before mujoco, or set MUJOCO_GL=egl"
         ) from None
-    return np.asarray(picture, dtype=np.uint8)

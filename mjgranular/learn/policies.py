@@ -11,22 +11,24 @@ import numpy as np
 
 import mjgranular.models
 from mjgranular._util import files
-from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
+from mjgranular.errors import OutputError, UnknownNameError, warn_user
 from mjgranular.experiment.folder import CONFIG
-from mjgranular.learn.checkpoint import check_belongs
-from mjgranular.learn.run import CHECKPOINTS, CURVE, POLICY, Run, open_run, read_curve
-from mjgranular.learn.weights import (
+from mjgranular.learn.checkpoint import Normalizer, check_belongs
+from mjgranular.learn.run import (
+    CHECKPOINTS,
+    CURVE,
     NORMALIZER,
-    Normalizer,
-    build_policy,
-    read_normalizer,
-    read_weights,
+    POLICY,
+    Run,
+    open_run,
+    read_curve,
 )
+from mjgranular.learn.weights import build_policy, check_spaces, read_weights
 
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
 """Folder of the policies that come with the package, each with the files of `POLICY_FILES`."""
 POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
-_LAST = 0.8
+_LAST_PART = 0.8  # of a learning curve, from here on
 _TRIES = 3
 
 
@@ -38,13 +40,13 @@ class Policy:
         run: the run that trained it.
         folder: folder with its files.
         model: a policy of Stable-Baselines3, `BasePolicy`.
-        normalizer: scales its observations; None if they are not scaled.
+        normalizer: scales its observations.
     """
 
     run: Run
     folder: Path
     model: Any
-    normalizer: Normalizer | None
+    normalizer: Normalizer
 
     def act(self, observations: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Return the actions, without noise.
@@ -53,28 +55,11 @@ class Policy:
             observations: shape (n, ...).
             steps: number of steps since the episodes began, shape (n,); not used.
         """
-        if self.normalizer is not None:
-            observations = self.normalizer(observations)
-        return self.model.predict(observations, deterministic=True)[0]
+        return self.model.predict(self.normalizer(observations), deterministic=True)[0]
 
     def checked(self, env_id: str, env: Any) -> Policy:
-        """Return the policy; raise if an environment has other observations or actions.
-
-        Args:
-            env_id: Gymnasium id of the environment.
-            env: a `gymnasium.vector.VectorEnv`, or a `gymnasium.Env`.
-
-        Raises:
-            InputError: they differ; says how.
-        """
-        for what in ("observation", "action"):
-            mine = getattr(self.model, f"{what}_space")
-            there = getattr(env, f"single_{what}_space", None) or getattr(env, f"{what}_space")
-            if mine.shape != there.shape or type(mine) is not type(there):
-                raise InputError(
-                    f"the policy {self.folder} is for {self.run.environment}: its {what}s are "
-                    f"{_describe(mine)}, those of {env_id} {_describe(there)}"
-                )
+        """Return the policy; raise `InputError` if an environment has other spaces."""
+        check_spaces(self.model, env, self.folder, env_id)
         return self
 
 
@@ -100,13 +85,15 @@ def load_policy(where: Path | str) -> Policy:
             policy = files.read_consistent(
                 holder, POLICY, lambda run=run, at=holder: _load(run, at)
             )
+            break
         except OutputError:
-            # A running training may have removed the checkpoint for a newer one.
+            # A running training may have replaced the checkpoint by a newer one.
             if not tries or newest is None or newest.exists():
                 raise
-        else:
-            _warn_of_version(run)
-            return replace(policy, folder=folder)
+    trained_with = str(run.versions.get("mujoco"))
+    if trained_with.partition(".")[0] != mujoco.__version__.partition(".")[0]:
+        warn_user(f"{run.path} was trained with MuJoCo {trained_with}, not {mujoco.__version__}")
+    return replace(policy, folder=folder)
 
 
 def _load(run: Run, holder: Path) -> Policy:
@@ -114,31 +101,23 @@ def _load(run: Run, holder: Path) -> Policy:
     file = files.latest_path(holder, POLICY)
     if not file.exists():
         raise OutputError(
-            f"{run.path} has no policy yet: its training has written no checkpoint; go on with "
-            f"mjgranular train --resume {run.path}"
+            f"{run.path} has no policy yet, as its training has written no checkpoint: resume it "
+            f"with mjgranular train --resume {run.path}"
         )
     if holder != run.path:
         check_belongs(holder, run)
     try:
-        weights = read_weights(file)
-        model = build_policy(run.settings, weights, file)
-        normalizer = read_normalizer(
-            files.latest_path(holder, NORMALIZER),
-            normalized=run.settings.normalize_observations,
-            shape=model.observation_space.shape,
-        )
+        model = build_policy(run.settings, read_weights(file), file)
+        statistics = files.latest_path(holder, NORMALIZER)
+        normalizer = Normalizer.read(statistics, run.settings, model.observation_space.shape)
     except OutputError as error:
-        raise OutputError(
-            f"{error} (it was written with stable-baselines3 "
-            f"{run.versions.get('stable-baselines3')}, torch {run.versions.get('torch')})"
-        ) from None
+        raise OutputError(f"{error} (it was written with {run.version_names()})") from None
     return Policy(run, holder, model, normalizer)
 
 
 def shipped_policies() -> dict[str, Run]:
     """Return the policies that come with the package, by name."""
-    found = sorted(SHIPPED.rglob(POLICY)) if SHIPPED.is_dir() else []
-    folders = [file.parent for file in found]
+    folders = sorted(file.parent for file in SHIPPED.rglob(POLICY))
     return {folder.relative_to(SHIPPED).as_posix(): open_run(folder) for folder in folders}
 
 
@@ -152,12 +131,10 @@ def last_return(run: Run) -> float | None:
         rows = read_curve(run.path / CURVE)
     except OutputError:
         return None
-    if sum(row[2] for row in rows) <= 0:
+    rows = [row for row in rows if row[0] >= _LAST_PART * rows[-1][0] and row[2] > 0]
+    if not rows:
         return None
-    last = [row for row in rows if row[0] >= _LAST * rows[-1][0] and row[2] > 0]
-    if not last:
-        return None
-    return float(np.average([row[3] for row in last], weights=[row[2] for row in last]))
+    return float(np.average([row[3] for row in rows], weights=[row[2] for row in rows]))
 
 
 def _folder(where: Path | str) -> Path:
@@ -167,18 +144,6 @@ def _folder(where: Path | str) -> Path:
     if path.is_dir():
         return path
     names = list(shipped_policies())
-    if str(where) in names:
-        return SHIPPED / str(where)
-    raise UnknownNameError("run folder or policy", str(where), names)
-
-
-def _warn_of_version(run: Run) -> None:
-    """Warn if physics may have changed since the training."""
-    there = str(run.versions.get("mujoco"))
-    if there.partition(".")[0] != mujoco.__version__.partition(".")[0]:
-        warn_user(f"{run.path} was trained with MuJoCo {there}, this is {mujoco.__version__}")
-
-
-def _describe(space: Any) -> str:
-    size = "x".join(map(str, space.shape)) or "1"
-    return f"{size} number{'s' if size != '1' else ''} ({type(space).__name__})"
+    if str(where) not in names:
+        raise UnknownNameError("run folder or policy", str(where), names)
+    return SHIPPED / str(where)

@@ -8,30 +8,38 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from mjgranular._util import files
-from mjgranular._util.io import is_text, number, read_json, read_text
-from mjgranular.errors import GranularError, InputError, MissingExtraError, OutputError, warn_user
+from mjgranular._util.io import fits, is_text, read_json, read_text
+from mjgranular.errors import (
+    GranularError,
+    InputError,
+    MissingExtraError,
+    OutputError,
+    shown,
+    warn_user,
+)
 from mjgranular.experiment.folder import CONFIG, TRAINING
 from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
 from mjgranular.learn.settings import Settings
-from mjgranular.learn.weights import NORMALIZER
 from mjgranular.pool.versions import versions
 
 CHECKPOINTS = "checkpoints"
 TENSORBOARD = "tensorboard"
 CURVE = "curve.csv"
 POLICY = "policy.zip"
+NORMALIZER = "normalizer.json"
 STATE = "state.json"
 REPLAY = "replay.npz"
 CURVE_COLUMNS = ("steps", "seconds", "episodes", "mean_return", "mean_length")
 _PACKAGES = ("gymnasium", "stable-baselines3", "torch")
+_LARGEST_SEED = 2**31 - 1
 _IN_A_CHECKPOINT = (CONFIG, POLICY, NORMALIZER, CURVE, STATE)
 _KEPT = 2  # checkpoints; the older one in case the newer is damaged
 
@@ -82,18 +90,12 @@ class Run:
             "versions": self.versions,
         }
 
-    @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Keep other processes out. The system releases the lock when this process ends.
-
-        Raises:
-            OutputError: another process is using the folder.
-        """
-        with files.locked(self.path):
-            yield
+    def locked(self) -> AbstractContextManager[None]:
+        """Lock the folder; raise `OutputError` if another process has locked it."""
+        return files.locked(self.path)
 
     def checkpoints(self) -> list[Path]:
-        """Return the folders of the checkpoints, the newest first; unchecked."""
+        """Return the folders of the checkpoints, the newest first, damaged ones included."""
         return sorted((self.path / CHECKPOINTS).glob("step-*"), reverse=True)
 
     def newest_checkpoint(self) -> Path | None:
@@ -102,7 +104,7 @@ class Run:
             wrong = files.find_corruption(folder, _IN_A_CHECKPOINT)
             if wrong is None:
                 return folder
-            if folder.exists():  # else a running training has removed it: there is a newer one
+            if folder.exists():  # otherwise a running training has replaced it by a newer one
                 warn_user(f"the checkpoint {folder} is damaged ({wrong}) and was skipped")
         return None
 
@@ -113,18 +115,17 @@ class Run:
     def remove_old_checkpoints(self, written: Path | None = None) -> None:
         """Keep the newest two complete checkpoints, and damaged ones among them for inspection.
 
-        Args:
-            written: a checkpoint that was just written, and need not be checked.
+        A checkpoint that was just written need not be checked.
         """
-        whole = 0
+        complete = 0
         for folder in self.checkpoints():
-            if whole == _KEPT:
+            if complete == _KEPT:
                 files.remove_folder(folder)
             elif folder == written or files.find_corruption(folder, _IN_A_CHECKPOINT) is None:
-                whole += 1
+                complete += 1
 
     def extended(self, total_steps: int) -> Run:
-        """Return the run with another total of steps, and write that to its folder."""
+        """Return the run with another number of steps, and write that to its folder."""
         longer = replace(self, settings=replace(self.settings, total_steps=total_steps))
         file = self.path / CONFIG
         content = {**read_json(file), **longer.config()}
@@ -139,23 +140,22 @@ class Run:
     def steps(self) -> int:
         """Return the number of steps of the newest checkpoint; 0 without one."""
         folder = self.newest_checkpoint()
-        return 0 if folder is None else read_state(folder)[0]
+        return 0 if folder is None else int(folder.name.partition("-")[2])
+
+    def version_names(self) -> str:
+        """Return the packages that the run was started with, for messages."""
+        return ", ".join(f"{name} {self.versions.get(name)}" for name in _PACKAGES)
 
     def other_sand(self, now: Sands | None, settled: Iterable[str] = ()) -> str | None:
-        """Describe how sand differs from that of the run's start.
+        """Return how sand differs from that at the start of the run, as the end of a sentence.
 
-        Args:
-            now: the sand of an environment; None if unknown.
-            settled: names of arguments that the user has changed.
-
-        Returns:
-            The end of a sentence whose subject is the run; None if nothing differs or the sand is
-            unknown.
+        The result is None if nothing differs or a sand is unknown. `settled` are names of arguments
+        that the user has changed.
         """
         if now is None or self.sand is None:
             return None
         found = changes(self.sand, now, settled)
-        return f"was begun on other sand: {', '.join(found)}" if found else None
+        return f"was started on other sand: {', '.join(found)}" if found else None
 
     def check_environment(self) -> None:
         """Check that no module is imported only because an untrusted file names it.
@@ -167,14 +167,14 @@ class Run:
             OutputError: it is not allowed.
         """
         module, colon, name = self.environment.rpartition(":")
-        # These of Gymnasium's make an environment of any module that their arguments name.
-        gate = name.startswith("GymV2")
-        if self.trusted or not (colon or gate) or (module in sys.modules and not gate):
+        # These of Gymnasium make an environment of any module that their arguments name.
+        indirect = name.startswith("GymV2")
+        if self.trusted or not (colon or indirect) or (module in sys.modules and not indirect):
             return
         raise OutputError(
             f"{self.path / CONFIG} names an environment of the module "
-            f"{module or 'in its arguments'}, which importing it would execute: if you know where "
-            f"the run comes from, say --trust"
+            f"{module or 'in its arguments'}, and importing it would execute it: if you trust the "
+            "source of the run, use --trust"
         )
 
 
@@ -194,31 +194,23 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
         GranularError: the environment cannot be made; says why.
     """
     path = Path(path)
-    if not 0 <= seed < 2**31:
-        raise InputError(f"a seed is a whole number from 0 to {2**31 - 1}, not {seed}")
+    if not 0 <= seed <= _LARGEST_SEED:
+        raise InputError(f"a seed must be an integer from 0 to {_LARGEST_SEED}, got {seed}")
     if not is_text(environment):
-        raise InputError(f"an environment has a name that can be printed, not {environment!r}")
-    started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
-    if path.exists() and not path.is_dir():
-        raise OutputError(f"cannot write to {path}: it is not a folder")
-    if (path / CONFIG).exists():  # a running one is locked, and is reported as a run too
-        raise _held(path)
+        raise InputError(f"environment must be a printable name, got {shown(environment)}")
     sand = sands_made(environment, settings.environment)
     run = Run(path, environment, settings, seed, current_versions(), sand, trusted=True)
     with files.locked(path):
         files.remove_leftovers(path, (CONFIG,))
         if any(file.name != files.LOCK for file in path.iterdir()):
-            raise _held(path)
-        files.write_text(path / CONFIG, json.dumps({**run.config(), **started}, indent=2) + "\n")
+            content = "a training run" if (path / CONFIG).exists() else "something"
+            raise OutputError(
+                f"{path} holds {content} already: choose another folder with --out, or resume a "
+                f"run with mjgranular train --resume {path}"
+            )
+        config = {**run.config(), "started": datetime.now(UTC).isoformat(timespec="seconds")}
+        files.write_text(path / CONFIG, json.dumps(config, indent=2) + "\n")
     return run
-
-
-def _held(path: Path) -> OutputError:
-    held = "a training run" if (path / CONFIG).exists() else "something"
-    return OutputError(
-        f"{path} holds {held} already: choose another folder with --out, or go on with a "
-        f"run by mjgranular train --resume {path}"
-    )
 
 
 def current_versions() -> dict[str, Any]:
@@ -244,13 +236,13 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
         if command != TRAINING and is_text(command):
             raise OutputError(f"it is the result of mjgranular {command}")
         if not is_text(environment):
-            raise OutputError(f"{CONFIG} names no environment")
-        seed, made_with = content.get("seed"), content.get("versions")
-        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
-            raise OutputError(f"{CONFIG}: seed must be a whole number from 0 to {2**31 - 1}")
+            raise OutputError(f"{CONFIG} must name an environment")
+        seed: Any = content.get("seed")
+        made_with = content.get("versions")
+        if not fits(seed, int) or not 0 <= seed <= _LARGEST_SEED:
+            raise OutputError(f"{CONFIG}: seed must be an integer from 0 to {_LARGEST_SEED}")
         if not isinstance(made_with, dict) or not all(
-            is_text(name) and (version is None or is_text(version))
-            for name, version in made_with.items()
+            is_text(name) and fits(version, str | None) for name, version in made_with.items()
         ):
             raise OutputError(f"{CONFIG}: versions must name packages and their versions")
         settings = Settings.from_json(content.get("settings"))
@@ -259,24 +251,10 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
         raise
     except GranularError as error:
         raise OutputError(
-            f"{path} holds no training run ({error}); make one with mjgranular train ENV --out "
+            f"{path} holds no training run ({error}); start one with mjgranular train ENV --out "
             f"{path}"
         ) from None
     return Run(path, str(environment), settings, seed, made_with, sand, trust)
-
-
-def read_state(checkpoint: Path) -> tuple[int, float]:
-    """Return the steps and the seconds up to a checkpoint.
-
-    Raises:
-        OutputError: its file is damaged.
-    """
-    file = checkpoint / STATE
-    content = read_json(file)
-    steps, seconds = (number(content, name, file) for name in ("steps", "seconds"))
-    if steps is None or seconds is None or steps < 0 or steps != int(steps):
-        raise OutputError(f"{file} is damaged: steps and seconds must be numbers")
-    return int(steps), seconds
 
 
 def curve_text(rows: Sequence[Sequence[float]]) -> str:
@@ -298,7 +276,7 @@ def read_curve(file: Path) -> list[tuple[float, ...]]:
     try:
         rows = [tuple(map(float, row)) for row in list(csv.reader(io.StringIO(text)))[1:]]
     except (ValueError, csv.Error):
-        raise OutputError(f"{file} is damaged: a learning curve consists of numbers") from None
+        rows = [()]
     if not all(len(row) == len(CURVE_COLUMNS) and all(map(math.isfinite, row)) for row in rows):
-        raise OutputError(f"{file} is damaged: a row is {', '.join(CURVE_COLUMNS)}")
+        raise OutputError(f"{file} is damaged: rows must be numbers, {', '.join(CURVE_COLUMNS)}")
     return rows

@@ -16,12 +16,14 @@ from mjgranular.errors import InputError, UnknownNameError, shown
 
 ALGORITHMS = ("ppo", "sac", "td3")
 ACTIVATIONS = ("tanh", "relu", "elu")
-LARGEST = 20_000
-"""Size up to which a file is read [bytes]; chosen, ten times what settings need. A dotted key costs
-the square of its length."""
-
 FOLDER = Path(__file__).resolve().parent / "settings"
-_GIVEN_BY_US = (
+_TABLES = ("arguments", "policy", "environment")
+_LARGEST_FILE = 20_000  # bytes; chosen, ten times what settings need
+_MOST_STEPS = 10**12  # chosen: weeks of the fastest simulation
+_MOST_ENVS = 2**16  # chosen
+_LINEAR = "linear_"
+_SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during the training
+_NOT_SETTINGS = (  # arguments of algorithms that the run determines
     "self",
     "policy",
     "env",
@@ -32,12 +34,7 @@ _GIVEN_BY_US = (
     "tensorboard_log",
     "_init_setup_model",
 )
-_TABLES = ("arguments", "policy", "environment")
-_MOST = 10**12  # limit of steps and environments; chosen: weeks of the fastest simulation
-_LINEAR = "linear_"
-_MOST_ENVS = 2**16  # more than anyone steps together; chosen
-_FAR = 100_000  # divisors of the steps are searched this far from the batch size
-_SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf")  # may fall during the training
+_KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a string"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,48 +72,36 @@ class Settings:
     environment: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("algorithm", "activation"):
-            if not isinstance(getattr(self, name), str):
-                raise InputError(f"{name} must be a text")
-        if self.algorithm not in ALGORITHMS:
-            raise UnknownNameError("algorithm", self.algorithm, ALGORITHMS)
-        if self.activation not in ACTIVATIONS:
-            raise UnknownNameError("activation", self.activation, ACTIVATIONS)
-        for name in ("total_steps", "num_envs", "checkpoint_every"):
+        for name, kind in typing.get_type_hints(type(self)).items():
             value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= _MOST:
+            if name in _TABLES:
+                if not isinstance(value, Mapping) or not all(map(_is_identifier, value)):
+                    raise InputError(f"{name} must be a table of names and values")
+            elif name == "net":
+                if not fits(value, kind) or any(width < 1 for width in value):
+                    raise InputError(
+                        f"net must be widths of layers such as [64, 64], got {shown(value)}"
+                    )
+            elif not fits(value, kind):
+                raise InputError(f"{name} must be {_KINDS[kind]}, got {shown(value)}")
+        for name, known in (("algorithm", ALGORITHMS), ("activation", ACTIVATIONS)):
+            if getattr(self, name) not in known:
+                raise UnknownNameError(name, getattr(self, name), known)
+        most = {"num_envs": _MOST_ENVS, "total_steps": _MOST_STEPS, "checkpoint_every": _MOST_STEPS}
+        for name, limit in most.items():
+            if not 1 <= getattr(self, name) <= limit:
                 raise InputError(
-                    f"{name} must be a whole number of at least 1 and at most {_MOST:g}, not "
-                    f"{shown(value)}"
+                    f"{name} must be an integer from 1 to {limit}, got {getattr(self, name)}"
                 )
-        if self.num_envs > _MOST_ENVS:
-            raise InputError(f"num_envs must be at most {_MOST_ENVS}, not {self.num_envs}")
-        for name in ("processes", "normalize_observations", "normalize_rewards"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name} must be true or false, not {shown(getattr(self, name))}")
-        if not isinstance(self.net, tuple) or not all(
-            isinstance(w, int) and not isinstance(w, bool) and w > 0 for w in self.net
-        ):
-            raise InputError(
-                f"net must be widths of layers such as [64, 64], not {shown(self.net)}"
-            )
-        for name in _TABLES:
-            if not isinstance(getattr(self, name), Mapping):
-                raise InputError(f"{name} must be a table of names and values")
-            if not all(isinstance(key, str) and key.isidentifier() for key in getattr(self, name)):
-                raise InputError(f"{name} must be a table of names and values")
         _check_arguments(self.algorithm, self.arguments)
         if self.algorithm == "ppo":
-            self._check_batches()
-
-    def _check_batches(self) -> None:
-        steps = self.arguments.get("n_steps", 2048) * self.num_envs
-        batch = self.arguments.get("batch_size", 64)
-        if batch < 2 or steps % batch:
-            raise InputError(
-                f"batch_size {batch} does not divide the {steps} steps of a rollout "
-                f"(n_steps times num_envs): {_nearest_divisor(steps, batch)} would"
-            )
+            steps = self.arguments.get("n_steps", 2048) * self.num_envs
+            batch = self.arguments.get("batch_size", 64)
+            if batch < 2 or steps % batch:
+                raise InputError(
+                    f"batch_size must divide the {steps} steps of a rollout (n_steps times "
+                    f"num_envs), got {batch}"
+                )
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
@@ -150,7 +135,7 @@ def find_settings(
         file: file to read; None for that of the environment or, where there is none, the default.
 
     Raises:
-        InputError: the file cannot be read, or has a wrong key or value in it; says which.
+        InputError: the file cannot be read, or has a wrong key or value.
         UnknownNameError: no such algorithm, or the file has no table for it.
     """
     return read_settings(file or settings_file(env_id), algorithm=algorithm)
@@ -159,34 +144,26 @@ def find_settings(
 def settings_file(env_id: str) -> Path:
     """Return the file with the settings that come with the package for an environment."""
     # `module:namespace/Name-v0` is Gymnasium's way to name an environment of a module.
-    identity = env_id.rpartition(":")[2]
-    own = FOLDER / f"{identity}.toml"
-    return own if own.is_file() and own.is_relative_to(FOLDER) else FOLDER / "default.toml"
+    name = env_id.rpartition(":")[2]
+    file = FOLDER / f"{name}.toml"
+    return file if file.is_file() and file.is_relative_to(FOLDER) else FOLDER / "default.toml"
 
 
 def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
     """Read settings: `algorithm`, a table `[environment]`, and a table for each algorithm.
 
     Raises:
-        InputError: the file cannot be read, or has a wrong key or value in it; says which.
+        InputError: the file cannot be read, or has a wrong key or value.
         UnknownNameError: no such algorithm, or the file has no table for it.
     """
-    content = _read_toml(file)
     where = place(file)
+    content = _read_toml(file, where)
     _check_keys(where, content, ("algorithm", "environment", *ALGORITHMS))
     present = [name for name in ALGORITHMS if name in content]
     name = (algorithm or str(content.get("algorithm", ""))).lower()
-    if name not in ALGORITHMS:
-        others = [one for one in ALGORITHMS if one not in present]
-        hint = (
-            f"{where} has settings for {', '.join(present)}; for {' and '.join(others)} they are "
-        )
-        hint += "given in a file with a table of that name, --settings FILE.toml"
-        raise UnknownNameError("algorithm", name, ALGORITHMS, hint if present and others else "")
-    if name not in content:
-        raise InputError(
-            f"{where} has no table [{name}]; it has settings for {', '.join(present) or 'none'}"
-        )
+    if name not in present:
+        hint = f"{where} has settings for {', '.join(present)}; --settings FILE.toml names another"
+        raise UnknownNameError("algorithm", name, ALGORITHMS, hint)
     table = content[name]
     if not isinstance(table, dict):
         raise InputError(f"{where}: {name} must be a table, [{name}]")
@@ -201,19 +178,12 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
         raise InputError(f"{where}, [{name}]: {error}") from None
 
 
-def _read_toml(file: Path) -> dict[str, Any]:
-    text = read_file(file, "the settings", largest=LARGEST)
-    name = place(file)
+def _read_toml(file: Path, where: str) -> dict[str, Any]:
+    content = read_file(file, "the settings", largest=_LARGEST_FILE)
     try:
-        return tomllib.loads(text.decode("utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name} is not TOML: {error}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name} is not TOML: byte {error.start} is not UTF-8") from None
-    except RecursionError:
-        raise InputError(f"{name} is nested too deeply for settings") from None
-    except ValueError:  # of an int with thousands of digits
-        raise InputError(f"{name} has a number that is too long") from None
+        return tomllib.loads(content.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where} is not TOML: {error}") from None
 
 
 def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
@@ -226,20 +196,20 @@ def change(settings: Settings, changes: Sequence[str] | str) -> Settings:
             as in TOML, where strings need no quotes.
 
     Raises:
-        InputError: not of this form, an unknown name or a wrong type.
+        InputError: a change of another form, an unknown name or a wrong type.
     """
-    own = {entry.name for entry in fields(Settings)} - {"algorithm", *_TABLES}
+    direct = {entry.name for entry in fields(Settings)} - {"algorithm", *_TABLES}
     changed: dict[str, Any] = {name: dict(getattr(settings, name)) for name in _TABLES}
     for text in [changes] if isinstance(changes, str) else changes:
-        name, given, value = text.partition("=")
+        name, equals, value = text.partition("=")
         name = name.strip()
-        if not given or not name:
-            raise InputError(f"a change of the settings is NAME=VALUE, not {shown(text)}")
+        if not equals or not name:
+            raise InputError(f"a change of the settings must be NAME=VALUE, got {shown(text)}")
         parsed = toml_value(value)
         table, dot, key = name.partition(".")
         if dot and table in _TABLES:
             changed[table][key] = parsed
-        elif name in own:
+        elif name in direct:
             changed[name] = tuple(parsed) if name == "net" and isinstance(parsed, list) else parsed
         else:
             changed["arguments"][name] = parsed
@@ -255,11 +225,7 @@ def toml_value(text: str) -> Any:
 
 
 def algorithm_class(name: str) -> Any:
-    """Return the class of an algorithm in Stable-Baselines3.
-
-    Raises:
-        MissingExtraError: Stable-Baselines3 is not installed.
-    """
+    """Return the class of an algorithm in Stable-Baselines3."""
     module = require("stable_baselines3", extra="train", purpose="Training a policy")
     return getattr(module, name.upper())
 
@@ -274,6 +240,10 @@ def linear_start(value: object) -> float | None:
     return None
 
 
+def _is_identifier(name: object) -> bool:
+    return isinstance(name, str) and name.isidentifier()
+
+
 def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> None:
     for key in table:
         if key not in known:
@@ -283,29 +253,16 @@ def _check_keys(where: str, table: Mapping[str, Any], known: Sequence[str]) -> N
 def _check_arguments(algorithm: str, arguments: Mapping[str, Any]) -> None:
     """Check arguments against the algorithm's class, by name and by type."""
     signature = inspect.signature(algorithm_class(algorithm).__init__).parameters
-    names = [name for name in signature if name not in _GIVEN_BY_US]
+    names = [name for name in signature if name not in _NOT_SETTINGS]
     for name, value in arguments.items():
         if name not in names:
             raise InputError(
                 f"{algorithm} has no argument {shown(name)}; it has: {', '.join(names)}"
             )
-        wanted = float if name == "action_noise" else signature[name].annotation
         if name in _SCHEDULES and linear_start(value) is not None:
             continue
-        if not fits(value, wanted):
-            raise InputError(f"{algorithm}: {name} must be {_words(wanted)}, not {shown(value)}")
-
-
-def _words(kind: Any) -> str:
-    names = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
-    return " or ".join(
-        names[member] for member in typing.get_args(kind) or (kind,) if member in names
-    )
-
-
-def _nearest_divisor(steps: int, batch: int) -> int:
-    for away in range(min(steps, _FAR)):
-        for divisor in (batch - away, batch + away):
-            if 2 <= divisor <= steps and steps % divisor == 0:
-                return divisor
-    return steps
+        kind = float if name == "action_noise" else signature[name].annotation
+        if not fits(value, kind):
+            members = typing.get_args(kind) or (kind,)
+            words = " or ".join(_KINDS[member] for member in members if member in _KINDS)
+            raise InputError(f"{algorithm}: {name} must be {words}, got {shown(value)}")

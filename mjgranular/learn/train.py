@@ -2,38 +2,36 @@
 
 from __future__ import annotations
 
-import random
 import signal
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mjgranular._util import files
 from mjgranular._util.extras import require
-from mjgranular.errors import InputError, OutputError, UnstableError, warn_user
+from mjgranular.errors import InputError, OutputError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn import environments
-from mjgranular.learn.checkpoint import Progress, load_checkpoint, save_checkpoint, write_policy
+from mjgranular.learn.checkpoint import Progress, load_checkpoint, write_policy
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
+    NORMALIZER,
     POLICY,
     TENSORBOARD,
     Run,
     current_versions,
-    curve_text,
 )
 from mjgranular.learn.sands import arguments_for, as_variant, sands_made
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
-from mjgranular.learn.weights import NORMALIZER, policy_arguments
+from mjgranular.learn.weights import policy_arguments
 
-_ROWS_PER_CHECKPOINT = 5  # of the learning curve
-_NEWEST = 20  # episodes in the mean return that is reported; chosen, not measured
+if TYPE_CHECKING:
+    from mjgranular.learn.callback import Report
 
 
 @dataclass(frozen=True)
@@ -49,11 +47,6 @@ class Training:
     progress: Progress
     stopped_by: int | None
     began: int
-
-
-Report = Callable[[int, float | None], None]
-"""Called with the steps done and the mean return of the newest episodes (None before the first
-ends)."""
 
 
 def train(
@@ -80,21 +73,21 @@ def train(
         report: called at every step of the environments.
         threads: threads of a batch of environments; None for one per core. Results are the same.
         warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
-            here. A run may change this at any checkpoint.
+            on this machine's cores. A run may change this at any checkpoint.
 
     Raises:
         InputError: the environment, the algorithm and its arguments do not match.
         OutputError: the environment's module would be executed only because a file names it; the
             sand of the run's start cannot be restored; or a checkpoint cannot be written or read;
             those before it are intact.
-        UnstableError: the policy's weights are not finite any more.
+        UnstableError: weights of the policy are not finite.
     """
     torch = require("torch", extra="train", purpose="Training a policy")
     require("tensorboard", extra="train", purpose="Training a policy")
     # Networks of this size are faster on one thread; the other cores step environments.
     torch.set_num_threads(1)
     run.check_environment()
-    run = _on_its_sand(run)
+    run = _with_its_sand(run)
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
@@ -102,37 +95,22 @@ def train(
     try:
         newest = run.newest_checkpoint()
         if newest is None:
-            model, progress = new_model(run, env), Progress(0, 0.0, [])
+            model, start = new_model(run, env), Progress(0, 0.0, [])
         else:
             _warn_of_versions(run)
-            model, progress = load_checkpoint(newest, run, env, lambda: new_model(run, env))
-            if progress.steps >= run.settings.total_steps:
-                write_policy(run, newest)  # the process may have been killed before that
-                return Training(progress, None, progress.steps)
-        with collected_signals() as received:
-            saved = _learn(run, model, progress, report, received)
-        # After the last step a signal has nothing left to stop.
-        finished = saved.steps >= run.settings.total_steps
-        stopped_by = received[0] if received and not finished else None
-        if stopped_by is None:
-            write_policy(run, run.checkpoint_folder(saved.steps))
-        return Training(saved, stopped_by, progress.steps)
+            model, start = load_checkpoint(newest, run, env, lambda: new_model(run, env))
+        reached, stopped_by = start, None
+        if start.steps < run.settings.total_steps:
+            with collected_signals() as received:
+                reached = _learn(run, model, start, report, received)
+            # After the last step there is nothing left to stop.
+            if received and reached.steps < run.settings.total_steps:
+                stopped_by = received[0]
+        if stopped_by is None:  # also if an earlier process was killed before this
+            write_policy(run, run.checkpoint_folder(reached.steps))
+        return Training(reached, stopped_by, start.steps)
     finally:
         env.close()
-
-
-def begin_episodes(model: Any, seed: int) -> None:
-    """Begin new episodes, with random numbers that follow from the seed and the steps done."""
-    torch = require("torch", extra="train", purpose="Training a policy")
-    word = int(np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)[0]) % 2**31
-    random.seed(word)
-    np.random.seed(word)  # noqa: NPY002  Stable-Baselines3 draws from it
-    torch.manual_seed(word)
-    model.action_space.seed(word)
-    model.env.seed(word)
-    model._last_obs = model.env.reset()
-    model._last_episode_starts = np.ones(model.env.num_envs, dtype=bool)
-    model._last_original_obs = model.get_vec_normalize_env().get_original_obs()
 
 
 def _warn_of_versions(run: Run) -> None:
@@ -144,28 +122,25 @@ def _warn_of_versions(run: Run) -> None:
         if name in now and name != "platform" and now[name] != then
     ]
     if changed:
-        warn_user(
-            f"{run.path} was begun with {', '.join(changed)}: numbers may differ from here on"
-        )
+        warn_user(f"{run.path} was started with {', '.join(changed)}: numbers may differ from now")
 
 
-def _on_its_sand(run: Run) -> Run:
-    """Return the run, with arguments that restore the sand of its start, if needed.
+def _with_its_sand(run: Run) -> Run:
+    """Return the run with arguments that restore the sand of its start, if needed.
 
     Raises:
         OutputError: no arguments do.
     """
-    now = sands_made(run.environment, run.arguments)
-    other = run.other_sand(now)
+    other = run.other_sand(sands_made(run.environment, run.arguments))
     if other is None or run.sand is None:
         return run
     restored = arguments_for(run.sand, run.environment, run.arguments)
     if restored is None:
         raise OutputError(
-            f"{run.path} {other}; its environment cannot be given that any more: train anew, with "
-            "another --out"
+            f"{run.path} {other}; its environment cannot have that sand any more: start a new run "
+            "with another --out"
         )
-    warn_user(f"{run.path} {other}; it goes on with what it was begun on, {as_variant(restored)}")
+    warn_user(f"{run.path} {other}; training continues on {as_variant(restored)}, as it started")
     return replace(run, restored=restored)
 
 
@@ -183,18 +158,16 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
         threads=threads,
         warp=warp,
     )
-    if not isinstance(env.observation_space, spaces.Box):
-        env.close()
-        raise InputError(
-            f"{run.environment} observes a {type(env.observation_space).__name__}; policies are "
-            "trained on plain vectors (Box)"
-        )
-    if settings.algorithm != "ppo" and not isinstance(env.action_space, spaces.Box):
-        env.close()
-        raise InputError(
-            f"{settings.algorithm} needs actions that are vectors; those of {run.environment} are "
-            f"{type(env.action_space).__name__}: take --algorithm ppo"
-        )
+    vectors = {"observations": env.observation_space}
+    if settings.algorithm != "ppo":
+        vectors["actions"] = env.action_space
+    for name, space in vectors.items():
+        if not isinstance(space, spaces.Box):
+            env.close()
+            raise InputError(
+                f"{settings.algorithm} needs {name} that are vectors (Box), but those of "
+                f"{run.environment} are {type(space).__name__}"
+            )
     return VecNormalize(
         env,
         norm_obs=settings.normalize_observations,
@@ -204,7 +177,7 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
 
 
 def new_model(run: Run, env: Any) -> Any:
-    """Return an algorithm of Stable-Baselines3 that has learned nothing yet."""
+    """Return an untrained algorithm of Stable-Baselines3."""
     settings = run.settings
     try:
         return algorithm_class(settings.algorithm)(
@@ -220,7 +193,7 @@ def new_model(run: Run, env: Any) -> Any:
 
 
 def _arguments(settings: Settings, env: Any) -> dict[str, Any]:
-    """Return arguments for the algorithm's class: schedules and noise made from their numbers."""
+    """Return arguments for the algorithm's class, with schedules and noise made from numbers."""
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.utils import LinearSchedule
 
@@ -237,120 +210,28 @@ def _arguments(settings: Settings, env: Any) -> dict[str, Any]:
     return made
 
 
-class _StoppedError(Exception):
-    """Raised to leave the algorithm's loop."""
-
-
 def _learn(
-    run: Run, model: Any, progress: Progress, report: Report | None, received: list[int]
+    run: Run, model: Any, start: Progress, report: Report | None, received: list[int]
 ) -> Progress:
+    """Train a model until the last step or a signal; return the progress of the last checkpoint."""
     from stable_baselines3.common.logger import configure
 
+    from mjgranular.learn.callback import CheckpointCallback, check_finite, restart_episodes
+
     model.set_logger(configure(str(run.path / TENSORBOARD), ["tensorboard"]))
-    keeper = _keeper(run, progress, report, received)
-    begin_episodes(model, run.seed)
+    callback = CheckpointCallback(run, start, report, received)
+    restart_episodes(model, run.seed)
+    steps = run.settings.total_steps - start.steps
     try:
-        model.learn(
-            run.settings.total_steps - progress.steps,
-            callback=keeper,
-            reset_num_timesteps=False,
-        )
-    except _StoppedError:
-        model.num_timesteps = keeper.rollout_start
+        model.learn(steps, callback=callback, reset_num_timesteps=False)
     except ValueError:
-        _check_finite(model, run)  # that is how the algorithm notices it
+        check_finite(model, run)  # the algorithm reports such weights by a ValueError
         raise
-    saved = keeper.save()
+    if callback.stopped:
+        model.num_timesteps = callback.rollout_start  # the policy has not learned from the rest
+    reached = callback.save()
     model.logger.close()
-    return saved
-
-
-def _keeper(run: Run, progress: Progress, report: Report | None, received: Sequence[int]) -> Any:
-    """Return the callback that writes the curve and the checkpoints when they are due."""
-    # Its base class is in an optional package: hence a class within a function.
-    from stable_baselines3.common.callbacks import BaseCallback
-
-    class Keeper(BaseCallback):
-        def __init__(self) -> None:
-            super().__init__()
-            self.rollout_start = progress.steps
-            self.curve = list(progress.curve)
-            self.began = time.monotonic()
-            self.ended: list[tuple[float, int]] = []  # return and length, since the last row
-            self.newest: float | None = None
-            self.plan(progress.steps)
-            # Rows after the checkpoint that is resumed belong to what was lost.
-            files.write_text(run.path / CURVE, curve_text(self.curve))
-
-        def _on_rollout_start(self) -> None:
-            steps = self.rollout_start = self.num_timesteps
-            self._stop_if_asked()
-            checkpoint = steps >= self.next_checkpoint
-            if steps >= self.next_row:
-                self.add_row()
-            self.plan(steps)
-            if checkpoint:
-                self.save()
-                begin_episodes(self.model, run.seed)
-                policy: Any = self.model.policy
-                if self.model.use_sde:  # as the algorithm does before each rollout
-                    policy.reset_noise(self.training_env.num_envs)
-
-        def _on_step(self) -> bool:
-            for info in self.locals["infos"]:
-                if "episode" in info:
-                    self.ended.append((float(info["episode"]["r"]), int(info["episode"]["l"])))
-                    self.newest = float(np.mean([one for one, _ in self.ended[-_NEWEST:]]))
-            if report is not None:
-                report(self.num_timesteps, self.newest)
-            self._stop_if_asked()
-            return True
-
-        def _stop_if_asked(self) -> None:
-            if received:
-                raise _StoppedError
-
-        def plan(self, steps: int) -> None:
-            """Find the steps after which the next row and the next checkpoint are due."""
-            every = run.settings.checkpoint_every
-            row_every = max(1, every // _ROWS_PER_CHECKPOINT)
-            self.next_checkpoint = (steps // every + 1) * every
-            self.next_row = (steps // row_every + 1) * row_every
-
-        def seconds(self) -> float:
-            """Return the time spent in training, in all processes [s]."""
-            return progress.seconds + time.monotonic() - self.began
-
-        def add_row(self) -> None:
-            """Add the episodes since the last row to the curve."""
-            if not self.ended:
-                return
-            returns, lengths = np.array(self.ended).T
-            steps, seconds = self.model.num_timesteps, round(self.seconds(), 3)
-            row = (steps, seconds, len(returns), float(returns.mean()), float(lengths.mean()))
-            self.curve.append(row)
-            self.ended = []
-            files.write_text(run.path / CURVE, curve_text(self.curve))
-
-        def save(self) -> Progress:
-            """Write a checkpoint."""
-            _check_finite(self.model, run)
-            self.add_row()
-            reached = Progress(self.model.num_timesteps, self.seconds(), tuple(self.curve))
-            save_checkpoint(run, self.model, reached)
-            return reached
-
-    return Keeper()
-
-
-def _check_finite(model: Any, run: Run) -> None:
-    """Raise `UnstableError` if a weight of the policy is not finite."""
-    torch = require("torch", extra="train", purpose="Training a policy")
-    if not all(bool(torch.isfinite(p).all()) for p in model.policy.parameters()):
-        raise UnstableError(
-            f"{run.name}: the policy's numbers are not finite after {model.num_timesteps} steps; "
-            "the checkpoints before are whole: begin a new run with a smaller learning_rate"
-        )
+    return reached
 
 
 @contextmanager
@@ -362,15 +243,17 @@ def collected_signals() -> Iterator[list[int]]:
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
 
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
     def receive(number: int, _frame: object) -> None:
         received.append(number)
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        restore()
 
     for number in before:
         signal.signal(number, receive)
     try:
         yield received
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        restore()

@@ -627,7 +627,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "text for a height": (lambda: Drop("robot.xml", height="1"), "the height must be finite and"),
     "policy for its maker": (
         lambda: evaluated(object()),
-        "make_agent is a function that is given the environments",
+        "make_agent must be a function",
     ),
     "text for seeds": (
         lambda: evaluated(lambda env: None, seeds="3"),

@@ -1,6 +1,5 @@
 """Elements to look at: what is drawn is what the law acts on, in figures, scenes and tables."""
 
-import csv
 import importlib
 import json
 import math
@@ -371,35 +370,25 @@ def test_wrong_groups(foot_file, capfd, command):
     assert "--groups" in capfd.readouterr().err
 
 
-def test_the_command_writes_what_it_promises(tmp_path, capfd):
+def test_the_command_writes_a_figure(tmp_path, capfd):
     pendulum = ["elements", str(model_path("double_pendulum")), "--law", "link"]
-    folder = tmp_path / "cut"
-    assert main([*pendulum, "--keyframe", "start", "--out", str(folder)]) == 0
-    assert "written to" in capfd.readouterr().out
-    names = ["config.json", "elements.csv", "elements.png", "summary.json"]
-    assert sorted(path.name for path in folder.iterdir()) == names
-    with (folder / "elements.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["body"] for row in rows] == ["link0", "link1"]
-    assert float(rows[0]["half_length [m]"]) == 0.1
-    assert float(rows[0]["axis_z [-]"]) == 1.0
-    summary = json.loads((folder / "summary.json").read_text())
-    assert summary["length"] == pytest.approx(0.4)
-    assert summary["area"] is None
-    assert json.loads((folder / "config.json").read_text())["config"]["law"] == "link"
-
     figure = tmp_path / "deep" / "cut.svg"
-    assert main([*pendulum, "--figure", str(figure), "--color", "depth"]) == 0
+    draw = [*pendulum, "--keyframe", "start", "--figure", str(figure), "--color", "depth"]
+    assert main(draw) == 0
+    assert "written to" in capfd.readouterr().out
     assert [path.name for path in figure.parent.iterdir()] == ["cut.svg"]
     assert main([*pendulum, "--figure", str(figure)]) == 2
     assert "--overwrite" in capfd.readouterr().err
+    assert main([*pendulum, "--json"]) == 0
+    summary = json.loads(capfd.readouterr().out)
+    assert summary["length"] == pytest.approx(0.4)
+    assert summary["area"] is None
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["--figure", "foot.bmp"], ["a figure is written as", "'.bmp'"]),
-        (["--figure", "foot.png", "--out", "feet"], ["not both"]),
         (["--keyframe", "stand"], ["keyframe", "stand"]),
         (["--geoms", "toe"], ["toe", "sole, shin"]),
         (["--groups", "2"], ["geom group 2", "there are: 0"]),
@@ -423,7 +412,7 @@ def test_a_model_that_is_not_there(tmp_path, capfd):
     assert "MuJoCo cannot load" in capfd.readouterr().err
 
 
-def test_without_matplotlib_the_numbers_are_still_written(
+def test_without_matplotlib_the_numbers_are_still_printed(
     foot_file, facets, tmp_path, monkeypatch, capfd
 ):
     real = importlib.import_module
@@ -436,12 +425,10 @@ def test_without_matplotlib_the_numbers_are_still_written(
     monkeypatch.setattr("importlib.import_module", absent)
     with pytest.raises(MissingExtraError, match="figures"):
         draw_elements(facets)
-    folder = tmp_path / "cut"
-    assert main(["elements", str(foot_file), "--out", str(folder)]) == 2
+    assert main(["elements", str(foot_file), "--figure", str(tmp_path / "cut.png")]) == 2
     captured = capfd.readouterr()
     assert "pip install 'mjgranular[figures]'" in captured.err
     assert str(len(facets.elements)) in captured.out
-    assert (folder / "elements.csv").exists()
 
 
 def test_a_model_with_sand_of_its_own_is_looked_at_too(tmp_path, capfd):

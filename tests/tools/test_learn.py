@@ -26,13 +26,12 @@ from mjgranular.errors import (
     UnknownNameError,
 )
 from mjgranular.learn import environments
-from mjgranular.learn.agents import Random, Zero, make_gait
+from mjgranular.learn.agents import Random, Zero
 from mjgranular.learn.blocks import Evaluation, Job
-from mjgranular.learn.episodes import run_episodes
-from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant
+from mjgranular.learn.checkpoint import Normalizer
+from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant, run_episodes
 from mjgranular.learn.policies import POLICY_FILES, load_policy
 from mjgranular.learn.run import Run, begin_run, open_run, read_curve
-from mjgranular.learn.search import grid, search_gaits
 from mjgranular.learn.settings import (
     FOLDER,
     Settings,
@@ -42,13 +41,6 @@ from mjgranular.learn.settings import (
     settings_file,
 )
 from mjgranular.learn.train import train
-from mjgranular.learn.weights import (
-    Normalizer,
-    read_normalizer,
-    read_statistics,
-    restore_statistics,
-    statistics_of,
-)
 
 ID = "Pendulum-v1"
 QUICK = {
@@ -221,11 +213,11 @@ def test_a_checkpoint_of_another_run_is_refused(trained, tmp_path):
     ("change", "message"),
     [
         (None, "normalizer.json cannot be read"),
-        ({"mean": [0.0]}, r"its mean has shape \(1,\), an observation \(3,\)"),
-        ({"mean": 0.0}, "its mean has shape"),
-        ({"variance": [1.0, -1.0, 1.0]}, "a variance must be positive"),
-        ({"variance": ["x"] * 3}, "variance must be numbers"),
-        ({"observations": False}, "its observations are normalised"),
+        ({"mean": [0.0]}, r"mean must be .* \(3,\)"),
+        ({"mean": 0.0}, "mean must be"),
+        ({"variance": [1.0, -1.0, 1.0]}, "variance must be positive"),
+        ({"variance": ["x"] * 3}, "variance must be"),
+        ({"observations": False}, "observations must be True"),
         ({"clip": None}, "clip must be a number"),
     ],
 )
@@ -283,7 +275,7 @@ def test_the_command_ends_with_a_checkpoint_on_sigterm_and_goes_on_after_sigkill
     process.send_signal(signal.SIGTERM)
     said = process.communicate(timeout=60)[1].decode()
     assert process.returncode == 128 + signal.SIGTERM
-    assert "all of them kept" in " ".join(said.split())
+    assert f"train --resume {folder}" in " ".join(said.split())
     stopped = open_run(folder).steps()
     assert stopped >= 512
 
@@ -320,14 +312,13 @@ def test_observations_are_normalised_as_in_training(tmp_path):
     env.reset()
     for _ in range(50):
         env.step(np.zeros((3, 1), np.float32))
-    (tmp_path / "normalizer.json").write_text(json.dumps(statistics_of(env)))
-    like = {"normalized": True, "shape": (3,)}
-    normalizer = read_normalizer(tmp_path / "normalizer.json", **like)
-    assert isinstance(normalizer, Normalizer)
+    file = tmp_path / "normalizer.json"
+    file.write_text(json.dumps(Normalizer.of(env).as_json()))
+    normalizer = Normalizer.read(file, quick(), (3,))
     seen = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32) * 30
     np.testing.assert_array_equal(normalizer(seen), env.normalize_obs(seen))
     other = environments()
-    restore_statistics(other, read_statistics(tmp_path / "normalizer.json", **like))
+    normalizer.restore(other)
     np.testing.assert_array_equal(other.obs_rms.var, env.obs_rms.var)
     assert other.ret_rms.count == env.ret_rms.count
 
@@ -407,9 +398,12 @@ def test_settings_are_changed_by_name():
         ("algorithm = 'ppo'\nsteps = 3", "no key 'steps'; there are: algorithm, environment"),
         ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_env = 3", "no key 'num_env'"),
         ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 3", "num_envs must be given"),
-        ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 1.5\nnum_envs = 1", "whole number of at least 1"),
+        (
+            "algorithm = 'ppo'\n[ppo]\ntotal_steps = 1.5\nnum_envs = 1",
+            "total_steps must be an integer",
+        ),
         ("algorithm = 'dqn'\n[ppo]\ntotal_steps = 3\nnum_envs = 1", "no algorithm 'dqn'"),
-        ("algorithm = 'sac'\n[ppo]\ntotal_steps = 3\nnum_envs = 1", "has no table"),
+        ("algorithm = 'sac'\n[ppo]\ntotal_steps = 3\nnum_envs = 1", "has settings for ppo"),
         ("algorithm = ", "is not TOML"),
         ("algorithm = 'ppo'\nppo = 3", "must be a table"),
         ("algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_envs = 1\nnet = 'x'", "net must be"),
@@ -419,11 +413,11 @@ def test_settings_are_changed_by_name():
         ),
         (
             "algorithm = 'ppo'\n[ppo]\ntotal_steps = 3\nnum_envs = 1\n[ppo.arguments]\ngamma = 'x'",
-            "gamma must be a number, not 'x'",
+            "gamma must be a number",
         ),
         (
             "algorithm='ppo'\n[ppo]\ntotal_steps=3\nnum_envs=1\n[ppo.arguments]\nbatch_size=100",
-            "batch_size 100 does not divide the 2048 steps",
+            "batch_size must divide the 2048 steps",
         ),
     ],
 )
@@ -451,17 +445,17 @@ def test_mistakes_in_settings_are_told(text, message, tmp_path):
         (["train", ID, "--set", "gamma"], "NAME=VALUE"),
         (["train", ID, "--set", "environment.foo=3"], "cannot be made"),
         (["train", ID, "--set", "learning_rate=-1"], "ppo: "),
-        (["train", ID, "--seed", "-1"], "a seed is a whole number"),
-        (["train", "CartPole-v1", "--algorithm", "sac"], "sac needs actions that are vectors"),
+        (["train", ID, "--seed", "-1"], "seed must be"),
+        (["train", "CartPole-v1", "--algorithm", "sac"], "sac needs actions"),
         (["train", "--resume", "nowhere"], "nowhere holds no training run"),
         (["train", ID, "--resume", "x"], "remove ENV"),
         (["evaluate", "nowhere"], "no run folder or policy 'nowhere'"),
-        (["evaluate", ID], "say who acts in it, with --agent zero|random|gait"),
+        (["evaluate", ID], "--agent zero|random|gait"),
         (["evaluate", ID, "--agent", "nobody"], "no agent 'nobody'; there are: policy, zero"),
         (["evaluate", ID, "--agent", "gait"], "no scripted gait for Pendulum-v1"),
         (["evaluate", ID, "--agent", "zero", "--on", "g"], "NAME=VALUE,NAME=VALUE"),
         (["evaluate", ID, "--on", "g=1", "--on", "g=2"], "--on is given twice: give it once, with"),
-        (["evaluate", ID, "--agent", "zero", "--seeds", "1"], "at least 2 seeds, not 1"),
+        (["evaluate", ID, "--agent", "zero", "--seeds", "1"], "at least 2 seeds"),
     ],
 )
 def test_mistakes_are_told_in_one_sentence(arguments, message, tmp_path, monkeypatch, capfd):
@@ -515,7 +509,7 @@ def test_an_evaluation_goes_on_and_that_of_another_policy_does_not(trained, tmp_
     journal.keep([(1, {"returns": ["-1.0", "-2.0"], "lengths": [200, 200], "figures": {}})])
     journal.close()
     assert main([*kept, "--first-seed", "5"]) == 2
-    assert "begun with another first_seed" in capfd.readouterr().err
+    assert "another first_seed" in capfd.readouterr().err
     assert main(kept) == 0
     captured = capfd.readouterr()
     assert "1 of 2 are finished" in captured.err
@@ -531,8 +525,8 @@ def test_an_evaluation_goes_on_and_that_of_another_policy_does_not(trained, tmp_
 def test_a_policy_for_another_environment_is_refused(trained, capfd):
     assert main(["evaluate", str(trained.path), "--env", "Swimmer-v5"]) == 2
     said = capfd.readouterr().err
-    assert "is for Pendulum-v1: its observations are 3 numbers" in said
-    assert "those of Swimmer-v5 8 numbers" in said
+    assert "observations of Swimmer-v5" in said
+    assert all(shape in said for shape in ("(3,)", "(8,)"))
 
 
 def test_a_policy_file_that_cannot_be_read_says_what_wrote_it(trained, tmp_path):
@@ -543,7 +537,7 @@ def test_a_policy_file_that_cannot_be_read_says_what_wrote_it(trained, tmp_path)
     with pytest.raises(OutputError, match="has no policy yet"):
         load_policy(folder)
     (folder / "policy.zip").write_bytes(b"not a zip")
-    with pytest.raises(OutputError, match="it was written with stable-baselines3"):
+    with pytest.raises(OutputError, match=r"written with .*stable-baselines3"):
         load_policy(folder)
 
 
@@ -605,46 +599,6 @@ def test_variants_are_read_as_toml():
     }
 
 
-# Gaits
-
-
-def test_a_grid_has_the_ends_of_its_ranges_and_as_many_points_as_were_asked_for():
-    points = grid({"a": (0.0, 1.0), "b": (-1.0, 2.0), "c": (3.0, 4.0)}, 200)
-    assert len(points) == 216
-    assert {point["b"] for point in points} >= {-1.0, 2.0}
-    assert len(grid({"a": (0.0, 1.0)}, 7)) == 7
-
-
-def test_the_search_finds_the_gait_that_goes_farthest():
-    name, quickly = "mjgranular/ChainCrawl-v0", {"frame_skip": 2}
-    wide = {"amplitude": (0.2, 1.0), "frequency": (0.5, 2.0), "waves": (-1.0, 1.0)}
-    search = search_gaits(name, quickly, count=8, ranges=wide, by="x_velocity")
-    values = [value for _, value in search.gaits]
-    assert len(values) == 16  # two of each of four parameters
-    assert values == sorted(values, reverse=True)
-    best = search.gaits[0][0]
-    assert set(search.edges) == set(best)  # of two values each is an end
-    score = evaluate("gait", lambda env: make_gait(name, env, best), name, quickly)
-    # The start is drawn anew for each seed, and matters little to a gait.
-    assert score.figure("x_velocity").mean == pytest.approx(values[0], rel=0.2)
-
-
-@pytest.mark.parametrize(
-    ("env_id", "more", "message"),
-    [
-        ("Ant-v5", {}, "there is no scripted gait for Ant-v5"),
-        ("mjgranular/ChainSwim-v0", {"count": 0}, "at least 2 gaits, not 0"),
-        ("mjgranular/ChainSwim-v0", {"ranges": {"hop": (0, 1)}}, "'hop'; it has: amplitude"),
-        ("mjgranular/ChainSwim-v0", {"ranges": {"waves": (1, 0)}}, "range of waves .* 1:0"),
-        ("mjgranular/ChainSwim-v0", {"count": 2, "by": "joy"}, "no 'joy' in its info; it has: "),
-    ],
-)
-def test_gaits_that_cannot_be_searched_are_told(env_id, more, message):
-    short = {"max_episode_steps": 2} if "by" in more else {}
-    with pytest.raises(InputError, match=message):
-        search_gaits(env_id, short, **more)
-
-
 def test_a_batch_trains_as_its_copy_does(tmp_path):
     settings = change(
         find_settings("mjgranular/ChainCrawl-v0", algorithm="ppo"),
@@ -701,7 +655,7 @@ def test_a_refined_batch_is_the_refined_environment():
 
 
 def test_what_cannot_be_refined_says_so():
-    with pytest.raises(InputError, match="refine is for environments of MuJoCo's"):
+    with pytest.raises(InputError, match=r"refine must be .* CartPole-v1"):
         environments.one("CartPole-v1", {"refine": 2})
-    with pytest.raises(InputError, match="refine must be an integer"):
+    with pytest.raises(InputError, match="refine must be"):
         environments.one("Swimmer-v5", {"refine": 0.5})

@@ -173,16 +173,3 @@ def test_the_figure_of_many_bodies_shows_those_with_the_largest_forces(tmp_path,
     legend = [text.get_text() for text in drawn[0].axes[0].get_legend().get_texts()]
     assert legend == [f"body {k}" for k in range(count) if size[k] >= count - 8]
     assert "8 bodies with the largest forces, of 20" in drawn[0].get_suptitle()
-
-
-def test_a_long_film_says_how_long_it_will_take(monkeypatch, capfd):
-    from mjgranular.cli import filming
-
-    now = iter([0.0, 10.0])
-    monkeypatch.setattr("mjgranular.cli.filming.time.perf_counter", lambda: next(now))
-    shown = []
-    estimate = filming.Estimate(Film(), shown.append)
-    for done in range(2, 31):
-        estimate(done, 30)
-    assert shown[-1] == 1
-    assert "filming 30 pictures of 640 x 480: about 46 s" in capfd.readouterr().err

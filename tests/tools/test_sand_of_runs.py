@@ -98,13 +98,13 @@ def test_an_evaluation_on_other_sand_says_so_once_and_how_it_is_had(whole_and_br
     command = ["evaluate", path, "--seeds", "2", "--json", "--on"]
     assert main([*command, "law=rft3d", "refine=2"]) == 0
     said = capfd.readouterr()
-    warning = f"warning: {path} was begun on other sand: law rft3d (now rft3d_dynamic); "
     assert said.err.count("warning") == 1
-    assert f"{warning}--on law=rft3d gives it" in said.err
+    for words in (path, "law rft3d (now rft3d_dynamic)", "--on law=rft3d"):
+        assert words in said.err
     its_own, as_begun, _ = (row["return"]["mean"] for row in json.loads(said.out))
     assert its_own != as_begun
     assert main(["evaluate", path, "--seeds", "2", "--env", "mjgranular/ChainSwim-v0"]) == 0
-    assert "was begun on other sand" in capfd.readouterr().err
+    assert "law rft3d (now rft3d_dynamic)" in capfd.readouterr().err
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_a_film_on_other_sand_says_so(whole_and_broken, tmp_path, capfd):
     path = str(whole_and_broken[0].path)
     small = ["--seconds", "0.1", "--width", "64", "--height", "48"]
     assert main(["render", path, *small, "--out", str(tmp_path / "a.mp4")]) == 0
-    assert "was begun on other sand: law rft3d" in capfd.readouterr().err
+    assert "law rft3d (now rft3d_dynamic)" in capfd.readouterr().err
     asked = ["--on", "law=rft3d", "--out", str(tmp_path / "b.mp4")]
     assert main(["render", path, *small, *asked]) == 0
     assert "warning" not in capfd.readouterr().err
@@ -120,7 +120,7 @@ def test_a_film_on_other_sand_says_so(whole_and_broken, tmp_path, capfd):
 
 def test_a_resumed_run_goes_on_upon_the_sand_that_it_was_begun_on(whole_and_broken):
     whole, broken = whole_and_broken
-    with pytest.warns(GranularWarning, match=r"law rft3d \(now rft3d_dynamic\); it goes on with"):
+    with pytest.warns(GranularWarning, match=r"law rft3d \(now rft3d_dynamic\)"):
         train(open_run(broken.path))
     np.testing.assert_array_equal(weights(broken), weights(whole))
     assert open_run(broken.path).config() == whole.config() | {"sand": broken.sand}
@@ -129,7 +129,7 @@ def test_a_resumed_run_goes_on_upon_the_sand_that_it_was_begun_on(whole_and_brok
 def test_a_run_whose_sand_cannot_be_had_any_more_is_not_gone_on_with(whole_and_broken, tmp_path):
     sand = [{**whole_and_broken[0].sand[0], "medium": "sand of the moon"}]
     path = edited(whole_and_broken[0], tmp_path / "run", sand=sand)
-    with pytest.raises(OutputError, match=r"medium sand of the moon .* cannot be given that any"):
+    with pytest.raises(OutputError, match="medium sand of the moon"):
         train(open_run(path))
     assert main(["evaluate", str(path), "--seeds", "2"]) == 0
 

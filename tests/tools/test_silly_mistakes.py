@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mjgranular.cli import main
-from mjgranular.cli.numbers import whole_number
+from mjgranular.cli.options import parse_integer
 
 BLOCK = """
 <mujoco model="block">
@@ -81,7 +81,7 @@ drop sand.xml | config 'law': the law 'rft3d' has no option 'scael'
 drop mine.yaml | cannot read the model mine.yaml: a model is an MJCF or URDF file
 drop block.xml --height -0.1 | the height must be finite and not negative
 drop block.xml --height nan | the height must be finite and not negative
-drop block.xml --height 10cm | a number is needed, without its unit, such as 0.1 or 2e-3, not '10cm'
+drop block.xml --height 10cm | a number without its unit ... '10cm'
 drop hinged.xml --height 1 | the model has no free joint and no vertical slide at its root: it can
 drop hinged.xml --velocity 1 | the model has no free joint and no vertical slide at its root: it
 drop block.xml --velocity inf | the velocity must be finite, not inf
@@ -119,7 +119,7 @@ drop block.xml --bodies world | body 'world' is fixed to the world: sand cannot 
 drop block.xml --geoms 99 | the model has no geom number 99: they go from 0 to 0
 drop block.xml --groups 7 | no geoms of bodies that can move in geom group 7; there are: 0
 drop block.xml --resolution 0 | the resolution must be at least 2
-drop block.xml --resolution fine | a whole number is needed, not 'fine'
+drop block.xml --resolution fine | integer ... 'fine'
 drop block.xml --bed block | geom 'block' is on body 'block'
 drop block.xml --bed tray | no box geom of the model 'tray'
 drop block.xml --bed tray --height-field dune | the sand is either a bed or a height field
@@ -142,9 +142,8 @@ drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
 elements block.xml --figure block.bmp | a figure is written as .png, .svg or .pdf, not
-elements block.xml --color depth | --color is for a figure: add --figure FILE or --out DIR
+elements block.xml --color depth | --color is for a figure: add --figure FILE
 elements block.xml --figure old | a figure is written as .png, .svg or .pdf, not
-elements block.xml --figure a.png --out b | give --figure FILE for the figure alone or --out DIR
 elements block.xml --color red | invalid choice 'red' for argument '--color'. Expected one of
 elements block.xml --law link --medium glass_beads | no constants in medium 'glass_beads' for law
 impact --speed -1 | the speed of T is downward and must not be negative
@@ -169,15 +168,15 @@ intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world: an 
 intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: omit --model
 sweep --vary mass=1,2 | no field to vary 'mass'; there are:
 sweep --vary speed=2:2:3 | a range goes from its lower to its upper end, not from 2.0 to 2.0
-sweep --vary speed=1:2:1 | from 2 to 1000000 values, not 1
+sweep --vary speed=1:2:1 | 2 to 1000000 values
 impact --paper --timestep nan | the time step must be positive and finite
 render nowhere | nowhere holds no saved run (nowhere/config.json cannot be
-render old | old holds no saved run (config.json names no
+render old | old holds no saved run (config.json
 render notes.txt | notes.txt holds no saved run
-render old --out film.avi | old holds no saved run (config.json names no
+render old --out film.avi | old holds no saved run (config.json
 render Hexapod-v0/ppo-0 | a film of Hexapod-v0/ppo-0 needs a file to write to: add --out FILE
 render Hexapod-v0/ppo-0 --out film.mp4 --fps 0 | a video has 1 to 240 frames a second
-render mjgranular/Hexapod-v0 | mjgranular/Hexapod-v0 is an environment: a film is made of a run
+render mjgranular/Hexapod-v0 | mjgranular/Hexapod-v0 is an environment ... a film is made of a run
 list media moon | no medium 'moon'; there are: glass_beads, glass_beads_3mm_close,
 list media '' | no medium ''; there are: glass_beads, glass_beads_3mm_close,
 list media . | no medium '.'; there are: glass_beads, glass_beads_3mm_close,
@@ -201,30 +200,30 @@ train qaud:Quad-v0 | no module 'qaud'; there are: error, quad ... did you mean q
 train error:Quad-v0 | the module 'error' of the environment error:Quad-v0 cannot be imported
 train CartPole-v1 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac,
 train mjgranular/LinkDrop-v0 --algorithm dqn | no algorithm 'dqn'; there are: ppo, sac, td3
-train CartPole-v1 --total-steps 0 | total_steps must be a whole number of at least 1 and at most
-train CartPole-v1 --total-steps 1.5 | a whole number is needed, not '1.5'
-train CartPole-v1 --seed -1 | a seed is a whole number from 0 to 2147483647
+train CartPole-v1 --total-steps 0 | total_steps must be ... 0
+train CartPole-v1 --total-steps 1.5 | integer ... '1.5'
+train CartPole-v1 --seed -1 | seed must be ... from 0 to 2147483647
 train CartPole-v1 --set gama=0.9 | ppo has no argument 'gama'; it has: learning_rate, n_steps,
-train CartPole-v1 --set gamma | a change of the settings is NAME=VALUE
-train CartPole-v1 --set gamma=high | ppo: gamma must be a number, not
+train CartPole-v1 --set gamma | NAME=VALUE ... 'gamma'
+train CartPole-v1 --set gamma=high | ppo: gamma must be a number
 train CartPole-v1 --set environment.medium=moon | CartPole-v1 cannot be made
 train CartPole-v1 --settings my.toml | cannot read the settings my.toml
 train CartPole-v1 --settings bad.toml | bad.toml is not TOML
 train CartPole-v1 --out old | old holds a training run already: choose another folder with --out
 train mjgranular/ChainSwim-v0 --set environment.medium=moon | no medium 'moon'
 train --resume nowhere | nowhere holds no training run
-train --resume old | old holds no training run (config.json names no
+train --resume old | old holds no training run (config.json
 train CartPole-v1 --resume old | --resume uses the settings of old: remove ENV
 evaluate | evaluate needs a run, a policy or, with --agent, an
 evaluate nowhere | no run folder or policy 'nowhere'
-evaluate old | old holds no training run (config.json names no
-evaluate CartPole-v1 | CartPole-v1 is an environment: say who acts in it
+evaluate old | old holds no training run (config.json
+evaluate CartPole-v1 | CartPole-v1 is an environment ... --agent
 evaluate CartPole-v1 --agent human | no agent 'human'; there are: policy, zero, random,
 evaluate CartPole-v1 --agent gait | there is no scripted gait for CartPole-v1
 evaluate CartPole-v1 --agent zero --seeds 1 | an evaluation needs at least 2 seeds
-evaluate CartPole-v1 --agent zero --on medium | a variant of an environment is NAME=VALUE,NAME=VALUE
+evaluate CartPole-v1 --agent zero --on medium | NAME=VALUE,NAME=VALUE ... 'medium'
 evaluate CartPole-v1 --agent zero --gait waves=1 | --gait is for --agent
-evaluate Hexapod-v0/ppo-0 --env CartPole-v1 | is for mjgranular/Hexapod-v0: its observations are
+evaluate Hexapod-v0/ppo-0 --env CartPole-v1 | observations of CartPole-v1 must be
 evaluate Hexapod-v0/ppo-0 --on medium=moon | no medium 'moon'; there are: glass_beads, glass
 warm blok.xml | MuJoCo cannot load blok.xml
 warm block.xml --env Ant-v5 | name a MODEL.xml or --env ID
@@ -233,10 +232,10 @@ warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
 warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
 warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
 warm --over dune | invalid choice 'dune' for argument '--over'. Expected one of
-warm block.xml --over bed | --over is for laws without a model: over block.xml the sand is a plane
-warm --bodies block | --bodies is of a model: name a MODEL.xml too
-warm --bed tray | --bed is of a model: name a MODEL.xml too
-warm --env mjgranular/Hexapod-v0 --law rft3d | --law goes with a MODEL.xml: an environment has its
+warm block.xml --over bed | --over has no effect here
+warm --bodies block | --bodies ... name a MODEL.xml
+warm --bed tray | --bed ... name a MODEL.xml
+warm --env mjgranular/Hexapod-v0 --law rft3d | --law ... an environment has its own sand
 sweep --speed 3 | Unrecognized or misplaced options: --speed
 sweep --of "impact --speed 2" | speed is varied, and --speed 2.0 fixes it: omit one of the
 sweep --vary angle=10:30:3 --of "impact --angle 20" | angle is varied, and --angle 20.0 fixes it
@@ -248,12 +247,12 @@ impact --paper --speed 3 | --paper has its own drops: omit --speed
 impact --paper --length 0.1 | --paper has its own drops: omit --length
 intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) either way, not 400
 intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 rad)
-intrude --depth 0.05 --distance 0.2 | --depth and --distance both say where the path ends
+intrude --depth 0.05 --distance 0.2 | --depth and --distance both
 impact --body sphere | capsules and cylinders; take a medium whose own law takes every shape
 impact --memory 1cm | memory, the side of a cell, must be a number, not '1cm'
 drop block.xml --memory "cell=0.01 bulking=20" | must be from 0.5 to 2, not 20: a fifth more is 1.2
 drop block.xml --geoms block --bodies blck | no body of the model 'blck' ... did you mean block?
-train CartPole-v1 --set environment.render_mode=human | nothing is drawn while a policy is trained
+train CartPole-v1 --set environment.render_mode=human | environment.render_mode
 evaluate Hexapod-v0/ppo-0 --seeds 0 | seeds must be at least 1, not 0
 """
 _FRAME = str.maketrans("╭╮╰╯│─", " " * 6)  # around the parser's own messages
@@ -298,8 +297,8 @@ def test_a_silly_mistake_is_told_in_one_sentence(
     assert {path: path.read_bytes() for path in at_home.rglob("*") if path.is_file()} == before
 
 
-def test_whole_numbers_may_be_written_shortly() -> None:
-    assert [whole_number(text) for text in ("12", "1_000", "1e6", "-2e0")] == [12, 1000, 10**6, -2]
+def test_integers_may_be_written_as_floats() -> None:
+    assert [parse_integer(text) for text in ("12", "1_000", "1e6", "-2e0")] == [12, 1000, 10**6, -2]
     for text in ("1.5", "1e-3", "inf", "nan", "many", "", "1e300"):
-        with pytest.raises(ValueError, match="a whole number is needed"):
-            whole_number(text)
+        with pytest.raises(ValueError, match="integer"):
+            parse_integer(text)

@@ -176,10 +176,10 @@ def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(tmp_
     ids=str,
 )
 def test_spaces_are_kept_as_they_are(space):
-    told = json.loads(json.dumps(weights._as_json(space)))
-    assert weights._space(told, 1000) == space
+    described = json.loads(json.dumps(weights.space_as_json(space)))
+    assert weights.space_from_json(described, 1000) == space
     with pytest.raises(ValueError, match=r"shape|actions"):
-        weights._space(told, 1)  # more than there are weights
+        weights.space_from_json(described, 1)  # more than there are weights
 
 
 def test_settings_of_a_net_that_would_fill_the_memory_are_refused(tmp_path):
@@ -202,9 +202,9 @@ def test_settings_of_a_net_that_would_fill_the_memory_are_refused(tmp_path):
     ("name", "change", "message"),
     [
         ("config.json", {"versions": None}, "versions must name packages"),
-        ("config.json", {"environment": 7}, "names no environment"),
-        ("config.json", {"environment": "\x1b[2J"}, "names no environment"),
-        ("config.json", {"seed": "0"}, "seed must be a whole number"),
+        ("config.json", {"environment": 7}, "environment"),
+        ("config.json", {"environment": "\x1b[2J"}, "environment"),
+        ("config.json", {"seed": "0"}, "seed must be"),
         ("config.json", {"settings": []}, "settings must be an object"),
         ("config.json", {"command": "impact"}, "it is the result of mjgranular impact"),
         ("config.json", b"[]", "must be an object, not a list"),
