@@ -9,13 +9,14 @@ from typing import Annotated
 
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import out, print_json, progress_bar, table
 from mjgranular.cli.filming import write_film
 from mjgranular.cli.options import options_of, record_of
 from mjgranular.cli.results import FilmOptions, collected, note
 from mjgranular.errors import GranularError, GranularWarning
 from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop, surface_drawn
-from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
+from mjgranular.experiment.folder import RUN_FILES, write_drop
 
 FIGURE = "drop.png"
 FILM = "drop.mp4"

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import err, show_error
 from mjgranular.cli.results import OutputOptions
 from mjgranular.errors import InputError, OutputError
-from mjgranular.experiment.folder import ResultFolder
 from mjgranular.pool import UNFINISHED, Journal, Workers
 
 

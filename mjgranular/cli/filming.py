@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import err, progress_bar
-from mjgranular.experiment.folder import ResultFolder
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.table import Table
 
+from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.cli import drop as models
 from mjgranular.cli.console import out, print_json, progress_bar, table
 from mjgranular.cli.filming import write_film
@@ -17,14 +18,7 @@ from mjgranular.cli.results import FilmOptions, OutputOptions, collected, note
 from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import CASES, Impact, ImpactResult, reproduce, run_drop, run_impact
 from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
-from mjgranular.experiment.folder import (
-    CONFIG,
-    RUN_FILES,
-    SUMMARY,
-    ResultFolder,
-    write_drop,
-    write_impact,
-)
+from mjgranular.experiment.folder import RUN_FILES, write_drop, write_impact
 from mjgranular.experiment.paper import comparison
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.drop import FILM
 from mjgranular.cli.filming import write_film
@@ -22,7 +23,6 @@ from mjgranular.errors import (
 )
 from mjgranular.experiment.drop import load, memory_of, surface_drawn
 from mjgranular.experiment.folder import (
-    ResultFolder,
     prints_of,
     read_drop,
     read_impact,

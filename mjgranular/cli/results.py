@@ -10,9 +10,9 @@ from typing import Annotated
 
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import err, out, show_error
 from mjgranular.errors import GranularError, InputError, MissingExtraError, RenderError
-from mjgranular.experiment.folder import ResultFolder
 
 
 @dataclass(frozen=True, kw_only=True)

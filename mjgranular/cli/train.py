@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import (
     err,
     out,
@@ -20,7 +21,6 @@ from mjgranular.cli.console import (
     show_warp_compilation,
 )
 from mjgranular.errors import InputError, MissingExtraError, warn_user
-from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.sands import sands_of

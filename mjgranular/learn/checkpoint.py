@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util import files
+from mjgranular._util.result_folder import CONFIG
 from mjgranular._util.saved import read_arrays
 from mjgranular.errors import OutputError
-from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.run import (
     CURVE,
     POLICY,

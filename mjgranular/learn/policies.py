@@ -11,8 +11,8 @@ import numpy as np
 
 import mjgranular.models
 from mjgranular._util import files
+from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
-from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.checkpoint import check_belongs
 from mjgranular.learn.run import CHECKPOINTS, CURVE, POLICY, Run, open_run, read_curve
 from mjgranular.learn.weights import (

@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from mjgranular._util import files
+from mjgranular._util.result_folder import CONFIG, TRAINING
 from mjgranular._util.saved import is_text, number, read_json, read_text
+from mjgranular._util.versions import versions
 from mjgranular.errors import (
     GranularError,
     InputError,
@@ -24,11 +26,9 @@ from mjgranular.errors import (
     OutputError,
     warn_user,
 )
-from mjgranular.experiment.folder import CONFIG, TRAINING
 from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import NORMALIZER
-from mjgranular.pool.versions import versions
 
 CHECKPOINTS = "checkpoints"
 TENSORBOARD = "tensorboard"

@@ -13,8 +13,8 @@ from typing import IO, Any
 
 from mjgranular._util.reading import check_regular
 from mjgranular._util.saved import parse_json
+from mjgranular._util.versions import versions
 from mjgranular.errors import OutputError
-from mjgranular.pool.versions import versions
 
 UNFINISHED = "unfinished.jsonl"
 """The file: the request, then a line of JSON for each result. A folder that contains it has an

@@ -14,8 +14,8 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from mjgranular._util.extras import need
+from mjgranular._util.versions import mismatch, versions
 from mjgranular.errors import GranularError, InputError
-from mjgranular.pool.versions import mismatch, versions
 from mjgranular.pool.workers import Chunk, Done, Function, WorkerLostError, Workers, run_chunk
 
 # Chosen, not measured.

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from mjgranular._util.versions import mismatch, versions
 from mjgranular.cli import main
 from mjgranular.errors import InputError, MissingExtraError, OutputError, UnknownNameError
 from mjgranular.pool import UNFINISHED, Journal, Workers, map_tasks
 from mjgranular.pool import tasks as handing
 from mjgranular.pool.local import ThisProcess
 from mjgranular.pool.on_ray import RayPool, _run
-from mjgranular.pool.versions import mismatch, versions
 from mjgranular.pool.workers import Done, WorkerLostError
 
 HERE = Workers(count=1)
