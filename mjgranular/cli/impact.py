@@ -22,8 +22,8 @@ from mjgranular.experiment.folder import RUN_FILES, write_drop, write_impact
 from mjgranular.experiment.paper import comparison
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.prints import Prints
 from mjgranular.relief.memory import as_memory
+from mjgranular.render import Tracks
 from mjgranular.sand.prepare import fitted
 
 if TYPE_CHECKING:
@@ -278,7 +278,7 @@ def film_impact(
     trajectory: Trajectory,
     summary: dict[str, Any],
     film: Film,
-    prints: Prints | None = None,
+    prints: Tracks | None = None,
 ) -> None:
     """Film a drop."""
     from mjgranular.picture.video import frames_of_run

@@ -20,8 +20,8 @@ from mjgranular.experiment.ground import (
     refuse_contradiction,
     refuse_floors,
 )
-from mjgranular.experiment.scenery import place_sun
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
+from mjgranular.render.scenery import place_sun
 from mjgranular.sand.prepare import fitted
 
 

@@ -30,7 +30,7 @@ from mjgranular.kernel.memory import (
 )
 from mjgranular.kernel.records import body_records, contact_records
 from mjgranular.kernel.vector import cross, dot, read_vector, vector
-from mjgranular.prints.shape import FRAME_DTYPE, canvases
+from mjgranular.render.track_kernel import FRAME_DTYPE, canvases
 from mjgranular.surface.plane import PLANE_DTYPE
 
 _KINDS = {"int": np.int32, "float": np.float32, "mjtByte": np.uint8, "char": np.uint8}
@@ -171,7 +171,7 @@ def turn(geom, along, across, normal):
 
 @compiled
 def add_surface(scene, header, table, bodies):
-    """Add the plane of sand at its height, around the first body, as `look.PlaneLook.add`."""
+    """Add the plane of sand at its height, around the first body, as `SandMaterial.add`."""
     plane = _planes(table[SCENE] + header.plane, 1)[0]
     normal = read_vector(plane.normal, 0)
     length = math.sqrt(normal.x * normal.x + normal.z * normal.z)
@@ -199,7 +199,7 @@ def add_surface(scene, header, table, bodies):
 
 @compiled
 def add_prints(scene, header, table, bodies, model):
-    """Add sand with tracks, as `prints.Cover` does: skin, rectangles, or a field beyond it."""
+    """Add sand with tracks, as `render.TrackMesh` does: skin, rectangles, or a field beyond it."""
     canvas = canvases(header.canvas, 1)[0]
     canvas.surface = table[SCENE] + header.plane
     frame = _frames(canvas.surface + header.frame, 1)[0]

@@ -36,12 +36,12 @@ from mjgranular.experiment.ground import (
     watch_floors,
 )
 from mjgranular.experiment.sampling import Recorder, Sampler
-from mjgranular.experiment.scenery import add_cut_prints, add_scenery, place_sun
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch, SiteWatch
 from mjgranular.models import Chain
-from mjgranular.prints import Prints
 from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.render import Tracks
+from mjgranular.render.scenery import add_cut_prints, add_scenery, place_sun
 from mjgranular.sand import Sand
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.report import BodyReport
@@ -223,7 +223,7 @@ class DropResult:
     point: np.ndarray
     force: np.ndarray
     power: np.ndarray
-    prints: Prints | None = None
+    prints: Tracks | None = None
 
     def summary(self) -> dict[str, Any]:
         """Return the result in plain numbers, SI units."""

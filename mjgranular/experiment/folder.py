@@ -16,7 +16,7 @@ from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
 from mjgranular.experiment.table import write_numbers
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.prints import Prints
+from mjgranular.render import Tracks
 
 _CSV = "trajectory.csv"
 _NPZ = "trajectory.npz"
@@ -84,8 +84,8 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
         config = read_json(files.current(path, CONFIG)).get("config")
         drop, file = Drop.from_config(config), files.current(path, _NPZ)
         names = _DROP_ARRAYS
-        if drop.sand.memory is not None and Prints.are_in(file):
-            names += Prints.names()
+        if drop.sand.memory is not None and Tracks.are_in(file):
+            names += Tracks.names()
         return drop, read_arrays(file, names)
 
     try:
@@ -100,13 +100,13 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
     return drop, arrays
 
 
-def prints_of(arrays: dict[str, np.ndarray]) -> Prints | None:
+def prints_of(arrays: dict[str, np.ndarray]) -> Tracks | None:
     """Return the tracks among the samples of a run; None if there are none.
 
     Raises:
         ValueError: they are damaged.
     """
-    return Prints.from_arrays(arrays) if Prints.names()[0] in arrays else None
+    return Tracks.from_arrays(arrays) if Tracks.names()[0] in arrays else None
 
 
 def _check_samples(arrays: dict[str, np.ndarray], duration: float) -> None:
@@ -154,7 +154,7 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
         ) from None
 
 
-def read_prints(path: Path) -> Prints | None:
+def read_prints(path: Path) -> Tracks | None:
     """Read the tracks of a saved impact; None for sand without memory.
 
     Raises:
@@ -162,7 +162,7 @@ def read_prints(path: Path) -> Prints | None:
     """
     try:
         file = files.current(path, _NPZ)
-        return prints_of(read_arrays(file, Prints.names())) if Prints.are_in(file) else None
+        return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved impact ({_NPZ} is damaged: {error})") from None
 

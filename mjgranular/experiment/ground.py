@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 
 from mjgranular.errors import FloorWarning, InputError, warn_user
-from mjgranular.prints.look import NOT_SHOWN
+from mjgranular.render.material import NOT_SHOWN
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all, names_in
@@ -160,5 +160,5 @@ def _about(model: mujoco.MjModel, floors: list[int], what: str) -> str:
     names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
     return (
         f"{describe_floors(model, floors, what)}: let the sand replace it with --instead-of "
-        f"{names}, or use --keep-floor if the model should stand on it"
+        f"{names}, or say --keep-floor if it is to stand on that"
     )

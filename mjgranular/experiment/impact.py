@@ -17,8 +17,8 @@ from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
-from mjgranular.prints import Prints
 from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.render import Tracks
 from mjgranular.sand import Sand, SandSpec
 from mjgranular.scheme import get_scheme
 from mjgranular.scheme.explicit import largest_step
@@ -221,7 +221,7 @@ class ImpactResult:
     rest: Rest | None
     trajectory: Trajectory
     steps: int
-    prints: Prints | None = None
+    prints: Tracks | None = None
 
     def summary(self) -> dict[str, Any]:
         """Return the result in plain numbers, SI units; names with `_deg` are in degrees."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjgranular.prints import Prints, PrintsRecorder
+from mjgranular.render import TrackRecorder, Tracks
 from mjgranular.sand import Sand
 from mjgranular.sand.report import BodyReport
 
@@ -68,7 +68,7 @@ class Sampler:
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:
         self._sand, self._data = sand, data
         self._reports: dict[float, tuple[BodyReport, ...]] = {}
-        self._tracks = None if sand.memory is None else PrintsRecorder(sand, data, duration)
+        self._tracks = None if sand.memory is None else TrackRecorder(sand, data, duration)
         self.look(0.0)
 
     def take(self, t: float, recorder: Recorder) -> None:
@@ -82,7 +82,7 @@ class Sampler:
         if self._tracks is not None:
             self._tracks.look(t, last=last)
 
-    def tracks(self) -> Prints | None:
+    def tracks(self) -> Tracks | None:
         """Return the tracks; None for sand without memory."""
         return None if self._tracks is None else self._tracks.prints()
 

@@ -14,7 +14,7 @@ from mjgranular._util.saved import read_arrays
 from mjgranular.errors import OutputError
 from mjgranular.experiment.table import write_numbers
 from mjgranular.models import Link
-from mjgranular.prints import Prints
+from mjgranular.render import Tracks
 from mjgranular.sand.report import BodyReport
 
 
@@ -116,7 +116,7 @@ class Trajectory:
         with whole(path) as part:
             write_numbers(part, [f"{f.name} [{UNITS[f.name]}]" for f in fields(self)], self.table())
 
-    def write_npz(self, path: Path, prints: Prints | None = None) -> None:
+    def write_npz(self, path: Path, prints: Tracks | None = None) -> None:
         """Write the samples as arrays by name, and tracks if there are any."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
         arrays |= {} if prints is None else prints.arrays()

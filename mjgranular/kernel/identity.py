@@ -29,7 +29,7 @@ _SETTINGS = (
 
 # Modules that contain kernels, or that kernels read while they are compiled.
 _OF_KERNELS = (
-    "engine", "kernel", "law", "prints", "relief", "sand", "scheme", "shape", "surface",
+    "engine", "kernel", "law", "relief", "render", "sand", "scheme", "shape", "surface",
 )  # fmt: skip
 
 

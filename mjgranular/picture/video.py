@@ -14,14 +14,14 @@ import numpy as np
 from mjgranular._util.extras import need
 from mjgranular._util.files import whole
 from mjgranular.errors import InputError, RenderError, UnknownNameError
-from mjgranular.experiment.scenery import add_cut_prints
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
-from mjgranular.prints import Cover, Prints, Replay
-from mjgranular.prints.cover import Region
-from mjgranular.prints.look import NOT_SHOWN, TILE, PlaneLook, boxes_of, moving_geoms
 from mjgranular.relief import Memory
 from mjgranular.relief.memory import as_memory
+from mjgranular.render import Replay, TrackMesh, Tracks
+from mjgranular.render.material import NOT_SHOWN, TILE, SandMaterial, boxes_of, moving_geoms
+from mjgranular.render.scenery import add_cut_prints
+from mjgranular.render.track_mesh import Region
 from mjgranular.sand import SandSpec
 from mjgranular.sand.prepare import fitted
 from mjgranular.surface import Plane, Surface
@@ -110,7 +110,7 @@ def frames_of_run(
     trajectory: Trajectory,
     *,
     stop: float | None,
-    prints: Prints | None = None,
+    prints: Tracks | None = None,
     sand: SandSpec | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
     """Return the pictures of a run, one by one.
@@ -147,7 +147,7 @@ def _draw(
     model: mujoco.MjModel,
     trajectory: Trajectory,
     frames: list[_Frame],
-    covered: tuple[Prints, Memory] | None,
+    covered: tuple[Tracks, Memory] | None,
 ) -> Iterator[np.ndarray]:
     ground = _Ground(model, None, View(np.zeros(3), link.reach), covered)
     data = mujoco.MjData(model)
@@ -214,7 +214,7 @@ def frames_of_model(
     model: mujoco.MjModel,
     motion: Motion,
     surface: Surface | None = None,
-    prints: Prints | None = None,
+    prints: Tracks | None = None,
     memory: Memory | None = None,
 ) -> tuple[int, Iterator[np.ndarray]]:
     """Return the pictures of a run of any model, in real time or slower to fill the film.
@@ -251,7 +251,7 @@ def _draw_model(
     model: mujoco.MjModel,
     motion: Motion,
     surface: Surface | None,
-    covered: tuple[Prints, Memory] | None,
+    covered: tuple[Tracks, Memory] | None,
     count: int,
     slower: float,
 ) -> Iterator[np.ndarray]:
@@ -351,7 +351,7 @@ class _Ground:
         model: mujoco.MjModel,
         surface: Surface | None,
         view: View,
-        covered: tuple[Prints, Memory] | None = None,
+        covered: tuple[Tracks, Memory] | None = None,
     ) -> None:
         self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
         self._cover = None
@@ -360,12 +360,12 @@ class _Ground:
             region = None
             if surface is None:
                 region, unit = _cut_open(model)
-            self._cover = Cover(model, surface or Plane(), covered[1], unit=unit, region=region)
+            self._cover = TrackMesh(model, surface or Plane(), covered[1], unit=unit, region=region)
             self._replay, self._prints = Replay(*covered), covered[0]
             return
         if isinstance(surface, Plane):
             self._plane = surface
-            self._look = PlaneLook.of(model, surface.normal, surface.offset, view.radius)
+            self._look = SandMaterial.of(model, surface.normal, surface.offset, view.radius)
         elif surface is not None:
             self._geoms = surface.geoms(model)
 

@@ -127,7 +127,7 @@ drop block.xml --height-field block | geom 'block' is a box: a height field is m
 drop block.xml --keyframe stand | no keyframe of the model 'stand'
 drop block.xml --instead-of floor | no geom of the model 'floor'
 drop floor.xml --instead-of floor --keep-floor | --keep-floor has no other ground to keep than floor
-drop block.xml --bed tray --slope 10 | --bed lies as its geom does: --slope is for a plane
+drop block.xml --bed tray --slope 10 | --slope is for a plane
 drop block.xml --uphill 90 | --uphill is the direction of a slope: add --slope
 drop block.xml --law link --medium play_sand | choose them with --geoms NAME or --bodies NAME
 drop block.xml --memory 'yes please' | memory, the side of a cell, must be a number

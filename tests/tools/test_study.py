@@ -112,7 +112,7 @@ def test_other_mistakes():
         Between(2.0, 1.0)
     with pytest.raises(InputError, match="Impact, a Drop or an Intrusion"):
         Study("block.xml", {"speed": [1.0]})
-    with pytest.raises(InputError, match="points .*10.5"):
+    with pytest.raises(InputError, match=r"points .*10\.5"):
         Study(Intrusion(), {"points": [10, 10.5]})
     with pytest.raises(InputError, match="name the law"):
         with_values(Drop(Path("robot.xml")), {"law.scale": 1.0})
