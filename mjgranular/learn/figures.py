@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
-from mjgranular.picture.plain import plain
+from mjgranular.picture.figures import PALETTE, figure
 
 
 def draw_curve(path: Path, curve: Sequence[tuple[float, ...]], title: str) -> None:
@@ -17,11 +16,9 @@ def draw_curve(path: Path, curve: Sequence[tuple[float, ...]], title: str) -> No
         curve: rows of `run.CURVE_COLUMNS`.
         title: title of the figure.
     """
-    figure, context = figure_of_size(6.4, 4.0)
-    axis = figure.subplots()
     steps, returns = zip(*((row[0] / 1e3, row[3]) for row in curve), strict=True)
-    axis.plot(steps, returns, color=PALETTE[0], alpha=0.85)
-    axis.set_xlabel("steps [thousands]")
-    axis.set_ylabel("mean return of episodes in training")
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
+    with figure(path, 6.4, 4.0, title) as drawn:
+        axis = drawn.subplots()
+        axis.plot(steps, returns, color=PALETTE[0], alpha=0.85)
+        axis.set_xlabel("steps [thousands]")
+        axis.set_ylabel("mean return of episodes in training")

@@ -1,12 +1,12 @@
-"""Films of a run in slow motion, with the sand's force as an arrow."""
+"""Films of a run in slow motion, with the force of the sand as an arrow."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -64,14 +64,14 @@ class Film:
             if not (16 <= value <= limit and value % 2 == 0):
                 raise InputError(
                     f"the video's {name} must be an even number of pixels from 16 to {limit}, "
-                    f"not {value}"
+                    f"got {value}"
                 )
         if not 1 <= self.fps <= 240:
-            raise InputError(f"a video has 1 to 240 frames a second, not {self.fps}")
+            raise InputError(f"a video has 1 to 240 frames a second, got {self.fps}")
         if not 0.1 <= self.seconds <= 600:
-            raise InputError(f"the film must last 0.1 to 600 seconds, not {self.seconds}")
+            raise InputError(f"the film must last 0.1 to 600 seconds, got {self.seconds}")
         if not 0 <= self.hold <= 60:
-            raise InputError(f"the last frame can stand for 0 to 60 seconds, not {self.hold}")
+            raise InputError(f"the last frame can stand for 0 to 60 seconds, got {self.hold}")
 
     def check(self, link: Link) -> None:
         """Check that the model has the camera and that the packages are installed.
@@ -83,102 +83,6 @@ class Film:
         known = [camera.name for camera in link.spec().cameras]
         if self.camera not in known:
             raise UnknownNameError("camera", self.camera, known)
-
-
-@dataclass(frozen=True)
-class _Frame:
-    time: float
-    slower: float  # slow-motion factor; 1 for real time
-
-
-def _frames(film: Film, end: float, stop: float | None) -> list[_Frame]:
-    """Return the instants of the frames."""
-    goes_on = stop is not None and end > 1.05 * stop
-    phases = [(0.0, stop), (stop, end)] if stop is not None and goes_on else [(0.0, end)]
-    frames: list[_Frame] = []
-    count = max(2, round(film.seconds * film.fps))
-    for start, finish in phases:
-        slower = film.seconds / (finish - start)
-        times = np.linspace(start, finish, count)
-        frames += [_Frame(float(time), slower) for time in times]
-    return frames + [frames[-1]] * round(film.hold * film.fps)
-
-
-def frames_of_run(
-    film: Film,
-    link: Link,
-    trajectory: Trajectory,
-    *,
-    stop: float | None,
-    prints: Tracks | None = None,
-    sand: SandSpec | None = None,
-) -> tuple[int, Iterator[np.ndarray]]:
-    """Return the pictures of a run, one by one.
-
-    Args:
-        film: options of the film.
-        link: the link.
-        trajectory: the run.
-        stop: time from release to the stop [s], None if there was none.
-        prints: history of the sand's memory; None for sand without memory.
-        sand: the sand with memory.
-
-    Returns:
-        Number of pictures, and the pictures, shape (height, width, 3), uint8.
-
-    Raises:
-        RenderError: MuJoCo cannot render on this machine; says what to install.
-        UnknownNameError: no such camera.
-    """
-    film.check(link)
-    frames = _frames(film, float(trajectory.t[-1]), stop)
-    spec = link.spec()
-    if prints is not None and sand is not None:
-        add_cut_prints(spec, as_memory(sand.memory))
-    model = spec.compile()
-    memory = None if sand is None else as_memory(fitted(model, sand).memory)
-    covered = None if prints is None or memory is None else (prints, memory)
-    return len(frames), _draw(film, link, model, trajectory, frames, covered)
-
-
-def _draw(
-    film: Film,
-    link: Link,
-    model: mujoco.MjModel,
-    trajectory: Trajectory,
-    frames: list[_Frame],
-    covered: tuple[Tracks, Memory] | None,
-) -> Iterator[np.ndarray]:
-    ground = _Ground(model, None, View(np.zeros(3), link.reach), covered)
-    data = mujoco.MjData(model)
-    force = np.hypot(trajectory.F_x, trajectory.F_y)
-    # The largest force is an arrow of seven tenths of a link's length.
-    scale = 0.7 * link.length / max(float(force.max()), 1e-300)
-    caption = _Captions(film)
-    renderer = _renderer(model, film)
-    try:
-        shown: tuple[_Frame, np.ndarray] | None = None
-        for frame in frames:
-            if shown is None or shown[0] != frame:
-                at = {
-                    name: float(np.interp(frame.time, trajectory.t, getattr(trajectory, name)))
-                    for name in ("x", "z", "q", "x_E", "y_E", "F_x", "F_y", "y_T", "v_Ty")
-                }
-                data.qpos[:] = at["x"], at["z"], at["q"]
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_camlight(model, data)
-                ground.lay(frame.time, data.body("link").xpos)
-                renderer.update_scene(data, camera=film.camera)
-                ground.show(renderer.scene)
-                # In front of the link, so that the link does not hide it.
-                tail = np.array([at["x_E"], -0.8 * link.diameter, -at["y_E"]])
-                tip = tail + scale * np.array([at["F_x"], 0.0, -at["F_y"]])
-                if at["y_T"] > 0 and np.linalg.norm(tip - tail) > 1e-3 * link.length:
-                    _add_arrow(renderer.scene, tail, tip, link.length * 0.014)
-                shown = frame, caption.write(renderer.render(), frame, at)
-            yield shown[1]
-    finally:
-        renderer.close()
 
 
 @dataclass(frozen=True)
@@ -198,15 +102,103 @@ class Motion:
     force: np.ndarray
 
 
+class _Frame(NamedTuple):
+    """Content of a frame: state, arrows from `tails` to `tips`, shape (n, 3), and caption."""
+
+    time: float
+    qpos: Any
+    tails: np.ndarray
+    tips: np.ndarray
+    caption: tuple[str, ...]
+
+
+def frames_of_run(
+    film: Film,
+    link: Link,
+    trajectory: Trajectory,
+    *,
+    stop: float | None,
+    prints: Tracks | None = None,
+    sand: SandSpec | None = None,
+) -> tuple[int, Iterator[np.ndarray]]:
+    """Return the pictures of a run of a link, one by one.
+
+    Args:
+        film: options of the film.
+        link: the link.
+        trajectory: the run.
+        stop: time from release to the stop [s], None if there was none.
+        prints: tracks of the run; None for sand without memory.
+        sand: the sand with memory.
+
+    Returns:
+        Number of pictures, and the pictures, shape (height, width, 3), uint8.
+
+    Raises:
+        RenderError: MuJoCo cannot render on this machine; says what to install.
+        UnknownNameError: no such camera.
+    """
+    film.check(link)
+    spec = link.spec()
+    if prints is not None and sand is not None:
+        add_cut_prints(spec, as_memory(sand.memory))
+    model = spec.compile()
+    memory = None if sand is None else as_memory(fitted(model, sand).memory)
+    covered = None if prints is None or memory is None else (prints, memory)
+    ground = _Ground(model, None, View(np.zeros(3), link.reach), covered)
+    frames = list(_frames_of_link(film, link, trajectory, stop))
+    pictures = _render(film, model, film.camera, ground, frames, width=link.length * 0.014)
+    return len(frames), pictures
+
+
+def _frames_of_link(
+    film: Film, link: Link, trajectory: Trajectory, stop: float | None
+) -> Iterator[_Frame]:
+    end = float(trajectory.t[-1])
+    phases = [(0.0, end)]
+    if stop is not None and end > 1.05 * stop:
+        phases = [(0.0, stop), (stop, end)]
+    count, frame = max(2, round(film.seconds * film.fps)), None
+    # The largest force is an arrow of seven tenths of a link's length.
+    greatest = float(np.hypot(trajectory.F_x, trajectory.F_y).max())
+    scale = 0.7 * link.length / max(greatest, 1e-300)
+    for start, finish in phases:
+        slower = film.seconds / (finish - start)
+        for time in np.linspace(start, finish, count):
+            at = {
+                name: float(np.interp(time, trajectory.t, getattr(trajectory, name)))
+                for name in ("x", "z", "q", "x_E", "y_E", "F_x", "F_y", "y_T")
+            }
+            # In front of the link, so that the link does not hide it.
+            tail = np.array([[at["x_E"], -0.8 * link.diameter, -at["y_E"]]])
+            arrow = scale * np.array([[at["F_x"], 0.0, -at["F_y"]]])
+            seen = at["y_T"] > 0 and np.linalg.norm(arrow) > 1e-3 * link.length
+            frame = _Frame(
+                float(time),
+                (at["x"], at["z"], at["q"]),
+                tail[: int(seen)],
+                (tail + arrow)[: int(seen)],
+                (
+                    f"t = {time * 1e3:.2f} ms",
+                    f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
+                    f"force = {np.hypot(at['F_x'], at['F_y']):.0f} N",
+                    f"slowed down {_two_digits(slower)}x",
+                ),
+            )
+            yield frame
+    assert frame is not None
+    yield from [frame] * round(film.hold * film.fps)
+
+
 def check_camera(model: mujoco.MjModel, camera: str) -> None:
     """Check that a model has a camera.
 
     Raises:
         UnknownNameError: it does not; lists its cameras.
     """
-    known = [model.camera(c).name for c in range(model.ncam)]
-    if camera not in ("free", *known):
-        raise UnknownNameError("camera", camera, ["free", *known])
+    known = ["free", *(model.camera(c).name for c in range(model.ncam))]
+    if camera not in known:
+        raise UnknownNameError("camera", camera, known)
 
 
 def frames_of_model(
@@ -224,7 +216,7 @@ def frames_of_model(
         model: the model.
         motion: the run.
         surface: surface of the sand; a plane is drawn, others are geoms. None to draw none.
-        prints: history of the sand's memory; None for sand without memory.
+        prints: tracks of the run; None for sand without memory.
         memory: options of the memory.
 
     Returns:
@@ -242,58 +234,33 @@ def frames_of_model(
     seconds = max(film.seconds, span)
     count = max(2, round(seconds * film.fps))
     slower = seconds / span if span else 1.0
-    covered = None if prints is None or memory is None else (prints, memory)
-    return count, _draw_model(film, model, motion, surface, covered, count, slower)
-
-
-def _draw_model(
-    film: Film,
-    model: mujoco.MjModel,
-    motion: Motion,
-    surface: Surface | None,
-    covered: tuple[Tracks, Memory] | None,
-    count: int,
-    slower: float,
-) -> Iterator[np.ndarray]:
-    data = mujoco.MjData(model)
-    view = View.of(model, data, motion.qpos)
+    view = View.of(model, mujoco.MjData(model), motion.qpos)
     camera = view.camera(model, film) if film.camera == "free" else film.camera
+    covered = None if prints is None or memory is None else (prints, memory)
     ground = _Ground(model, surface, view, covered)
+    frames = _frames_of_motion(model, motion, view, count, slower)
+    still, width = _STILL * view.radius, 0.016 * view.radius
+    return count, _render(film, model, camera, ground, frames, width=width, still=still)
+
+
+def _frames_of_motion(
+    model: mujoco.MjModel, motion: Motion, view: View, count: int, slower: float
+) -> Iterator[_Frame]:
     greatest = float(np.linalg.norm(motion.force, axis=2).max())
     scale = _ARROWS * view.radius / max(greatest, 1e-300)
-    caption = _Captions(film)
-    renderer = _renderer(model, film)
-    moving = moving_geoms(model)
-    shown, picture = np.zeros(0), np.zeros(0)
-    try:
-        for time in np.linspace(motion.t[0], motion.t[-1], count):
-            k = int(np.searchsorted(motion.t, time, side="right")) - 1
-            data.qpos[:] = _between(model, motion, k, float(time))
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_camlight(model, data)
-            arrows = scale * motion.force[k]
-            seen = np.linalg.norm(arrows, axis=1) > 0.02 * view.radius
-            tips = motion.point[k] + arrows * seen[:, None]
-            now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), tips])
-            # A scene at rest is rendered once.
-            moved = not shown.size or np.abs(now - shown).max() > _STILL * view.radius
-            if moved or ground.moves(float(time)):
-                ground.lay(float(time), data.geom_xpos[moving].mean(axis=0))
-                renderer.update_scene(data, camera=camera)
-                ground.show(renderer.scene)
-                for point, tip in zip(motion.point[k][seen], tips[seen], strict=True):
-                    _add_arrow(renderer.scene, point, tip, 0.016 * view.radius)
-                shown, picture = now, renderer.render()
-            total = motion.force[k].sum(axis=0)
-            lines = (
-                f"t = {time:.3f} s",
-                f"force of the sand = {np.linalg.norm(total):.0f} N",
-                "real time" if slower < 1.05 else f"slowed down {_two_digits(slower)}x",
-            )
-            yield caption.put(picture, lines)
-    finally:
-        renderer.close()
+    pace = "real time" if slower < 1.05 else f"slowed down {_two_digits(slower)}x"
+    for time in np.linspace(motion.t[0], motion.t[-1], count):
+        k = int(np.searchsorted(motion.t, time, side="right")) - 1
+        arrows = scale * motion.force[k]
+        seen = np.linalg.norm(arrows, axis=1) > 0.02 * view.radius
+        total = float(np.linalg.norm(motion.force[k].sum(axis=0)))
+        yield _Frame(
+            float(time),
+            _between(model, motion, k, float(time)),
+            motion.point[k][seen],
+            (motion.point[k] + arrows)[seen],
+            (f"t = {time:.3f} s", f"force of the sand = {total:.0f} N", pace),
+        )
 
 
 def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.ndarray:
@@ -305,6 +272,40 @@ def _between(model: mujoco.MjModel, motion: Motion, k: int, time: float) -> np.n
         mujoco.mj_differentiatePos(model, change, span, qpos, motion.qpos[k + 1])
         mujoco.mj_integratePos(model, qpos, change, time - motion.t[k])
     return qpos
+
+
+def _render(
+    film: Film,
+    model: mujoco.MjModel,
+    camera: str | mujoco.MjvCamera,
+    ground: _Ground,
+    frames: Iterable[_Frame],
+    *,
+    width: float,
+    still: float = 0.0,
+) -> Iterator[np.ndarray]:
+    """Render frames; `width` is that of arrows [m], motions up to `still` [m] are not rendered."""
+    data, moving = mujoco.MjData(model), moving_geoms(model)
+    caption, renderer = _Captions(film), _renderer(model, film)
+    shown, picture = np.zeros((0, 3)), np.zeros(0)
+    try:
+        for frame in frames:
+            data.qpos[:] = frame.qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_camlight(model, data)
+            now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), frame.tips])
+            moved = now.shape != shown.shape or np.abs(now - shown).max() > still
+            if moved or ground.moves(frame.time):
+                ground.lay(frame.time, data.geom_xpos[moving].mean(axis=0))
+                renderer.update_scene(data, camera=camera)
+                ground.show(renderer.scene)
+                for tail, tip in zip(frame.tails, frame.tips, strict=True):
+                    _add_arrow(renderer.scene, tail, tip, width)
+                shown, picture = now, renderer.render()
+            yield caption.put(picture, frame.caption)
+    finally:
+        renderer.close()
 
 
 @dataclass(frozen=True)
@@ -431,7 +432,7 @@ def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> N
 
 
 class _Captions:
-    """Writes time, depth and slow motion into a corner of each picture."""
+    """Writes captions into a corner of pictures."""
 
     def __init__(self, film: Film) -> None:
         self._image = need("PIL.Image", extra="video", purpose=_PURPOSE)
@@ -439,16 +440,6 @@ class _Captions:
         font = need("PIL.ImageFont", extra="video", purpose=_PURPOSE)
         self._size = max(10, film.height // 30)
         self._font = font.load_default(size=self._size)
-
-    def write(self, picture: np.ndarray, frame: _Frame, at: dict[str, float]) -> np.ndarray:
-        """Return a copy of the picture with the numbers of a link's impact."""
-        lines = (
-            f"t = {frame.time * 1e3:.2f} ms",
-            f"depth of T = {max(at['y_T'], 0.0) * 1e3:.1f} mm",
-            f"force = {np.hypot(at['F_x'], at['F_y']):.0f} N",
-            f"slowed down {_two_digits(frame.slower)}x",
-        )
-        return self.put(picture, lines)
 
     def put(self, picture: np.ndarray, lines: tuple[str, ...]) -> np.ndarray:
         """Return a copy of the picture with these lines in a corner."""
@@ -469,6 +460,18 @@ class _Captions:
 
 def _two_digits(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
+
+
+def need_mediapy(purpose: str) -> Any:
+    """Return the module mediapy, with the ffmpeg of imageio-ffmpeg.
+
+    Raises:
+        MissingExtraError: a package is not installed; gives the install line.
+    """
+    mediapy = need("mediapy", extra="video", purpose=purpose)
+    ffmpeg = need("imageio_ffmpeg", extra="video", purpose=purpose)
+    mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
+    return mediapy
 
 
 def write_video(
@@ -492,9 +495,7 @@ def write_video(
         MissingExtraError: a package for video is not installed; gives the install line.
         RenderError: MuJoCo cannot render on this machine.
     """
-    mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
-    ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
-    mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
+    mediapy = need_mediapy(_PURPOSE)
     first = next(pictures)  # fails on a machine that cannot render, before a file is opened
     shape = (film.height, film.width)
     with (
