@@ -13,7 +13,7 @@ _KEEP = 4096  # samples kept at most of each phase; chosen, not measured
 
 
 class Recorder:
-    """Keeps evenly spaced samples of a run of unknown length.
+    """Evenly spaced samples of a run of unknown length.
 
     When the buffer is full, every other sample is dropped, and from then on every other one is
     taken: between half and all of the buffer is in use, whatever the number of steps.
@@ -54,7 +54,7 @@ class Recorder:
 
 
 class Sampler:
-    """Samples the state of a run.
+    """Samples of the state of a run.
 
     What sand with memory does follows from more than a state: its reports are kept with the
     samples, and its tracks are recorded.

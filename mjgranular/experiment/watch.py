@@ -25,7 +25,7 @@ _MOST_AVERAGED = 32
 
 
 class StopWatch:
-    """Finds the touchdown and the stop of a point, from its depth and velocity at every step.
+    """Touchdown and stop of a point, from its depth and velocity at every step.
 
     Args:
         timestep: [s].
@@ -97,7 +97,7 @@ class StopWatch:
 
 
 class SiteWatch:
-    """Follows a site of a model to where it stops.
+    """Stop of a site of a model.
 
     After `Sand.step`, positions of sites are those at the beginning of the step, and velocities are
     those half a step before and half a step after them: their mean is taken.
@@ -141,7 +141,7 @@ class SiteWatch:
 
 
 class RestWatch:
-    """Finds when points are at rest.
+    """Time since which points are at rest.
 
     Attributes:
         since: time from which they have stayed where they are [s].

@@ -130,7 +130,7 @@ def kind_of(sand: Sand) -> Kind:
         if mark in fields:
             return kind
     raise InputError(
-        f"the law {sand.law.name!r} has elements of a kind of its own ({', '.join(fields)}): rods, "
+        f"the law {sand.law.name!r} has elements of an unknown kind ({', '.join(fields)}): rods, "
         "facets and blobs can be drawn"
     )
 

@@ -375,7 +375,7 @@ class _Ground:
         return self._cover is not None and self._prints.change(self._replay.time, time)
 
     def lay(self, time: float, middle: np.ndarray) -> None:
-        """Update the prints to a time [s], around a place [m]. Call this before a scene is made."""
+        """Update the tracks to a time [s], around a place [m]; call this before a scene is made."""
         if self._cover is not None:
             self._cover.lay(self._replay.to(time), middle)
 
@@ -392,7 +392,7 @@ class _Ground:
 
 
 def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
-    """Return the box of sand behind a link or a chain, which is drawn with prints in its place.
+    """Return the box of sand behind a link or a chain, which the skin with tracks replaces.
 
     Returns:
         The box, and the edge length of its texture of grains [m].
@@ -432,7 +432,7 @@ def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> N
 
 
 class _Captions:
-    """Writes captions into a corner of pictures."""
+    """Captions in a corner of pictures."""
 
     def __init__(self, film: Film) -> None:
         self._image = need("PIL.Image", extra="video", purpose=_PURPOSE)
