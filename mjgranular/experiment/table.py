@@ -27,13 +27,7 @@ def write_numbers(path: Path, header: Sequence[str], values: np.ndarray) -> None
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Rows) -> None:
-    """Write a CSV file; cells that a row lacks are empty.
-
-    Args:
-        path: path of the file.
-        columns: names, in order.
-        rows: the rows.
-    """
+    """Write a CSV file with the columns in the given order; cells that a row lacks are empty."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(columns))
         writer.writeheader()
@@ -50,10 +44,7 @@ def need_parquet() -> Any:
 
 
 def write_parquet(path: Path, columns: Sequence[str], rows: Rows) -> None:
-    """Write a Parquet file; a column has numbers, integers, booleans or strings.
-
-    Args: as for `write_csv`.
-    """
+    """Write a Parquet file; a column has numbers, integers, booleans or strings."""
     parquet = need_parquet()
     arrow = need("pyarrow", extra="parquet", purpose="A table as Parquet")
     types: dict[str, set[type]] = {name: set() for name in columns}

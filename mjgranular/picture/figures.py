@@ -32,14 +32,7 @@ _STYLE = {
 
 @contextmanager
 def figure(path: Path, width: float, height: float, title: str) -> Iterator[Any]:
-    """Yield an empty figure, made without pyplot's global state; write it at the end.
-
-    Args:
-        path: path of the picture.
-        width: [inches].
-        height: [inches].
-        title: title of the figure.
-    """
+    """Yield an empty figure of a size in inches, made without pyplot; write it at the end."""
     matplotlib = need("matplotlib", extra="figures", purpose="Drawing figures")
     need("matplotlib.figure", extra="figures", purpose="Drawing figures")
     with matplotlib.rc_context(_STYLE):
@@ -62,11 +55,7 @@ def plain(text: str) -> str:
 def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
     """Draw depth and velocity of T and the link's angle against time, as in Figs. 2-4 and 6-8.
 
-    Args:
-        path: path of the picture.
-        trajectory: the run.
-        stop: time from release to the stop [s], drawn if there was one.
-        title: title of the figure.
+    A line marks the time from release to the stop [s], if there was one.
     """
     with figure(path, 6.4, 7.2, title) as drawn:
         axes = drawn.subplots(3, 1, sharex=True)
@@ -84,10 +73,7 @@ def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title
 
 
 def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
-    """Draw force, moment and power of the sand, and the link's energy, against time.
-
-    Args: as for `draw_motion`.
-    """
+    """Draw force, moment and power of the sand, and the link's energy, as `draw_motion` does."""
     with figure(path, 6.4, 8.2, title) as drawn:
         axes = drawn.subplots(4, 1, sharex=True)
         t = trajectory.t * 1e3
@@ -123,14 +109,7 @@ def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
 
 
 def draw_prints(path: Path, x: np.ndarray, height: np.ndarray, *, title: str = "") -> None:
-    """Draw the surface of sand with memory, cut along the plane of motion.
-
-    Args:
-        path: path of the picture.
-        x: position along the surface [m], shape (n,).
-        height: height of the sand over the undisturbed surface [m], shape (n,).
-        title: title of the figure.
-    """
+    """Draw the height [m] of sand with memory over positions in the plane of motion [m]."""
     with figure(path, 6.4, 3.2, title) as drawn:
         axes = drawn.subplots()
         axes.axhline(0, color=_GREY, linewidth=0.8)

@@ -18,10 +18,7 @@ _MOST = 24  # curves in a figure
 def draw_fit(path: Path, result: FitResult, *, title: str = "") -> None:
     """Draw every run's curves: measurements as dots, predictions of the fitted law as lines.
 
-    Args:
-        path: path of the picture.
-        result: the fit.
-        title: title of the figure; "" for the fitted constants.
+    The default title is the fitted constants.
     """
     curves = [(name, curve) for name, found in result.curves.items() for curve in found][:_MOST]
     columns = min(3, len(curves))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,27 +12,22 @@ import numpy as np
 
 from mjgranular._util.extras import need
 from mjgranular._util.files import whole
-from mjgranular.errors import InputError, RenderError, UnknownNameError
+from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
+from mjgranular.picture.scene import Ground, View, add_arrow, make_renderer
 from mjgranular.relief import Memory
 from mjgranular.relief.memory import as_memory
-from mjgranular.render import Replay, TrackMesh, Tracks
-from mjgranular.render.material import NOT_SHOWN, TILE, SandMaterial, boxes_of, moving_geoms
+from mjgranular.render import Tracks
+from mjgranular.render.material import moving_geoms
 from mjgranular.render.scenery import add_cut_prints
-from mjgranular.render.track_mesh import Region
 from mjgranular.sand import SandSpec
 from mjgranular.sand.prepare import fitted
-from mjgranular.surface import Plane, Surface
+from mjgranular.surface import Surface
 
-_ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
 _PURPOSE = "Writing a video"
 _LONGEST = 3600.0  # film [s]
-# Chosen by appearance and speed: the time of software rendering is proportional to the samples.
-_SAMPLES = 2  # per pixel
 _STILL = 5e-4  # in parts of the view: a motion too small to see
-_INSTANTS = 16  # number of instants at which the extent of the model is sampled
-_MARGIN = 1.1  # around the view
 _ARROWS = 0.5  # length of the longest arrow, in parts of the view
 
 
@@ -145,7 +139,7 @@ def frames_of_run(
     model = spec.compile()
     memory = None if sand is None else as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
-    ground = _Ground(model, None, View(np.zeros(3), link.reach), covered)
+    ground = Ground(model, None, View(np.zeros(3), link.reach), covered)
     frames = list(_frames_of_link(film, link, trajectory, stop))
     pictures = _render(film, model, film.camera, ground, frames, width=link.length * 0.014)
     return len(frames), pictures
@@ -235,9 +229,9 @@ def frames_of_model(
     count = max(2, round(seconds * film.fps))
     slower = seconds / span if span else 1.0
     view = View.of(model, mujoco.MjData(model), motion.qpos)
-    camera = view.camera(model, film) if film.camera == "free" else film.camera
+    camera = view.camera(model, film.width / film.height) if film.camera == "free" else film.camera
     covered = None if prints is None or memory is None else (prints, memory)
-    ground = _Ground(model, surface, view, covered)
+    ground = Ground(model, surface, view, covered)
     frames = _frames_of_motion(model, motion, view, count, slower)
     still, width = _STILL * view.radius, 0.016 * view.radius
     return count, _render(film, model, camera, ground, frames, width=width, still=still)
@@ -278,7 +272,7 @@ def _render(
     film: Film,
     model: mujoco.MjModel,
     camera: str | mujoco.MjvCamera,
-    ground: _Ground,
+    ground: Ground,
     frames: Iterable[_Frame],
     *,
     width: float,
@@ -286,7 +280,7 @@ def _render(
 ) -> Iterator[np.ndarray]:
     """Render frames; `width` is that of arrows [m], motions up to `still` [m] are not rendered."""
     data, moving = mujoco.MjData(model), moving_geoms(model)
-    caption, renderer = _Captions(film), _renderer(model, film)
+    caption, renderer = _Captions(film), make_renderer(model, film.width, film.height)
     shown, picture = np.zeros((0, 3)), np.zeros(0)
     try:
         for frame in frames:
@@ -301,134 +295,11 @@ def _render(
                 renderer.update_scene(data, camera=camera)
                 ground.show(renderer.scene)
                 for tail, tip in zip(frame.tails, frame.tips, strict=True):
-                    _add_arrow(renderer.scene, tail, tip, width)
+                    add_arrow(renderer.scene, tail, tip, width)
                 shown, picture = now, renderer.render()
             yield caption.put(picture, frame.caption)
     finally:
         renderer.close()
-
-
-@dataclass(frozen=True)
-class View:
-    """A sphere around all visible moving parts, over a whole run.
-
-    Attributes:
-        middle: center [m], shape (3,).
-        radius: [m].
-    """
-
-    middle: np.ndarray
-    radius: float
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> View:
-        """Return the view of a run through these positions, shape (n, nq); `data` is changed."""
-        geoms = moving_geoms(model)
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for row in qpos[:: max(1, len(qpos) // _INSTANTS)]:
-            data.qpos[:] = row
-            mujoco.mj_kinematics(model, data)
-            lowest, highest = boxes_of(model, data, geoms)
-            low = np.minimum(low, lowest.min(axis=0))
-            high = np.maximum(high, highest.max(axis=0))
-        return cls((low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6))
-
-    def camera(self, model: mujoco.MjModel, film: Film) -> mujoco.MjvCamera:
-        """Return a free camera that shows it, from slightly above."""
-        angle = math.radians(model.vis.global_.fovy) / 2
-        angle = min(angle, math.atan(math.tan(angle) * film.width / film.height))
-        camera = mujoco.MjvCamera()
-        camera.lookat[:] = self.middle
-        camera.distance = _MARGIN * self.radius / math.sin(angle)
-        camera.azimuth, camera.elevation = 120.0, -18.0
-        return camera
-
-
-class _Ground:
-    """The sand in a scene."""
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        surface: Surface | None,
-        view: View,
-        covered: tuple[Tracks, Memory] | None = None,
-    ) -> None:
-        self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
-        self._cover = None
-        if covered is not None:
-            unit = 2 * view.radius if isinstance(surface, Plane) else TILE
-            region = None
-            if surface is None:
-                region, unit = _cut_open(model)
-            self._cover = TrackMesh(model, surface or Plane(), covered[1], unit=unit, region=region)
-            self._replay, self._prints = Replay(*covered), covered[0]
-            return
-        if isinstance(surface, Plane):
-            self._plane = surface
-            self._look = SandMaterial.of(model, surface.normal, surface.offset, view.radius)
-        elif surface is not None:
-            self._geoms = surface.geoms(model)
-
-    def moves(self, time: float) -> bool:
-        """Return True if sand has flowed between the last picture and a time [s]."""
-        return self._cover is not None and self._prints.change(self._replay.time, time)
-
-    def lay(self, time: float, middle: np.ndarray) -> None:
-        """Update the tracks to a time [s], around a place [m]; call this before a scene is made."""
-        if self._cover is not None:
-            self._cover.lay(self._replay.to(time), middle)
-
-    def show(self, scene: mujoco.MjvScene) -> None:
-        """Add a plane; stop geoms of sand from casting shadows, which would speckle them."""
-        if self._cover is not None:
-            self._cover.show(scene)
-        if self._look is not None and self._plane is not None:
-            self._look.add(scene, self._plane.normal, self._plane.offset, self._middle)
-        if self._geoms:
-            for geom in scene.geoms[: scene.ngeom]:
-                if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._geoms:
-                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-
-
-def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
-    """Return the box of sand behind a link or a chain, which the skin with tracks replaces.
-
-    Returns:
-        The box, and the edge length of its texture of grains [m].
-    """
-    bed = model.geom("bed")
-    bed.group = NOT_SHOWN
-    low, high = bed.pos - bed.size, bed.pos + bed.size
-    grains = 2 / float(model.mat_texrepeat[bed.matid.item(), 0])  # of a box MuJoCo has half sizes
-    return Region((low[0], low[1]), (high[0], high[1]), low[2]), grains
-
-
-def _renderer(model: mujoco.MjModel, film: Film) -> Any:
-    # Exactly the size of the picture: MuJoCo processes its whole buffer.
-    model.vis.global_.offwidth, model.vis.global_.offheight = film.width, film.height
-    model.vis.quality.offsamples = min(model.vis.quality.offsamples, _SAMPLES)
-    try:
-        return mujoco.Renderer(model, film.height, film.width)
-    except Exception as error:  # each platform's GL fails differently
-        raise RenderError(
-            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
-            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri) and import "
-            "mjgranular before mujoco, or set MUJOCO_GL=egl yourself; MUJOCO_GL=osmesa with "
-            "libosmesa6 works too"
-        ) from None
-
-
-def _add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> None:
-    """Add an arrow to a scene."""
-    if scene.ngeom >= scene.maxgeom:
-        return
-    geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(
-        geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _ARROW
-    )
-    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width, tail, tip)
-    scene.ngeom += 1
 
 
 class _Captions:

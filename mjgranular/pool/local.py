@@ -34,12 +34,7 @@ class _Worker(NamedTuple):
 
 
 class ThisProcess:
-    """No workers: chunks run in the calling process.
-
-    Args:
-        function: function of the tasks.
-        shared: data for all of them.
-    """
+    """No workers: chunks run in the calling process."""
 
     slots = count = 1
 

@@ -170,21 +170,10 @@ def add_geom(
     rgba: np.ndarray,
     unit: float,
 ) -> Any:
-    """Add a decorative geom of sand to a scene.
+    """Add a decorative geom with the look of sand; return None if the scene is full.
 
-    Args:
-        scene: the scene.
-        kind: type of the geom.
-        size: size of the geom [m], shape (3,).
-        place: position [m], shape (3,).
-        axes: axes in columns, shape (3, 3).
-        material: id of the material; -1 for none.
-        texture: id of the texture; -1 for none.
-        rgba: color that the texture is multiplied by.
-        unit: edge of the texture [m].
-
-    Returns:
-        The geom; None if the scene is full.
+    Axes are in columns. Material and texture are ids, -1 for none; the texture is multiplied by
+    `rgba`, and its edge is `unit` [m].
     """
     if scene.ngeom >= scene.maxgeom:
         return None
