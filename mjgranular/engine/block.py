@@ -70,7 +70,7 @@ HEADER_DTYPE = np.dtype(
         ("unit", np.float64),
         ("lowered", np.float64),
         ("shape_program", np.int64),  # address of machine code that shapes a skin; 0 without tracks
-        ("canvas", np.int64),  # address: what that fills (`prints.shape`)
+        ("canvas", np.int64),  # address: what that fills (`render.track_kernel`)
         ("skin", np.int64),  # id of the skin
         ("skin_pointer", np.int64),  # offset in mjModel of the pointer to vertices [bytes]
         ("skin_offset", np.int64),  # offset of the skin's first vertex from there [bytes]
@@ -157,7 +157,7 @@ def make_image(
         sand: the sand prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
         drawing: fields of the header that say what is drawn, and how.
-        canvas: for tracks: their record (`prints.shape`), and arrays for blocks and rectangles.
+        canvas: for tracks: their record (`render.track_kernel`), and arrays for blocks and rectangles.
 
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.

@@ -128,7 +128,9 @@ class Drop(PlainSand):
             plain["model"] = Path(str(model))
         else:
             raise OutputError(f"{where} names no model")
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()})
+        for key, value in plain.items():
+            plain[key] = tuple(value) if isinstance(value, list) else value
+        return cls(**plain)
 
     @property
     def title(self) -> str:

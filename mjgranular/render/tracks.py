@@ -86,7 +86,7 @@ class Tracks:
         if node.shape != (count, 2) or height.shape != (count,) or node.dtype.kind != "i":
             raise ValueError("heights of the prints are damaged")
         if not np.isfinite(height).all() or (np.abs(node) >= 1 << 20).any():
-            raise ValueError("heights of the prints are none")
+            raise ValueError("heights of the prints must be finite")
         return found
 
 
