@@ -157,7 +157,7 @@ def make_image(
         sand: the sand prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
         drawing: fields of the header that say what is drawn, and how.
-        canvas: for tracks: their record (`render.track_kernel`), and arrays for blocks and rectangles.
+        canvas: for tracks: their record (`render.track_kernel`), blocks and rectangles.
 
     Raises:
         LayoutError: an address is not found in MuJoCo's structs.

@@ -234,7 +234,8 @@ def frames_of_model(
     ground = Ground(model, surface, view, covered)
     frames = _frames_of_motion(model, motion, view, count, slower)
     still, width = _STILL * view.radius, 0.016 * view.radius
-    return count, _render(film, model, camera, ground, frames, width=width, still=still)
+    pictures = _render(film, model, camera, ground, frames, width=width, still=still, follow=True)
+    return count, pictures
 
 
 def _frames_of_motion(
@@ -277,8 +278,13 @@ def _render(
     *,
     width: float,
     still: float = 0.0,
+    follow: bool = False,
 ) -> Iterator[np.ndarray]:
-    """Render frames; `width` is that of arrows [m], motions up to `still` [m] are not rendered."""
+    """Render frames.
+
+    `width` is that of arrows [m]. Motions up to `still` [m] are not rendered. Cameras and lights
+    that track a center of mass do so if `follow` is true.
+    """
     data, moving = mujoco.MjData(model), moving_geoms(model)
     caption, renderer = _Captions(film), make_renderer(model, film.width, film.height)
     shown, picture = np.zeros((0, 3)), np.zeros(0)
@@ -286,7 +292,8 @@ def _render(
         for frame in frames:
             data.qpos[:] = frame.qpos
             mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
+            if follow:
+                mujoco.mj_comPos(model, data)
             mujoco.mj_camlight(model, data)
             now = np.concatenate([data.geom_xpos, data.geom_xmat.reshape(-1, 3), frame.tips])
             moved = now.shape != shown.shape or np.abs(now - shown).max() > still
