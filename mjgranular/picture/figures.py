@@ -176,14 +176,14 @@ def draw_intrusion(
     with figure(path, 6.4, 6.4, title) as drawn:
         axes = drawn.subplots(2, 1, sharex=True)
         labels = ("against the motion", "lift, up across the motion", "sideways")
-        for k, (label, colour) in enumerate(zip(labels, (_BLUE, _OCHRE, _GREY), strict=True)):
-            axes[0].plot(depth * 1e3, force[:, k], color=colour, label=label)
+        for k, (label, color) in enumerate(zip(labels, (_BLUE, _OCHRE, _GREY), strict=True)):
+            axes[0].plot(depth * 1e3, force[:, k], color=color, label=label)
         axes[0].set_ylabel("force of the sand [N]")
         axes[0].legend()
-        for k, (label, colour) in enumerate(zip("xyz", (_OCHRE, _BLUE, _GREY), strict=True)):
-            axes[1].plot(depth * 1e3, moment[:, k], color=colour, label=f"about {label}")
+        for k, (label, color) in enumerate(zip("xyz", (_OCHRE, _BLUE, _GREY), strict=True)):
+            axes[1].plot(depth * 1e3, moment[:, k], color=color, label=f"about {label}")
         if np.abs(moment).max() < 1e-9 * max(np.abs(force).max(), 1e-300):
             axes[1].set_ylim(-1, 1)  # only rounding errors
-        axes[1].set_ylabel("moment about the centre [N m]")
+        axes[1].set_ylabel("moment about the center [N m]")
         axes[1].set_xlabel("depth of the deepest point [mm]")
         axes[1].legend()

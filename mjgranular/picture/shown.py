@@ -63,7 +63,7 @@ class Shown:
                 _, first, geom = np.unique(elements["geom"], return_index=True, return_inverse=True)
                 colors[(np.arange(len(elements)) - first[geom]) % 2 == 1] *= 0.75
         else:
-            raise UnknownNameError("way to colour elements", color, get_args(Color))
+            raise UnknownNameError("way to color elements", color, get_args(Color))
         body = elements["body"]
         turn = data.xmat[body].reshape(-1, 3, 3)
         return cls(kind, elements, data.xpos[body], turn, report, colors, names)
