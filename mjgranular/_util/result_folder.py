@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mjgranular._util import files
-from mjgranular._util.saved import is_plain_name, read_json
+from mjgranular._util.io import is_plain_name, read_json
 from mjgranular._util.versions import versions
 from mjgranular.errors import OutputError
 
@@ -97,7 +97,7 @@ class ResultFolder:
             keep: names of files to keep although they are not written again.
         """
         stale = [name for name in (*self._names, *self._previous_names()) if name not in keep]
-        with files.published(self.path, instead_of=stale) as waiting:
+        with files.replace_directory(self.path, instead_of=stale) as waiting:
             self._waiting = waiting
             try:
                 yield
@@ -119,7 +119,7 @@ class ResultFolder:
             fill: writes to a given path.
         """
         path = (self._waiting or self.path) / name
-        with files.whole(path) as part:
+        with files.atomic_write(path) as part:
             fill(part)
         return self.path / name
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular._util import files
 from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
-from mjgranular._util.saved import checked_fields, is_text, number, read_arrays, read_json
+from mjgranular._util.io import checked_fields, is_text, number, read_arrays, read_json
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
@@ -63,7 +63,7 @@ def saved_command(path: Path) -> str:
         OutputError: it contains none.
     """
     try:
-        command = read_json(files.current(path, CONFIG)).get("command")
+        command = read_json(files.latest_path(path, CONFIG)).get("command")
     except OutputError as error:
         raise OutputError(
             f"{path} holds no saved run ({error}); make one with mjgranular impact --out {path}"
@@ -81,15 +81,15 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
     """
 
     def read() -> tuple[Drop, dict[str, np.ndarray]]:
-        config = read_json(files.current(path, CONFIG)).get("config")
-        drop, file = Drop.from_config(config), files.current(path, _NPZ)
+        config = read_json(files.latest_path(path, CONFIG)).get("config")
+        drop, file = Drop.from_config(config), files.latest_path(path, _NPZ)
         names = _DROP_ARRAYS
         if drop.sand.memory is not None and Tracks.are_in(file):
             names += Tracks.names()
         return drop, read_arrays(file, names)
 
     try:
-        drop, arrays = files.consistently(path, CONFIG, read)
+        drop, arrays = files.read_consistent(path, CONFIG, read)
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved drop ({error})") from None
     try:
@@ -134,20 +134,20 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
     """
 
     def read() -> tuple[Impact, dict[str, Any], Trajectory]:
-        config = read_json(files.current(path, CONFIG))
+        config = read_json(files.latest_path(path, CONFIG))
         if config.get("command") != "impact":
             raise OutputError(
                 f"{path} holds the result of {str(config.get('command'))[:40]!r}: a video can be "
                 "made of an impact, mjgranular impact --out DIR"
             )
-        summary = read_json(files.current(path, SUMMARY))
+        summary = read_json(files.latest_path(path, SUMMARY))
         impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
-        trajectory = Trajectory.read_npz(files.current(path, _NPZ))
+        trajectory = Trajectory.read_npz(files.latest_path(path, _NPZ))
         _check_summary(summary, float(trajectory.t[-1]), path / SUMMARY)
         return impact, summary, trajectory
 
     try:
-        return files.consistently(path, CONFIG, read)
+        return files.read_consistent(path, CONFIG, read)
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(
             f"{path} holds no saved impact ({error}); make one with mjgranular impact --out {path}"
@@ -161,7 +161,7 @@ def read_prints(path: Path) -> Tracks | None:
         OutputError: they are damaged.
     """
     try:
-        file = files.current(path, _NPZ)
+        file = files.latest_path(path, _NPZ)
         return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved impact ({_NPZ} is damaged: {error})") from None

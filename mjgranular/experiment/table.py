@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 
 Rows = Callable[[], Iterator[dict[str, Any]]]
 """Returns an iterator over the rows, from the first, at each call."""
@@ -40,13 +40,13 @@ def need_parquet() -> Any:
     Raises:
         MissingExtraError: it is not installed.
     """
-    return need("pyarrow.parquet", extra="parquet", purpose="A table as Parquet")
+    return require("pyarrow.parquet", extra="parquet", purpose="A table as Parquet")
 
 
 def write_parquet(path: Path, columns: Sequence[str], rows: Rows) -> None:
     """Write a Parquet file; a column has numbers, integers, booleans or strings."""
     parquet = need_parquet()
-    arrow = need("pyarrow", extra="parquet", purpose="A table as Parquet")
+    arrow = require("pyarrow", extra="parquet", purpose="A table as Parquet")
     types: dict[str, set[type]] = {name: set() for name in columns}
     for row in rows():
         for name, value in row.items():

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mjgranular._util.files import whole
-from mjgranular._util.saved import read_arrays
+from mjgranular._util.files import atomic_write
+from mjgranular._util.io import read_arrays
 from mjgranular.errors import OutputError
 from mjgranular.experiment.table import write_numbers
 from mjgranular.models import Link
@@ -113,14 +113,14 @@ class Trajectory:
 
     def write_csv(self, path: Path) -> None:
         """Write the samples below a line of names with units."""
-        with whole(path) as part:
+        with atomic_write(path) as part:
             write_numbers(part, [f"{f.name} [{UNITS[f.name]}]" for f in fields(self)], self.table())
 
     def write_npz(self, path: Path, prints: Tracks | None = None) -> None:
         """Write the samples as arrays by name, and tracks if there are any."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
         arrays |= {} if prints is None else prints.arrays()
-        with whole(path) as part, part.open("wb") as file:
+        with atomic_write(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **arrays)
 
     @classmethod

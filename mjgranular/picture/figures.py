@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.files import whole
+from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.errors import one_line
 from mjgranular.experiment.trajectory import Trajectory
 
@@ -33,13 +33,13 @@ _STYLE = {
 @contextmanager
 def figure(path: Path, width: float, height: float, title: str) -> Iterator[Any]:
     """Yield an empty figure of a size in inches, made without pyplot; write it at the end."""
-    matplotlib = need("matplotlib", extra="figures", purpose="Drawing figures")
-    need("matplotlib.figure", extra="figures", purpose="Drawing figures")
+    matplotlib = require("matplotlib", extra="figures", purpose="Drawing figures")
+    require("matplotlib.figure", extra="figures", purpose="Drawing figures")
     with matplotlib.rc_context(_STYLE):
         drawn = matplotlib.figure.Figure(figsize=(width, height))
         drawn.suptitle(plain(title))
         yield drawn
-        with whole(path) as part:
+        with atomic_write(path) as part:
             drawn.savefig(part)
 
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.files import whole
+from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.models import Link
@@ -313,9 +313,9 @@ class _Captions:
     """Captions in a corner of pictures."""
 
     def __init__(self, film: Film) -> None:
-        self._image = need("PIL.Image", extra="video", purpose=_PURPOSE)
-        self._draw = need("PIL.ImageDraw", extra="video", purpose=_PURPOSE)
-        font = need("PIL.ImageFont", extra="video", purpose=_PURPOSE)
+        self._image = require("PIL.Image", extra="video", purpose=_PURPOSE)
+        self._draw = require("PIL.ImageDraw", extra="video", purpose=_PURPOSE)
+        font = require("PIL.ImageFont", extra="video", purpose=_PURPOSE)
         self._size = max(10, film.height // 30)
         self._font = font.load_default(size=self._size)
 
@@ -346,8 +346,8 @@ def need_mediapy(purpose: str) -> Any:
     Raises:
         MissingExtraError: a package is not installed; gives the install line.
     """
-    mediapy = need("mediapy", extra="video", purpose=purpose)
-    ffmpeg = need("imageio_ffmpeg", extra="video", purpose=purpose)
+    mediapy = require("mediapy", extra="video", purpose=purpose)
+    ffmpeg = require("imageio_ffmpeg", extra="video", purpose=purpose)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     return mediapy
 

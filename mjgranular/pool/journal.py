@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-from mjgranular._util.reading import check_regular
-from mjgranular._util.saved import parse_json
+from mjgranular._util.io import check_regular
+from mjgranular._util.io import parse_json
 from mjgranular._util.versions import versions
 from mjgranular.errors import OutputError
 

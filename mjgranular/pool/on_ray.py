@@ -13,7 +13,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular._util.versions import mismatch, versions
 from mjgranular.errors import GranularError, InputError
 from mjgranular.pool.workers import Chunk, Done, Function, WorkerLostError, Workers, run_chunk
@@ -42,7 +42,7 @@ class RayPool:
     """
 
     def __init__(self, function: Function, shared: Any, workers: Workers) -> None:
-        self._ray = need("ray", extra="ray", purpose="The engine ray")
+        self._ray = require("ray", extra="ray", purpose="The engine ray")
         self._mine = not self._ray.is_initialized()
         if self._mine:
             _start(self._ray, workers)
