@@ -12,8 +12,8 @@ import mujoco
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
 from mjgranular.errors import GranularError
-from mjgranular.prints.look import NOT_SHOWN, TILE, add_material
 from mjgranular.relief.memory import as_memory
+from mjgranular.render.material import NOT_SHOWN, TILE, add_material
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from mjgranular.experiment.folder import CONFIG
+from mjgranular._util.result_folder import CONFIG
 from mjgranular.learn.policies import POLICY_FILES, SHIPPED, load_policy
 from mjgranular.learn.run import POLICY, open_run
 

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, table
 from mjgranular.cli.options import options_of, record_of
 from mjgranular.cli.results import FilmOptions, Frames, collected, write_film
 from mjgranular.errors import GranularError, GranularWarning, OutputError
 from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop, surface_drawn
-from mjgranular.experiment.folder import RUN_FILES, ResultFolder, write_drop
+from mjgranular.experiment.folder import RUN_FILES, write_drop
 from mjgranular.prints import Prints
 
 if TYPE_CHECKING:

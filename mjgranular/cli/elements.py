@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import out, print_json, table
 from mjgranular.cli.options import options_of, record_of
 from mjgranular.cli.results import Flag
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, read, start_from
-from mjgranular.experiment.folder import ResultFolder
 from mjgranular.picture.elements import check_file, count, draw_elements, kind_of
 from mjgranular.sand import Sand
 from mjgranular.sand.cost import Cost

@@ -11,11 +11,11 @@ import tyro
 from rich.table import Table
 from rich.text import Text
 
+from mjgranular._util.result_folder import CONFIG, SUMMARY
 from mjgranular.cli.agents import find_actor, sand_warning
 from mjgranular.cli.console import out, print_json, progress_bar
 from mjgranular.cli.results import EngineOptions, Flag
 from mjgranular.errors import InputError, warn_user
-from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.learn import environments
 from mjgranular.learn.blocks import Evaluation, Job, run_evaluation
 from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, parse_variant

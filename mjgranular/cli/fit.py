@@ -15,13 +15,13 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular._util import files
+from mjgranular._util.versions import versions
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
 from mjgranular.cli.options import law_named
 from mjgranular.cli.results import Flag
 from mjgranular.errors import InputError, MissingExtraError, OutputError
 from mjgranular.fit import Fit, FitResult, RunErrors, read_fit, run_fit
 from mjgranular.fit.known import fitted_medium, medium_text
-from mjgranular.pool.versions import versions
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.table import Table
 
+from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, table
 from mjgranular.cli.drop import run_and_show
 from mjgranular.cli.options import given_options, option, options_of, record_of
@@ -18,18 +19,12 @@ from mjgranular.errors import GranularError, InputError
 from mjgranular.experiment import CASES, Impact, ImpactResult, reproduce, run_impact
 from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
 from mjgranular.experiment.drop import DropResult
-from mjgranular.experiment.folder import (
-    CONFIG,
-    RUN_FILES,
-    SUMMARY,
-    ResultFolder,
-    write_impact,
-)
+from mjgranular.experiment.folder import RUN_FILES, write_impact
 from mjgranular.experiment.paper import comparison
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.prints import Prints
 from mjgranular.relief.memory import as_memory
+from mjgranular.render import Tracks
 from mjgranular.sand.prepare import fitted
 
 if TYPE_CHECKING:
@@ -272,7 +267,7 @@ def film_impact(
     trajectory: Trajectory,
     summary: dict[str, Any],
     film: Film,
-    prints: Prints | None = None,
+    prints: Tracks | None = None,
 ) -> None:
     """Film a drop."""
     from mjgranular.picture.video import frames_of_run

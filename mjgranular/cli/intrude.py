@@ -6,11 +6,11 @@ import csv
 from dataclasses import dataclass
 from pathlib import Path
 
+from mjgranular._util.result_folder import CONFIG, SUMMARY
 from mjgranular.cli.console import note, out, print_json, table
 from mjgranular.cli.options import given_options, options_of, record_of
 from mjgranular.cli.results import OutputOptions, collected
 from mjgranular.errors import GranularError, InputError
-from mjgranular.experiment.folder import CONFIG, SUMMARY
 from mjgranular.experiment.intrusion import Intrusion, IntrusionResult, run_intrusion
 
 _CSV = "intrusion.csv"

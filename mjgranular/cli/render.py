@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
 from mjgranular.cli.agents import find_actor, is_environment, sand_warning
 from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.results import Flag, write_film
 from mjgranular.errors import InputError, OutputError, warn_user
 from mjgranular.experiment.folder import (
-    TRAINING,
-    ResultFolder,
     prints_of,
     read_drop,
     read_impact,

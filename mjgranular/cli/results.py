@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import err, out, progress_bar, show_error
 from mjgranular.errors import (
     GranularError,
@@ -18,7 +19,6 @@ from mjgranular.errors import (
     OutputError,
     RenderError,
 )
-from mjgranular.experiment.folder import ResultFolder
 from mjgranular.pool import UNFINISHED, Journal, Workers
 
 if TYPE_CHECKING:

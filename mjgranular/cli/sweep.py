@@ -14,6 +14,7 @@ import numpy as np
 import tyro
 
 from mjgranular._util.parse import split_words
+from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.cli.console import note, out, progress_bar, show_error, table
 from mjgranular.cli.drop import DropCommand
 from mjgranular.cli.impact import ImpactCommand
@@ -29,7 +30,6 @@ from mjgranular.cli.options import (
 from mjgranular.cli.results import EngineOptions, FilmOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Between, Impact, Study, StudyResult, journal_of, run_study
-from mjgranular.experiment.folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.experiment.paper import cases_beside
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
 from mjgranular.experiment.table import need_parquet, write_csv, write_parquet

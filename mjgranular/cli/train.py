@@ -12,11 +12,11 @@ from typing import Annotated, Literal
 import tyro
 
 from mjgranular._util.extras import require
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.console import note, out, print_json, progress_bar, show_error
 from mjgranular.cli.options import given_options, option
 from mjgranular.cli.results import Flag
 from mjgranular.errors import InputError, MissingExtraError, warn_user
-from mjgranular.experiment.folder import ResultFolder
 from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.settings import change, find_settings
@@ -185,19 +185,17 @@ class TrainCommand:
 
 def _draw_curve(run: Run, training: Training) -> None:
     """Draw mean return against steps if matplotlib is installed."""
-    from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
-    from mjgranular.picture.plain import plain
+    from mjgranular.picture.figures import PALETTE, figure
+
+    rows = training.progress.curve
+    thousands, returns = [row[0] / 1e3 for row in rows], [row[3] for row in rows]
 
     def draw(path: Path) -> None:
-        figure, context = figure_of_size(6.4, 4.0)
-        axis = figure.subplots()
-        rows = training.progress.curve
-        thousands, returns = [row[0] / 1e3 for row in rows], [row[3] for row in rows]
-        axis.plot(thousands, returns, color=PALETTE[0], alpha=0.85)
-        axis.set_xlabel("steps [thousands]")
-        axis.set_ylabel("mean return of episodes in training")
-        figure.suptitle(plain(run.name))
-        save_figure(figure, context, path)
+        with figure(path, 6.4, 4.0, run.name) as drawn:
+            axis = drawn.subplots()
+            axis.plot(thousands, returns, color=PALETTE[0], alpha=0.85)
+            axis.set_xlabel("steps [thousands]")
+            axis.set_ylabel("mean return of episodes in training")
 
     name = "curve.png"
     with suppress(MissingExtraError):

@@ -17,8 +17,8 @@ from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
 from mjgranular.experiment.ground import hide_replaced, refuse_contradiction, refuse_floors
-from mjgranular.experiment.scenery import place_sun
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
+from mjgranular.render.scenery import place_sun
 from mjgranular.sand.prepare import fitted
 
 _NOT_OPTIONS = ("model", "height", "velocity", "duration", "state", "site")

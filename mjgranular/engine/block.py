@@ -72,12 +72,12 @@ HEADER_DTYPE = np.dtype(
         ("frame", np.int64),  # offset of a relief's axes in that record [bytes]
         ("tiles", np.int64),  # address: rectangles that it is drawn with (`look.TILES`)
         ("tile_count", np.int64),
-        ("material", np.int64),  # `look.PlaneLook`
+        ("material", np.int64),  # `SandMaterial`
         ("picture", np.int64),
         ("unit", np.float64),
         ("lowered", np.float64),
         ("shape_program", np.int64),  # address of machine code that shapes a skin; 0 without tracks
-        ("canvas", np.int64),  # address: what that fills (`prints.shape`)
+        ("canvas", np.int64),  # address: what that fills (`render.track_kernel`)
         ("skin", np.int64),  # id of the skin
         ("skin_pointer", np.int64),  # offset in mjModel of the pointer to vertices [bytes]
         ("skin_offset", np.int64),  # offset of the skin's first vertex from there [bytes]

@@ -163,7 +163,7 @@ def add_surface(scene, header, table, bodies):
 
 @compiled
 def add_prints(scene, header, table, bodies, model):
-    """Add sand with tracks, as `prints.Cover` does: skin, rectangles, or a field beyond it."""
+    """Add sand with tracks, as `render.TrackMesh` does: skin, rectangles, or a field beyond it."""
     canvas = canvases(header.canvas, 1)[0]
     canvas.surface = table[SCENE] + header.plane
     frame = _frames(canvas.surface + header.frame, 1)[0]

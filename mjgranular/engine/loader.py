@@ -38,11 +38,11 @@ from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.kernel.structs import array_size, check_layout, fields_of, offset_of, read_struct
 from mjgranular.kernel.threads import LOADER
 from mjgranular.medium import media
-from mjgranular.prints.cover import SIGNATURE, make_canvas, room_of
-from mjgranular.prints.look import NOT_SHOWN, TILE, TILES, PlaneLook, radius_of
-from mjgranular.prints.shape import shape_of
-from mjgranular.prints.skin import skin_of
 from mjgranular.relief.relief import Relief
+from mjgranular.render.material import NOT_SHOWN, TILE, TILES, SandMaterial, radius_of
+from mjgranular.render.skin import skin_of
+from mjgranular.render.track_kernel import shape_of
+from mjgranular.render.track_mesh import SIGNATURE, make_canvas, room_of
 from mjgranular.sand.prepare import PreparedSand, prepare
 from mjgranular.scheme import Auto
 from mjgranular.shape.select import names_in
@@ -364,7 +364,7 @@ def _drawing(
         if isinstance(sand.surface, Relief):
             skin = skin_of(model, name)
         if isinstance(surface, Plane):
-            look = PlaneLook.of(model, surface.normal, surface.offset, radius_of(model))
+            look = SandMaterial.of(model, surface.normal, surface.offset, radius_of(model))
     if look is None and skin < 0:
         chosen -= {"surface"}
     if not chosen:

@@ -13,9 +13,9 @@ from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import NAME
 from mjgranular.engine.plugin import check_registered
 from mjgranular.errors import InputError
-from mjgranular.prints import add_skin
-from mjgranular.prints.look import NOT_SHOWN, add_material, paint
 from mjgranular.relief.memory import as_memory
+from mjgranular.render import add_skin
+from mjgranular.render.material import NOT_SHOWN, add_material, paint
 from mjgranular.sand.spec import SandFields, SandSpec, combined
 from mjgranular.shape.select import names_in
 from mjgranular.surface import Bed, HeightField

@@ -1,4 +1,7 @@
-"""What workers need that only this process has: laws and media of a user's own, and his files."""
+"""What workers need that only this process has: custom laws and media, and files of a model.
+
+Ray's `runtime_env` would send files too, but only in `ray.init`, not to a session that exists.
+"""
 
 from __future__ import annotations
 
@@ -23,23 +26,23 @@ from mjgranular.errors import InputError
 from mjgranular.experiment.drop import loading
 from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.study import Experiment, Study
-from mjgranular.law import Law, get_law, law_in, laws, register_law
+from mjgranular.law import get_law, law_in, laws, register_law
 from mjgranular.medium import Medium, get_medium, media
 
 _LARGEST = 256 * 2**20  # bytes of a file; chosen
-_OURS = "mjgranular"
+_SHIPPED = dict(media)  # those of the package: every worker has them
 
 
 @dataclass(frozen=True)
-class OwnLaw:
-    """A law of a user's own.
+class CustomLaw:
+    """A law that is not part of the package.
 
     Attributes:
-        name: it is known by.
-        module: that has it.
+        name: its name.
+        module: its module.
         kind: name of its class there.
-        source: the module's file, for a machine that does not have it; None for one in a package,
-            which is to be installed there.
+        source: content of the module's file; None for a module of a package, which must be
+            installed on other machines.
     """
 
     name: str
@@ -50,144 +53,135 @@ class OwnLaw:
 
 @dataclass(frozen=True)
 class Baggage:
-    """What workers need beside an installed mjgranular.
+    """What workers need besides an installed mjgranular.
 
     Attributes:
-        laws: of the user's own.
-        media: of the user's own, by the names that the experiments have for them.
+        laws: custom laws.
+        media: custom media, by their names in the experiments.
         files: content of the model's files, by their paths on the machine of origin.
         origin: machine and process that it comes from.
-        name: by which a process recognizes it.
+        name: unique name.
     """
 
-    laws: tuple[OwnLaw, ...]
+    laws: tuple[CustomLaw, ...]
     media: Mapping[str, Medium]
     files: Mapping[Path, bytes]
     origin: tuple[str, int] = field(default_factory=lambda: (socket.gethostname(), os.getpid()))
     name: str = field(default_factory=lambda: secrets.token_hex(8))
 
     def digest(self) -> str:
-        """A sum of all contents: of other files the results would be others."""
-        summed = hashlib.sha256()
+        """Return a digest of all contents, on which results depend."""
+        digest = hashlib.sha256()
         for path, content in self.files.items():
-            summed.update(f"{path.name}\0{len(content)}\0".encode() + content)
+            digest.update(f"{path.name}\0{len(content)}\0".encode() + content)
         for law in self.laws:
-            summed.update(f"{law.name}\0".encode() + (law.source or b""))
+            digest.update(f"{law.name}\0".encode() + (law.source or b""))
         for name, medium in self.media.items():
-            summed.update(f"{name}\0{medium.density}{medium.constants}{medium.grain}".encode())
-        return summed.hexdigest()
+            digest.update(f"{name}\0{medium.density}{medium.constants}{medium.grain}".encode())
+        return digest.hexdigest()
 
 
 def pack(study: Study) -> Baggage:
-    """Collects what the workers of a study need.
+    """Collect what the workers of a study need.
 
     Raises:
-        InputError: a law that is defined where workers cannot get it, or a file that is too large.
+        InputError: a law is defined where workers cannot get it, or a file is too large.
     """
     return Baggage(
-        laws=tuple(_own_laws(study)),
-        media=dict(_own_media(study)),
+        laws=tuple(_custom_laws(study)),
+        media=dict(_custom_media(study)),
         files=_files(study.experiment),
     )
 
 
 def unpack(baggage: Baggage, experiment: Experiment) -> Experiment:
-    """Makes laws and media known to this process, and finds the model's files or writes them.
+    """Register laws and media in this process, and write the model's files if they are missing.
 
     Returns:
-        The experiment, with the place where its model is here.
+        The experiment, with the present path of its model.
     """
     if baggage.origin == (socket.gethostname(), os.getpid()):
         return experiment
     for law in baggage.laws:
         if law.name not in laws:
-            _learn(law)
+            _register(law)
     for name, medium in baggage.media.items():
         if name not in media:
             media.add(name, medium)
-    model = getattr(experiment, "model", None)
-    if not baggage.files or all(_is_here(*file) for file in baggage.files.items()):
+    if all(_is_here(path, content) for path, content in baggage.files.items()):
         return experiment
-    return replace(experiment, model=_written(baggage.files, model))  # pyright: ignore
+    assert not isinstance(experiment, Impact)
+    assert isinstance(experiment.model, Path)
+    return replace(experiment, model=_write(baggage.files, experiment.model.absolute()))
 
 
-def _named(study: Study, name: str) -> list[Any]:
-    """All values of a field that a study has."""
+def _values(study: Study, name: str) -> list[Any]:
+    """Return all values of a field in a study, except None."""
     varied = study.vary.get(name)
     base = getattr(study.experiment, name)
-    return [base] if varied is None else [str(value) for value in varied]  # pyright: ignore
+    values = [base] if varied is None else map(str, varied)  # pyright: ignore
+    return [value for value in values if value is not None]
 
 
-def _own_laws(study: Study) -> Iterable[OwnLaw]:
-    kinds: set[type[Law]] = set()
-    for text in _named(study, "law"):
-        if text is not None:
-            kinds.add(law_in(text)[0])
-            continue
-        for medium in _named(study, "medium"):
-            if medium is not None:
-                kinds.add(type(get_law(None, get_medium(medium))))
+def _custom_laws(study: Study) -> Iterable[CustomLaw]:
+    kinds = {law_in(text)[0] for text in _values(study, "law")}
+    if "law" not in study.vary and not kinds:
+        kinds = {type(get_law(None, get_medium(name))) for name in _values(study, "medium")}
     for kind in sorted(kinds, key=lambda kind: kind.name):
-        module = sys.modules.get(kind.__module__)
-        if kind.__module__.partition(".")[0] == _OURS:
+        package, _, within = kind.__module__.partition(".")
+        if package == "mjgranular":
             continue
-        if kind.__module__ == "__main__":
+        if package == "__main__":
             raise InputError(
                 f"the law {kind.name!r} is defined in a script or notebook, where workers do not "
                 "find it: put it into a module, a separate file"
             )
-        file = Path(getattr(module, "__file__", None) or "")
-        alone = "." not in kind.__module__ and file.suffix == ".py" and file.stem != "__init__"
+        file = Path(getattr(sys.modules.get(kind.__module__), "__file__", None) or "")
+        alone = not within and file.suffix == ".py" and file.stem != "__init__"
         source = read_file(file, "the module", largest=_LARGEST) if alone else None
-        yield OwnLaw(kind.name, kind.__module__, kind.__qualname__, source)
+        yield CustomLaw(kind.name, kind.__module__, kind.__qualname__, source)
 
 
-def _learn(law: OwnLaw) -> None:
-    """Imports the module of a law; on a machine that lacks it, what came along is written there."""
+def _register(law: CustomLaw) -> None:
+    """Register a law; on a machine that lacks its module, write that first."""
     what = f"the law {law.module}:{law.kind}"
     try:
         module = import_own(law.module, what)
     except KeyError:
         if law.source is None:
             raise
-        folder = _folder()
+        folder = _temporary_folder()
         (folder / f"{law.module}.py").write_bytes(law.source)
         sys.path.append(str(folder))
         module = import_own(law.module, what)
-    file = getattr(module, "__file__", None)
-    if law.source is not None and (file is None or not _is_here(Path(file), law.source)):
+    file = Path(module.__file__ or "")
+    if law.source is not None and not _is_here(file, law.source):
         raise InputError(
-            f"the module {law.module} on {socket.gethostname()} is another than the one here: "
+            f"the module {law.module} on {socket.gethostname()} differs from the one here: "
             f"remove it there ({file}), it is sent along"
         )
     if law.name not in laws:
         register_law(getattr(module, law.kind))
 
 
-def _own_media(study: Study) -> Iterable[tuple[str, Medium]]:
-    for name in _named(study, "medium"):
-        if name is None:
-            continue
-        name = str(name).partition(" density=")[0]
+def _custom_media(study: Study) -> Iterable[tuple[str, Medium]]:
+    for text in _values(study, "medium"):
+        name = str(text).partition(" density=")[0]
         medium = get_medium(name)
-        if name not in _SHIPPED or _SHIPPED[name] is not medium:
+        if _SHIPPED.get(name) is not medium:
             yield name, medium
 
 
-_SHIPPED = dict(media)  # those that the package has registered by now: every worker has them
-
-
 def _files(experiment: Experiment) -> dict[Path, bytes]:
-    """The model's file, and those that it names."""
+    """Return the content of the model's file, and of those that it refers to."""
     model = None if isinstance(experiment, Impact) else experiment.model
     if not isinstance(model, Path):
         return {}
-    own = model.absolute()
-    content = {own: read_file(own, "the model", largest=_LARGEST)}
+    content = {model.absolute(): read_file(model.absolute(), "the model", largest=_LARGEST)}
     if model.suffix.lower() in (".xml", ".urdf"):
         with loading(model.name):
-            named = mujoco.mju_getXMLDependencies(str(model))
-        for path in (Path(file).absolute() for file in named):
+            files = mujoco.mju_getXMLDependencies(str(model))
+        for path in (Path(file).absolute() for file in files):
             content[path] = read_file(path, "a file of the model", largest=_LARGEST)
     return content
 
@@ -199,27 +193,18 @@ def _is_here(path: Path, content: bytes) -> bool:
         return False
 
 
-def _written(files: Mapping[Path, bytes], model: Path) -> Path:
-    """Writes files, as they lie to each other, into a folder of this process; gives the model's."""
-    root = _common([*files])
-    folder = _folder()
+def _write(files: Mapping[Path, bytes], model: Path) -> Path:
+    """Write files, in the same relative places, to a temporary folder; return the model's path."""
+    root, folder = Path(os.path.commonpath([path.parent for path in files])), _temporary_folder()
     for path, content in files.items():
         place = folder / path.relative_to(root)
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_bytes(content)
-    return folder / model.absolute().relative_to(root)
+    return folder / model.relative_to(root)
 
 
-def _folder() -> Path:
-    """A folder that goes when this process ends."""
+def _temporary_folder() -> Path:
+    """Make a folder that is deleted when this process ends."""
     folder = Path(tempfile.mkdtemp(prefix="mjgranular-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
-
-
-def _common(paths: list[Path]) -> Path:
-    """The innermost folder that all files are in."""
-    folder = paths[0].parent
-    while not all(path.is_relative_to(folder) for path in paths):
-        folder = folder.parent
     return folder

@@ -20,22 +20,22 @@ def chain_length(body: str) -> int | None:
     """N of "chain:N", None for other bodies.
 
     Raises:
-        InputError: what follows the colon is not a number of links.
+        InputError: no number of links follows the colon.
     """
     word, colon, count = body.partition(":")
     if word != "chain":
         return None
     if not colon or not count.isdecimal() or int(count) < 1:
-        raise InputError(f"a chain is chain:N with N links, chain:2 for example, not {body!r}")
+        raise InputError(f"a chain of N links is chain:N, such as chain:2, got {body!r}")
     return int(count)
 
 
 def chain_drop(impact: Impact, count: int) -> Drop:
-    """The run in which a straight chain falls as the link of `impact` would.
+    """Return the drop of a straight chain that corresponds to the impact of a link.
 
     Args:
-        impact: release, size of one link, sand, time step. The angle is that of all links; T is
-            the lower end of the last, and the angular velocity turns the chain as a whole.
+        impact: release, size of one link, sand, time step. All links have the angle, T is the lower
+            end of the last, and the angular velocity is that of the whole chain.
         count: number of links.
     """
     chain = Chain(
@@ -64,7 +64,7 @@ def chain_drop(impact: Impact, count: int) -> Drop:
 
 
 def chain_summary(impact: Impact, count: int, result: DropResult) -> dict[str, Any]:
-    """The result with the keys of a link's impact, and what happened to each link."""
+    """Return the result with the keys of a link's impact, and a summary of each link."""
     stop = result.stop
     return {
         "body": f"chain:{count}",

@@ -1,11 +1,11 @@
-"""A user's model dropped on, dragged through or stood upon sand."""
+"""A model dropped on, dragged through or placed on sand."""
 
 from __future__ import annotations
 
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, asdict, dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.checks import is_finite, kind_of
+from mjgranular._util.checks import check_kind, is_finite, kind_of
 from mjgranular._util.io import check_regular, checked_fields, is_text, place
 from mjgranular.engine import show_prints
 from mjgranular.errors import (
@@ -34,14 +34,13 @@ from mjgranular.experiment.ground import (
     warn_of_carrying,
     watch_floors,
 )
-from mjgranular.experiment.scenery import add_cut_prints, add_scenery, place_sun
+from mjgranular.experiment.sampling import Recorder, Sampler
 from mjgranular.experiment.slips import warn_of_slips
-from mjgranular.experiment.tip import TipWatch
-from mjgranular.experiment.trajectory import Recorder
-from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.experiment.watch import REST_WINDOW, RestWatch, SiteWatch
 from mjgranular.models import Chain
-from mjgranular.prints import Prints, PrintsRecorder
 from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.render import Tracks
+from mjgranular.render.scenery import add_cut_prints, add_scenery, place_sun
 from mjgranular.sand import Sand
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.report import BodyReport
@@ -56,9 +55,7 @@ _PROGRESS_STEPS = 1000  # between two calls of `progress`
 
 @dataclass(frozen=True)
 class Drop(PlainSand):
-    """A run of a user's model on sand, SI units and radians.
-
-    The sand is described as in `PlainSand`.
+    """A run of a model on sand, SI units and radians; the sand is described as in `PlainSand`.
 
     Attributes:
         model: the MJCF file, or a chain.
@@ -69,7 +66,7 @@ class Drop(PlainSand):
         duration: simulated time [s].
         timestep: time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme.
         state: `qpos` and `qvel` to start from, one after the other; None for the model's own.
-        site: name of a site whose stop is looked for; needs a level surface.
+        site: name of a site whose stop is searched for; needs a level surface.
     """
 
     model: Path | Chain
@@ -88,23 +85,23 @@ class Drop(PlainSand):
             object.__setattr__(self, "model", Path(self.model))
         if not isinstance(self.model, (Path, Chain)):
             raise InputError(
-                f"a drop is of an MJCF file, Drop('robot.xml'), not of {kind_of(self.model)}: for "
-                "a model that is there already use Sand and sand.step(data)"
+                f"a drop is of an MJCF file, Drop('robot.xml'), got {kind_of(self.model)}: for "
+                "a model in memory use Sand and sand.step(data)"
             )
         if self.height is not None and not (is_finite(self.height) and self.height >= 0):
             raise InputError(
-                f"the height must be finite and not negative, not {shown(self.height)} m"
+                f"the height must be finite and not negative, got {shown(self.height)} m"
             )
         if not is_finite(self.velocity):
-            raise InputError(f"the velocity must be finite, not {shown(self.velocity)} m/s")
+            raise InputError(f"the velocity must be finite, got {shown(self.velocity)} m/s")
         for name, value in (("duration", self.duration), ("time step", self.timestep)):
             if value is not None and not (is_finite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, not {shown(value)} s")
+                raise InputError(f"the {name} must be positive and finite, got {shown(value)} s")
 
     def config(self) -> dict[str, Any]:
-        """The drop in plain values; `from_config` makes a drop of them again."""
+        """Return the drop in plain values, which `from_config` reads."""
         if isinstance(self.model, Chain):
-            # Without a limit the torque is infinite, which JSON does not know.
+            # Without a limit the torque is infinite, which JSON cannot express.
             model = {k: None if v == math.inf else v for k, v in asdict(self.model).items()}
         else:
             model = str(self.model)
@@ -112,10 +109,10 @@ class Drop(PlainSand):
 
     @classmethod
     def from_config(cls, config: object) -> Drop:
-        """The drop that `config` described.
+        """Return the drop of which `config` returned these values.
 
         Raises:
-            OutputError: it is of no drop; says what is wrong.
+            OutputError: they do not describe a drop; says what is wrong.
         """
         where = "the drop's configuration"
         plain = {**config} if isinstance(config, dict) else {}
@@ -130,14 +127,13 @@ class Drop(PlainSand):
             plain["model"] = Path(str(model))
         else:
             raise OutputError(f"{where} names no model")
-        for key in ("bodies", "geoms", "groups", "state", "instead_of"):  # absent in older ones
-            if plain.get(key) is not None:
-                plain[key] = tuple(plain[key])
+        for key, value in plain.items():
+            plain[key] = tuple(value) if isinstance(value, list) else value
         return cls(**plain)
 
     @property
     def title(self) -> str:
-        """Name of what runs, in a word or two."""
+        """Short name of the model."""
         if isinstance(self.model, Chain):
             return f"chain of {self.model.count}"
         return self.model.name
@@ -150,10 +146,10 @@ class BodySummary:
     Attributes:
         body: its name.
         greatest_depth: [m]; negative if it never met the sand.
-        greatest_force: size [N].
+        greatest_force: magnitude [N].
         energy_into_sand: work of the body on the sand [J].
-        within_validity: share of the samples in the sand at which the law held, 0 to 1; None if it
-            never met the sand.
+        within_validity: share of the samples in the sand at which the law was valid, 0 to 1; None
+            if it never met the sand.
         exceeded: measures of validity whose limits it passed, with the greatest values.
     """
 
@@ -164,30 +160,51 @@ class BodySummary:
     within_validity: float | None
     exceeded: dict[str, float]
 
+    @classmethod
+    def of(cls, reports: Sequence[BodyReport], energy: float) -> BodySummary:
+        """Summarize the reports of a body at all samples, and the energy [J] that it gave."""
+        in_sand = [report for report in reports if report.depth > 0]
+        exceeded: dict[str, float] = {}
+        for report in in_sand:
+            for standing in report.validity:
+                if not standing.holds and standing.value is not None:
+                    measure = standing.limit.measure
+                    exceeded[measure] = max(exceeded.get(measure, 0.0), standing.value)
+        valid = [report.valid for report in in_sand]
+        return cls(
+            body=reports[0].body,
+            greatest_depth=float(max(report.depth for report in reports)),
+            greatest_force=float(np.linalg.norm([r.force for r in reports], axis=1).max()),
+            energy_into_sand=float(energy),
+            within_validity=sum(valid) / len(valid) if valid else None,
+            exceeded=exceeded,
+        )
+
 
 @dataclass(frozen=True)
 class DropResult:
     """A finished run.
 
     Attributes:
-        drop: what was asked for.
+        drop: the run that was requested.
         xml: the model as it ran, by daylight.
         medium: name of the medium, or the file that it was read from.
-        law: name of the law that acted.
+        law: name of the law.
+        scheme: name of the scheme.
         timestep: [s].
         elements: number of elements.
-        stop: time since it touched the sand [s] and depth [m] of the site when its vertical
-            velocity was first zero; None if that was not looked for, or did not happen.
+        stop: time since the site touched the sand [s] and its depth [m] when its vertical velocity
+            was first zero; None if that was not searched for, or did not happen.
         rest: time from which every body stays where it is [s]; None if they still move.
-        bodies: one summary a body.
+        bodies: one summary per body.
         t: times of the samples [s], shape (n,).
         qpos: shape (n, nq).
         qvel: shape (n, nv).
-        depth: of each body [m], shape (n, bodies).
-        point: where it acts on each body's deepest element [m], shape (n, bodies, 3).
-        force: of the sand on each body [N], shape (n, bodies, 3).
-        power: of the sand on each body [W], shape (n, bodies).
-        prints: what the sand remembered; None for sand that does not.
+        depth: depth of each body [m], shape (n, bodies).
+        point: point of action on each body's deepest element [m], shape (n, bodies, 3).
+        force: force of the sand on each body [N], shape (n, bodies, 3).
+        power: power of the sand on each body [W], shape (n, bodies).
+        prints: tracks in the sand; None for sand without memory.
     """
 
     drop: Drop
@@ -207,10 +224,10 @@ class DropResult:
     point: np.ndarray
     force: np.ndarray
     power: np.ndarray
-    prints: Prints | None = None
+    prints: Tracks | None = None
 
     def summary(self) -> dict[str, Any]:
-        """The result in plain numbers, SI units."""
+        """Return the result in plain numbers, SI units."""
         return {
             "model": self.drop.title,
             "law": self.law,
@@ -224,9 +241,27 @@ class DropResult:
             "bodies": [asdict(body) for body in self.bodies],
         }
 
+    def row(self) -> dict[str, Any]:
+        """Return the result as one row of a table: all bodies together, then each of them."""
+        summary, bodies = self.summary(), self.bodies
+        del summary["bodies"]
+        valid = [body.within_validity for body in bodies if body.within_validity is not None]
+        row = {
+            **summary,
+            "greatest_depth": max(body.greatest_depth for body in bodies),
+            "greatest_force": max(body.greatest_force for body in bodies),
+            "energy_into_sand": sum(body.energy_into_sand for body in bodies),
+            "within_validity": min(valid, default=None),
+        }
+        for body in map(asdict, bodies):
+            name, exceeded = body.pop("body"), body.pop("exceeded")
+            row |= {f"{name}: {key}": value for key, value in body.items()}
+            row |= {f"{name}: {measure} reached": value for measure, value in exceeded.items()}
+        return row
+
 
 def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> DropResult:
-    """Runs a user's model on sand.
+    """Run a model on sand.
 
     Args:
         drop: the run.
@@ -238,10 +273,9 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         UnstableError: the simulation diverged.
 
     Warns:
-        FloorWarning: ground of the model's own has carried it, and `keep_floor` is not said.
+        FloorWarning: the model's own ground has carried it, without `keep_floor`.
     """
-    if not isinstance(drop, Drop):
-        raise InputError(f"run_drop takes a Drop(path, ...), not {kind_of(drop)}")
+    check_kind(drop, Drop, "run_drop", "Drop(path, ...)")
     warn_of_slips(lengths={"the height of the start": drop.height}, speed=drop.velocity)
     model, xml = load(drop)
     if not drop.keep_floor:
@@ -253,54 +287,66 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         sand = Sand(model, drop.sand)
     data = mujoco.MjData(model)
     _place(drop, model, data, sand)
-
+    site = None
+    if drop.site is not None:
+        site = SiteWatch(model, data, drop.site, height=drop.surface_height)
+    sampler = Sampler(sand, data, drop.duration)
     recorder = Recorder(1 + model.nq + model.nv, keep=2048)
-    prints = None if sand.memory is None else PrintsRecorder(sand, data, drop.duration)
+    recorder.due()
+    sampler.take(0.0, recorder)
+    meter, floors = WorkMeter(sand, data), watch_floors(model, drop.sand)
     watch, rest = RestWatch(), None
-    ground = watch_floors(model, drop.sand)
     check_every = max(1, round(REST_WINDOW / model.opt.timestep / 20))
     moving = sorted({int(body) for body in sand.elements["body"]})
     begin = data.time
     total = math.ceil(drop.duration / model.opt.timestep - 1e-9)
-    tip = (
-        None if drop.site is None else TipWatch(model, data, drop.site, height=drop.surface_height)
-    )
-    recorder.due()
-    recorder.take(0.0, data.qpos, data.qvel)
-    meter = WorkMeter(sand, data)
-    felt: dict[float, tuple[BodyReport, ...]] = {}
-    if prints is not None:
-        prints.look(0.0)
     for step in range(1, total + 1):
         sand.step(data)
-        ground.look(data)
+        time = data.time - begin
+        floors.look(data)
         meter.add()
-        if tip is not None:
-            tip.follow(data)
+        if site is not None:
+            site.follow(data)
         if recorder.due() or step == total:
-            recorder.take(data.time - begin, data.qpos, data.qvel)
-            if prints is not None:
-                felt[data.time - begin] = sand.report(data).bodies
-        if prints is not None:
-            prints.look(data.time - begin, last=step == total)
+            sampler.take(time, recorder)
+        sampler.look(time, last=step == total)
         if step % check_every == 0:
-            still = watch.still(data.time - begin, data.xpos[moving])
-            rest = watch.since if still else None
+            rest = watch.since if watch.still(time, data.xpos[moving]) else None
         if progress is not None and step % _PROGRESS_STEPS == 0:
-            progress(data.time - begin)
+            progress(time)
     if not drop.keep_floor:
-        warn_of_carrying(model, ground)
-    stop = None if tip is None else tip.stop
-    seen = None if prints is None else prints.prints()
-    return _result(drop, xml, sand, recorder.rows(), -meter.work, stop, rest, seen, felt)
+        warn_of_carrying(model, floors)
+    rows = recorder.rows()
+    reports = sampler.reports(rows)
+    arrays = {
+        name: np.array([[getattr(body, name) for body in bodies] for bodies in reports])
+        for name in ("depth", "point", "force", "power")
+    }
+    return DropResult(
+        drop=drop,
+        xml=xml,
+        medium=drop.medium or sand.medium.name,
+        law=drop.law or sand.law.name,
+        scheme=sand.scheme.name,
+        timestep=float(model.opt.timestep),
+        elements=len(sand.elements),
+        stop=None if site is None else site.stop,
+        rest=rest,
+        bodies=tuple(map(BodySummary.of, zip(*reports, strict=True), -meter.work)),
+        t=rows[:, 0],
+        qpos=rows[:, 1 : 1 + model.nq],
+        qvel=rows[:, 1 + model.nq :],
+        **arrays,
+        prints=sampler.tracks(),
+    )
 
 
 def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
-    """The compiled model by daylight, and its XML.
+    """Return the compiled model by daylight, and its XML.
 
     Raises:
         InputError: MuJoCo cannot load it.
-        UnknownNameError: it lacks a geom that the sand is to replace.
+        UnknownNameError: it lacks a geom that the sand replaces.
     """
     with loading(drop.title):
         spec = read(drop)
@@ -318,7 +364,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
 
 @contextmanager
 def loading(title: object) -> Iterator[None]:
-    """Has what MuJoCo raises say which model it is about, as an `InputError`."""
+    """Turn errors of MuJoCo into an `InputError` that names the model."""
     try:
         yield
     except GranularError:
@@ -330,7 +376,7 @@ def loading(title: object) -> Iterator[None]:
 
 
 def read(drop: Drop) -> mujoco.MjSpec:
-    """The model as it is in its file, with the time step of the run."""
+    """Read the model from its file, and set the time step of the run."""
     if isinstance(drop.model, Chain):
         spec = drop.model.spec()
     else:
@@ -349,9 +395,7 @@ def read(drop: Drop) -> mujoco.MjSpec:
 
 
 def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
-    """Gives a user's model scenery, and an integrator that sand can be stepped with.
-
-    A chain has both.
+    """Give a model scenery, and an integrator that works with sand. A chain has both.
 
     Warns:
         GranularWarning: the model asks for RK4.
@@ -361,24 +405,24 @@ def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         warn_user(
-            f"{drop.title} asks for the integrator RK4, within which sand cannot hold a body at "
+            f"{drop.title} asks for the integrator RK4, with which sand cannot hold a body at "
             "rest: it runs with implicitfast"
         )
     add_scenery(spec, drop.surface)
 
 
 def memory_of(drop: Drop, model: mujoco.MjModel) -> Memory | None:
-    """How the sand of a run remembers, on its model; None for sand that does not."""
+    """Return the memory of the sand of a run, on its model; None for sand without memory."""
     return as_memory(fitted(model, drop.sand).memory)
 
 
 def surface_drawn(drop: Drop) -> Surface | None:
-    """The surface that is to be drawn into pictures of a run; None where the model shows it."""
+    """Return the surface to draw into pictures of a run; None if the model shows it."""
     return None if isinstance(drop.model, Chain) else drop.surface
 
 
 def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:
-    """Starts from a keyframe; None for as the model is.
+    """Set the state of a keyframe; None to change nothing.
 
     Raises:
         UnknownNameError: the model has no such keyframe; lists those it has.
@@ -393,7 +437,7 @@ def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None)
 
 
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
-    """Starts from the keyframe, lifts and throws the model as asked."""
+    """Set the state at the start: keyframe, state, height and velocity of the drop."""
     start_from(model, data, drop.keyframe)
     if drop.state is not None:
         if len(drop.state) != model.nq + model.nv:
@@ -408,7 +452,7 @@ def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -
     if not roots:
         raise InputError(
             "the model has no free joint and no vertical slide at its root: it can be neither "
-            "lifted (--height) nor thrown (--velocity); start from a keyframe instead"
+            "lifted (--height) nor thrown (--velocity); use a keyframe instead"
         )
     for position, velocity, sign in roots:
         data.qvel[velocity] -= sign * drop.velocity
@@ -420,7 +464,7 @@ def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -
 
 
 def _vertical_dofs(model: mujoco.MjModel) -> list[tuple[int, int, float]]:
-    """For each root body that can go up and down: index in qpos, in qvel, and the sense of up."""
+    """Return index in `qpos` and `qvel` and sign of up, for each vertical joint of a root body."""
     found = []
     for joint in range(model.njnt):
         body = int(model.jnt_bodyid[joint])
@@ -434,72 +478,3 @@ def _vertical_dofs(model: mujoco.MjModel) -> list[tuple[int, int, float]]:
             if abs(up) > 0.999:
                 found.append((position, velocity, math.copysign(1.0, up)))
     return found
-
-
-def _result(
-    drop: Drop,
-    xml: str,
-    sand: Sand,
-    rows: np.ndarray,
-    energy: np.ndarray,
-    stop: tuple[float, float] | None,
-    rest: float | None,
-    prints: Prints | None,
-    felt: Mapping[float, tuple[BodyReport, ...]],
-) -> DropResult:
-    """Works out from samples of the state what the sand did.
-
-    What sand that remembers does follows from more than a sample: that is in `felt`, by times.
-    """
-    model = sand.model
-    data = mujoco.MjData(model)
-    t, qpos, qvel = rows[:, 0], rows[:, 1 : 1 + model.nq], rows[:, 1 + model.nq :]
-    reports = []
-    for row in rows:
-        data.qpos[:] = row[1 : 1 + model.nq]
-        data.qvel[:] = row[1 + model.nq :]
-        seen = felt.get(float(row[0]))
-        reports.append(sand.report(data).bodies if seen is None else seen)
-    depth = np.array([[body.depth for body in bodies] for bodies in reports])
-    point = np.array([[body.point for body in bodies] for bodies in reports])
-    force = np.array([[body.force for body in bodies] for bodies in reports])
-    power = np.array([[body.power for body in bodies] for bodies in reports])
-    summaries = []
-    for k, body in enumerate(reports[0]):
-        mine = [bodies[k] for bodies in reports if bodies[k].depth > 0]
-        exceeded: dict[str, float] = {}
-        for report in mine:
-            for standing in report.validity:
-                if not standing.holds and standing.value is not None:
-                    measure = standing.limit.measure
-                    exceeded[measure] = max(exceeded.get(measure, 0.0), standing.value)
-        summaries.append(
-            BodySummary(
-                body=body.body,
-                greatest_depth=float(depth[:, k].max()),
-                greatest_force=float(np.linalg.norm(force[:, k], axis=1).max()),
-                energy_into_sand=float(energy[k]),
-                within_validity=sum(r.valid for r in mine) / len(mine) if mine else None,
-                exceeded=exceeded,
-            )
-        )
-    return DropResult(
-        drop=drop,
-        xml=xml,
-        medium=drop.medium or sand.medium.name,
-        law=drop.law or sand.law.name,
-        scheme=sand.scheme.name,
-        timestep=float(model.opt.timestep),
-        elements=len(sand.elements),
-        stop=stop,
-        rest=rest,
-        bodies=tuple(summaries),
-        t=t,
-        qpos=qpos,
-        qvel=qvel,
-        depth=depth,
-        point=point,
-        force=force,
-        power=power,
-        prints=prints,
-    )

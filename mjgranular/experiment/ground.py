@@ -1,4 +1,4 @@
-"""Sand in plain values, and the ground that a user's model brings along."""
+"""Sand in plain values, and ground that is part of a user's model."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 
 from mjgranular.errors import FloorWarning, InputError, warn_user
-from mjgranular.prints.look import NOT_SHOWN
+from mjgranular.render.material import NOT_SHOWN
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
 from mjgranular.shape.select import find_all, names_in
@@ -21,13 +21,13 @@ from mjgranular.surface.place import replace_geoms
 class PlainSand:
     """A `SandSpec` in plain values, SI units and radians, as folders of results have it.
 
-    None and `()` stand for no choice. The command line shows these texts too.
+    None and `()` select the default. The command line shows these descriptions too.
 
     Attributes:
         medium: name of the sand, see `mjgranular list media`, or a YAML file. Default:
             by the law, or quikrete_medium.
         law: the force law, see `mjgranular list laws`. "rft3d scale=1.3" has other parameters than
-            the medium, my_laws:Mud is your own law. Default: the medium's.
+            the medium, my_laws:Mud is a custom law. Default: the medium's.
         scheme: how forces become a step.
         surface_height: height of the surface above the world's origin [m].
         slope: slope of the surface [rad].
@@ -36,13 +36,13 @@ class PlainSand:
         height_field: name of an hfield geom of the model that is the sand.
         bodies: bodies that meet the sand, by name or number. Default: all that can move.
         geoms: geoms that meet the sand, by name or number, visual or not; `all` is all that
-            collide. What bodies, geoms and groups name is taken together.
+            collide. Bodies, geoms and groups are combined.
         groups: geom groups whose collision geoms meet the sand; of a group of visual ones, all.
         resolution: how finely bodies are cut into elements. Default: the law's.
         instead_of: geoms that the sand replaces, such as a floor that would carry the model above
             the sand.
-        memory: side of a cell [m], or words such as "cell=0.01 extent=4", for sand that remembers
-            what has been pressed down. Default: it closes behind what has passed.
+        memory: side of a cell [m], or words such as "cell=0.01 extent=4", for sand that keeps
+            tracks. Default: it closes behind a body.
         keep_floor: let the model stand on its own ground at or above the surface of the sand.
     """
 
@@ -71,7 +71,7 @@ class PlainSand:
                 if getattr(self, name) != 0.0:
                     option = f"--{name.replace('_', '-')}"
                     raise InputError(
-                        f"{own} lies as its geom does: {option} is for a plane, leave it away"
+                        f"{own} has the pose of its geom: {option} is for a plane, omit it"
                     )
         elif self.uphill != 0.0 and self.slope == 0.0:
             raise InputError("--uphill is the direction of a slope: add --slope")
@@ -79,7 +79,7 @@ class PlainSand:
 
     @property
     def surface(self) -> Surface:
-        """Surface of the sand."""
+        """The surface of the sand."""
         if self.bed is not None:
             return Bed(self.bed)
         if self.height_field is not None:
@@ -104,65 +104,61 @@ class PlainSand:
 
 
 def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
-    """Have viewers and films omit what the sand replaces.
+    """Hide geoms that the sand replaces in viewers and films.
 
     Raises:
-        UnknownNameError: the model has no such geom; lists those there are.
+        UnknownNameError: the model has no such geom; lists the valid names.
     """
     model.geom_group[find_all(model, "geom", sand.instead_of)] = NOT_SHOWN
 
 
 def refuse_contradiction(model: mujoco.MjModel, sand: SandSpec) -> None:
-    """Refuses to keep ground, where all that could be kept is what the sand replaces.
+    """Check that `keep_floor` has ground to keep besides what the sand replaces.
 
-    Args:
-        model: the model; contacts of what the sand replaces are switched off in it.
-        sand: the sand.
+    Contacts of geoms that the sand replaces are switched off in the model.
 
     Raises:
-        InputError: says which of the two options is to go.
+        InputError: it has not; says which of the two options to omit.
     """
-    replace_geoms(model, sand.instead_of)
-    if not find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface)):
+    if not _floors(model, sand):
         names = " ".join(map(str, names_in(sand.instead_of)))
         raise InputError(
-            f"--keep-floor has no other ground to keep than {names}, which --instead-of has the "
-            "sand replace: leave one of the two away"
+            f"--keep-floor has no other ground to keep than {names}, which --instead-of replaces "
+            "with sand: omit one of the two"
         )
 
 
 def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
-    """Refuses a model whose own ground carries it at or above the sand's surface.
+    """Check that no ground of the model carries it at or above the sand's surface.
 
-    Args:
-        model: the model; contacts of what the sand replaces are switched off in it.
-        sand: the sand.
+    Contacts of geoms that the sand replaces are switched off in the model.
 
     Raises:
-        InputError: names the ground, and the options that help.
+        InputError: some does; says which, and which options help.
     """
+    if floors := _floors(model, sand):
+        raise InputError(_about(model, floors, WOULD_CARRY))
+
+
+def _floors(model: mujoco.MjModel, sand: SandSpec) -> list[int]:
     replace_geoms(model, sand.instead_of)
-    floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
-    if floors:
-        names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
-        raise InputError(
-            f"{describe_floors(model, floors, WOULD_CARRY)}: let the sand replace it with "
-            f"--instead-of {names}, or say --keep-floor if it is to stand on that"
-        )
+    return find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
 
 
 def watch_floors(model: mujoco.MjModel, sand: SandSpec) -> FloorWatch:
-    """Watch of a run for ground of the model's own."""
+    """Return a watch for ground of the model that carries it during a run."""
     return FloorWatch(model, geoms_in_sand(model, sand), surface_of(sand.surface))
 
 
 def warn_of_carrying(model: mujoco.MjModel, watch: FloorWatch) -> None:
-    """Warns at the end of a run of ground that has carried the model."""
-    floors = sorted(watch.floors)
-    if floors:
-        names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
-        warn_user(
-            f"{describe_floors(model, floors, CARRIES)}: let the sand replace it with --instead-of "
-            f"{names}, or say --keep-floor if it is to stand on that",
-            FloorWarning,
-        )
+    """Warn at the end of a run if ground of the model has carried it."""
+    if floors := sorted(watch.floors):
+        warn_user(_about(model, floors, CARRIES), FloorWarning)
+
+
+def _about(model: mujoco.MjModel, floors: list[int], what: str) -> str:
+    names = " ".join(model.geom(geom).name or str(geom) for geom in floors)
+    return (
+        f"{describe_floors(model, floors, what)}: let the sand replace it with --instead-of "
+        f"{names}, or say --keep-floor if it is to stand on that"
+    )

@@ -1,4 +1,4 @@
-"""One drop, as asked for and as it ended."""
+"""The impact of a link: its options and its result."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from mjgranular.law.link import LINK_KEYS, DistributedLinkLaw, LinkLaw
 from mjgranular.medium import get_medium
 from mjgranular.models import Projectile
 from mjgranular.models.projectile import Shape
-from mjgranular.prints import Prints
 from mjgranular.relief.memory import Memory, as_memory
+from mjgranular.render import Tracks
 from mjgranular.sand import Sand, SandSpec
 from mjgranular.scheme import get_scheme
 from mjgranular.scheme.explicit import largest_step
@@ -35,7 +35,7 @@ class Impact:
     Attributes:
         speed: velocity of the lower end T at release, down [m/s].
         angle: angle of the link from the vertical, less than a right angle [rad].
-        tangential_speed: velocity of T along the surface at release, towards the side that the link
+        tangential_speed: velocity of T along the surface at release, toward the side that the link
             leans to [m/s].
         angular_velocity: rate of change of the angle at release [rad/s].
         height: height of T above the surface at release [m].
@@ -48,7 +48,7 @@ class Impact:
         until: "stop" ends the run when T stops, "rest" when the whole link does, which needs a law
             such as link_distributed.
         duration: simulated time after which the run ends at the latest [s].
-        body: what falls: link, or another shape of that length and diameter.
+        body: shape of the body: link, or another shape of that length and diameter.
     """
 
     speed: float = 10.0
@@ -71,39 +71,39 @@ class Impact:
     def __post_init__(self) -> None:
         for name in ("speed", "angle", "tangential_speed", "angular_velocity", "height"):
             if not is_finite(getattr(self, name)):
-                raise InputError(f"{name} must be finite, not {shown(getattr(self, name))}")
+                raise InputError(f"{name} must be finite, got {shown(getattr(self, name))}")
         if self.speed < 0:
             raise InputError(
-                f"the speed of T is downward and must not be negative, not {self.speed} m/s"
+                f"the speed of T is downward and must not be negative, got {self.speed} m/s"
             )
         if abs(self.angle) >= math.pi / 2:
             raise InputError(
-                f"the angle from the vertical must be less than 90 degrees, not "
-                f"{degrees(self.angle):g}: a link that lies flat meets the sand with its whole "
-                "length at once, and the law's immersed length y_T / cos q has no meaning there"
+                f"the angle from the vertical must be less than 90 degrees, got "
+                f"{degrees(self.angle):g}: a flat link meets the sand with its whole length at "
+                "once, and the law's immersed length y_T / cos q has no meaning there"
             )
         if self.height < 0:
             raise InputError(
                 f"the link would start below the surface: the height of T must be 0 or more, "
-                f"not {self.height} m"
+                f"got {self.height} m"
             )
         for name, value in (("time step", self.timestep), ("duration", self.duration)):
             if not (is_finite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, not {value} s")
+                raise InputError(f"the {name} must be positive and finite, got {value} s")
         if self.timestep > self.duration:
             raise InputError(
                 f"the time step ({self.timestep} s) is longer than the duration ({self.duration} s)"
             )
         if self.until not in get_args(Until):
             raise InputError(
-                f"until must be one of {', '.join(get_args(Until))}, not {self.until!r}"
+                f"until must be one of {', '.join(get_args(Until))}, got {self.until!r}"
             )
         if not isinstance(self.law, str | None) or not isinstance(self.medium, str):
             what = self.medium if isinstance(self.law, str | None) else self.law
-            raise InputError(f"medium and law of an impact are names, not {kind_of(what)}")
+            raise InputError(f"medium and law of an impact must be names, got {kind_of(what)}")
         if isinstance(self.memory, Memory):
             raise InputError(
-                "memory of an impact is in plain values: the side of a cell [m], or words such as "
+                "memory of an impact must be the side of a cell [m], or words such as "
                 "'cell=0.005 extent=1'"
             )
         as_memory(self.memory)
@@ -114,28 +114,28 @@ class Impact:
 
     @property
     def title(self) -> str:
-        """Name of what falls."""
+        """Name of the body."""
         return self.body
 
     @property
     def link(self) -> Projectile:
-        """The link, or the body in its place."""
+        """The link, or the body that replaces it."""
         return Projectile(self.length, self.diameter, self.density, self.body)
 
     @property
     def scheme_taken(self) -> str:
-        """Name of the scheme that acts."""
+        """Name of the scheme that is used."""
         if self.scheme is not None:
             return self.scheme
         return "implicit" if get_law(self.law, get_medium(self.medium)).adds_mass else "explicit"
 
     def sand(self, model: mujoco.MjModel) -> Sand:
-        """The sand, on the link's model."""
+        """Return the sand, on the link's model."""
         return Sand(model, self.described)
 
     @property
     def described(self) -> SandSpec:
-        """The sand, as one record."""
+        """Description of the sand."""
         return SandSpec(
             medium=self.medium,
             law=self.law,
@@ -145,16 +145,16 @@ class Impact:
         )
 
     def largest_step(self) -> float:
-        """The largest time step that is sure not to make the drag overshoot [s].
+        """Return the largest time step for which the drag is sure not to overshoot [s].
 
-        At immersed length l the drag is `eta_d rho_g d l |v| v` at most, at E, whose effective
-        mass is `1 / (1/m + L_CE^2/I)`; over l the ratio is greatest for the whole link, l = L,
-        where E is C. The speed at E is at most that at release, with what gravity adds on the way.
+        At immersed length l the drag is at most `eta_d rho_g d l |v| v`, at E, whose effective
+        mass is `1 / (1/m + L_CE^2/I)`. The ratio is greatest for the whole link, l = L, where E is
+        C. The speed at E is at most that at release, plus what gravity adds on the way.
         """
         link = self.link
         medium = get_medium(self.medium)
         if not isinstance(get_law(self.law, medium), (LinkLaw, DistributedLinkLaw)):
-            return math.inf  # of the others no such bound is known
+            return math.inf  # no bound is known for the others
         eta_d = medium.constants_for("link")[LINK_KEYS[0]]
         at_release = math.hypot(self.speed, self.tangential_speed)
         at_release += abs(self.angular_velocity) * link.length
@@ -168,12 +168,12 @@ class Stop:
     """The instant at which the vertical velocity of T is first zero.
 
     Attributes:
-        time: since T touched the surface [s]: the stopping time.
-        depth: of T [m].
-        x: of T along the surface, from where it was released [m].
-        angle: of the link from the vertical [rad].
+        time: time since T touched the surface [s]: the stopping time.
+        depth: depth of T [m].
+        x: position of T along the surface, from the release [m].
+        angle: angle of the link from the vertical [rad].
         angular_velocity: [rad/s].
-        step: index of the step within which it lies.
+        step: index of the step that contains it.
     """
 
     time: float
@@ -189,9 +189,9 @@ class Rest:
     """The instant from which both ends of the link stay where they are.
 
     Attributes:
-        time: since T touched the surface [s].
-        depth: of the deeper end [m].
-        angle: of the link from the vertical [rad], in (-pi/2, pi/2].
+        time: time since T touched the surface [s].
+        depth: depth of the deeper end [m].
+        angle: angle of the link from the vertical [rad], in (-pi/2, pi/2].
     """
 
     time: float
@@ -204,14 +204,14 @@ class ImpactResult:
     """A finished run.
 
     Attributes:
-        impact: what was asked for.
-        law: name of the law that acted.
+        impact: the drop that was requested.
+        law: name of the law.
         touchdown: time from release until T touched the surface [s]; None if it did not.
         stop: when T stopped; None if it did not.
-        rest: when the link came to rest; None if it did not, or was not waited for.
+        rest: when the link came to rest; None if it did not, or the run ended at the stop.
         trajectory: the samples.
         steps: number of steps taken.
-        prints: what the sand remembered; None for sand that does not.
+        prints: tracks in the sand; None for sand without memory.
     """
 
     impact: Impact
@@ -221,10 +221,10 @@ class ImpactResult:
     rest: Rest | None
     trajectory: Trajectory
     steps: int
-    prints: Prints | None = None
+    prints: Tracks | None = None
 
     def summary(self) -> dict[str, Any]:
-        """The result in plain numbers, SI units; angles in degrees where the name says so."""
+        """Return the result in plain numbers, SI units; names with `_deg` are in degrees."""
         stop, rest, impact = self.stop, self.rest, self.impact
         return {
             "law": self.law,

@@ -1,4 +1,4 @@
-"""Intrusion, the first experiment: the force on a body moved on a prescribed path."""
+"""Intrusion: the force on a body that is moved on a prescribed path."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from mjgranular.scheme import Explicit
 
 Intruder = Literal["plate", "sphere", "cylinder", "capsule", "box"]
 _BODY = "intruder"
+_FORCES = ("resistance", "lift", "sideways")
 
 
 @dataclass(frozen=True)
 class Intrusion:
     """An intruder on a straight path through level sand, SI units and radians.
 
-    The path lies in the plane y = 0 and is travelled at constant speed, the intruder kept at its
-    tilt; it is moved, not pushed, so that its mass plays no part. `law` and `resolution` are those
-    of `PlainSand`.
+    The path is in the plane y = 0; speed and tilt are constant. The intruder is moved, not pushed,
+    so its mass has no effect. `law` and `resolution` are those of `PlainSand`.
 
     Attributes:
         intruder: shape of the intruder, if no model is given. A plate is `size` square and a tenth
@@ -39,7 +39,7 @@ class Intrusion:
         geom: name of the geom in that file. Default: all of it.
         tilt: tilt of the intruder: positive lifts its +x side [rad].
         direction: direction of motion below the horizontal; 0 is along +x [rad].
-        speed: speed, which matters to laws with inertia and to validity [m/s].
+        speed: speed, which affects laws with inertia and validity [m/s].
         start: depth of the deepest point at the start [m].
         depth: depth of the deepest point at the end of a path that goes down or up [m].
         distance: length of the path [m]. Default: as far as `depth` asks for.
@@ -67,26 +67,24 @@ class Intrusion:
             raise UnknownNameError("intruder", self.intruder, get_args(Intruder))
         for name, value in (("size", self.size), ("speed", self.speed)):
             if not (is_finite(value) and value > 0):
-                raise InputError(f"the {name} must be positive and finite, not {shown(value)}")
+                raise InputError(f"the {name} must be positive and finite, got {shown(value)}")
         for name in ("tilt", "direction", "start", "depth"):
             if not is_finite(getattr(self, name)):
-                raise InputError(f"the {name} must be finite, not {shown(getattr(self, name))}")
+                raise InputError(f"the {name} must be finite, got {shown(getattr(self, name))}")
         for name in ("tilt", "direction"):
             if not abs(getattr(self, name)) <= math.pi:
                 raise InputError(
-                    f"the {name} must be within 180 degrees (pi = 3.1416 rad) either way, not "
+                    f"the {name} must be within 180 degrees (pi = 3.1416 rad) either way, got "
                     f"{degrees(getattr(self, name)):g} degrees ({getattr(self, name):.4g} rad)"
                 )
-        check_count("points", self.points)
-        if self.points < 2:
-            raise InputError(f"a path needs at least 2 points, not {self.points}")
+        check_count("points", self.points, least=2)
         if self.geom is not None and self.model is None:
-            raise InputError("--geom names a geom of a model: give the model too")
+            raise InputError("--geom is the name of a geom of a model: give the model too")
         _ = self.length
 
     @property
     def title(self) -> str:
-        """Name of what is moved."""
+        """Name of the intruder."""
         if self.model is not None:
             return self.geom or self.model.name
         return f"{self.intruder} of {self.size * 1e3:g} mm"
@@ -96,7 +94,7 @@ class Intrusion:
         """Length of the path [m]."""
         if self.distance is not None:
             if not (math.isfinite(self.distance) and self.distance > 0):
-                raise InputError(f"the distance must be positive, not {self.distance} m")
+                raise InputError(f"the distance must be positive, got {self.distance} m")
             return self.distance
         down = math.sin(self.direction)
         if abs(down) < 1e-9:
@@ -110,7 +108,7 @@ class Intrusion:
         return length
 
     def config(self) -> dict[str, Any]:
-        """The intrusion in plain values."""
+        """Return the intrusion in plain values."""
         return {**asdict(self), "model": None if self.model is None else str(self.model)}
 
 
@@ -119,14 +117,15 @@ class IntrusionResult:
     """Force on the intruder along its path.
 
     Attributes:
-        intrusion: what was asked for.
-        law: name of the law that acted.
+        intrusion: the run that was requested.
+        law: name of the law.
         elements: number of elements.
         travelled: distance from the start [m], shape (n,).
-        depth: of the deepest point [m], shape (n,).
-        force: against the motion, lift (up, across the motion), sideways (+y) [N], shape (n, 3).
-        moment: about the intruder's centre of mass, world axes [N m], shape (n, 3).
-        valid: whether the law held, shape (n,).
+        depth: depth of the deepest point [m], shape (n,).
+        force: resistance against the motion, lift (up, across the motion) and sideways force (+y)
+            [N], shape (n, 3).
+        moment: moment about the intruder's center of mass, world axes [N m], shape (n, 3).
+        valid: whether the law was valid, shape (n,).
     """
 
     intrusion: Intrusion
@@ -139,22 +138,39 @@ class IntrusionResult:
     valid: np.ndarray
 
     def rows(self) -> list[dict[str, Any]]:
-        """One row a point, in plain numbers."""
-        names = ("resistance", "lift", "sideways")
+        """Return one row per point, in plain numbers."""
         return [
             {
                 "travelled": float(self.travelled[i]),
                 "depth": float(self.depth[i]),
-                **{name: float(self.force[i, k]) for k, name in enumerate(names)},
+                **{name: float(self.force[i, k]) for k, name in enumerate(_FORCES)},
                 **{f"moment_{axis}": float(self.moment[i, k]) for k, axis in enumerate("xyz")},
                 "valid": bool(self.valid[i]),
             }
             for i in range(len(self.depth))
         ]
 
+    def row(self) -> dict[str, Any]:
+        """Return one row: force at the end of the path, the greatest resistance, and the work."""
+        resistance = self.force[:, 0]
+        greatest = int(resistance.argmax())
+        steps = np.diff(self.travelled)
+        return {
+            "law": self.law,
+            "medium": self.intrusion.medium,
+            "elements": self.elements,
+            "travelled": float(self.travelled[-1]),
+            "final_depth": float(self.depth[-1]),
+            **dict(zip(_FORCES, map(float, self.force[-1]), strict=True)),
+            "greatest_resistance": float(resistance[greatest]),
+            "depth_of_greatest": float(self.depth[greatest]),
+            "work": float(((resistance[1:] + resistance[:-1]) / 2 * steps).sum()),
+            "within_validity": float(self.valid.mean()),
+        }
+
 
 def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
-    """Moves the intruder along its path and measures.
+    """Move the intruder along its path and measure forces.
 
     Raises:
         InputError: the model cannot be read.
@@ -166,12 +182,11 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         speed=intrusion.speed,
     )
     model = _model(intrusion)
-    geoms = None if intrusion.model is None or intrusion.geom is None else intrusion.geom
     sand = Sand(
         model,
         medium=intrusion.medium,
         law=intrusion.law,
-        geoms=geoms,
+        geoms=intrusion.geom,
         resolution=intrusion.resolution,
         scheme=Explicit(prescribed=True),
     )
@@ -186,7 +201,6 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
     origin = data.qpos[:3].copy()
     travelled = np.linspace(0.0, intrusion.length, intrusion.points)
     depth, force, moment, valid = [], [], [], []
-    center = None
     for distance in travelled:
         data.qpos[:3] = origin + distance * motion
         bodies = sand.report(data).bodies
@@ -215,12 +229,12 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
 
 
 def _without_rounding(values: np.ndarray, least: float = 0.0) -> np.ndarray:
-    """The values, with zeros for what is nothing beside the greatest of them."""
+    """Replace values that are rounding errors, compared to the largest, by zeros."""
     return np.where(np.abs(values) < max(1e-12 * np.abs(values).max(), least), 0.0, values)
 
 
 def _model(intrusion: Intrusion) -> mujoco.MjModel:
-    """The intruder on a free joint."""
+    """Make the model of the intruder, on a free joint."""
     if intrusion.model is None:
         spec = mujoco.MjSpec()
         body = spec.worldbody.add_body(name=_BODY)
@@ -238,19 +252,17 @@ def _model(intrusion: Intrusion) -> mujoco.MjModel:
             known = [source.geom(g).name for g in range(source.ngeom)]
             raise UnknownNameError("geom of the model", intrusion.geom, [k for k in known if k])
         if source.geom_bodyid[geom] == 0:
-            raise InputError(
-                f"geom {intrusion.geom!r} is fixed to the world: an intruder is a geom of a body"
-            )
+            raise InputError(f"geom {intrusion.geom!r} is fixed to the world: use a geom of a body")
         root = source.body(int(source.body_rootid[source.geom_bodyid[geom]])).name
         roots = [body for body in roots if body.name == root] or roots
     if len(roots) != 1:
         names = ", ".join(body.name or "(no name)" for body in roots)
         raise InputError(
-            f"{intrusion.model} has {len(roots)} bodies in its world ({names}): an intruder is "
-            "one of them, name a geom of it"
+            f"{intrusion.model} has {len(roots)} bodies in its world ({names}): the intruder is "
+            "one of them, use --geom with one of its geoms"
         )
-    # The intruder is rigid, moved as a whole, and alone: what drives it, binds it, reads it or lies
-    # below it goes first, since it names what goes then.
+    # The intruder is rigid, moved as a whole, and alone. What refers to joints, geoms and bodies is
+    # deleted before they are.
     others = [*spec.sensors, *spec.actuators, *spec.equalities, *spec.tendons, *spec.keys]
     others += [*spec.pairs, *spec.excludes, *spec.worldbody.geoms]
     others += [joint for body in spec.bodies for joint in body.joints]

@@ -1,4 +1,4 @@
-"""The paper's table: six drops with the stopping times and depths that it prints."""
+"""The paper's table: six drops with their printed stopping times and depths."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class PaperCase:
     Attributes:
         speed: v_Ty(0) [m/s].
         angle_deg: q(0) [degrees].
-        stopping_time: as printed [s].
-        depth: y_T at the stop, as printed [m].
+        stopping_time: printed value [s].
+        depth: printed y_T at the stop [m].
         figure: number of the paper's figure that shows it.
     """
 
@@ -45,11 +45,11 @@ CASES = (
 def reproduce(
     base: Impact, *, progress: Callable[[int], None] | None = None
 ) -> list[tuple[PaperCase, ImpactResult]]:
-    """Runs the six cases.
+    """Run the six cases.
 
     Args:
-        base: time step, scheme and law; speed and angle are the cases'.
-        progress: called with the number of cases done.
+        base: time step, scheme and law; its speed and angle are not used.
+        progress: called with the number of finished cases.
     """
     check_kind(base, Impact, "reproduce")
     results = []
@@ -77,7 +77,7 @@ def cases_beside(impact: Impact, over: str) -> list[PaperCase]:
 
 
 def comparison(case: PaperCase, result: ImpactResult) -> dict[str, Any]:
-    """The summary of a run with the paper's values beside it."""
+    """Return the summary of a run with the paper's values."""
     return {
         **result.summary(),
         "paper_stopping_time": case.stopping_time,

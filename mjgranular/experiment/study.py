@@ -1,4 +1,4 @@
-"""One experiment many times, with some of its fields varied: on a grid, or drawn."""
+"""An experiment with some of its fields varied, on a grid or drawn at random."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ Value = float | int | str
 Method = Literal["latin", "sobol"]
 
 ANGLES = ("angle", "slope", "uphill", "tilt", "direction")
-"""Fields that are radians here, and degrees on the command line and in tables."""
+"""Fields in radians, which are in degrees on the command line and in tables."""
 
 LAW, MEDIUM = "law.", "medium."
 _DENSITY = "medium.density"
-_MOST = 10**9  # tasks; chosen. A grid of more is a slip
-_CHECKED = 1000  # values of a field that are looked at beforehand; of more, both ends
+_MOST = 10**9  # tasks; chosen: a larger grid is a mistake
+_CHECKED = 1000  # values of a field that are checked beforehand; of more, both ends
 _NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "state", "keep_floor")
 
 
@@ -51,34 +51,34 @@ class Between:
 
     def __post_init__(self) -> None:
         if not (is_finite(self.low) and is_finite(self.high)):
-            raise InputError(f"a range must be finite, not {shown(self.low)} to {shown(self.high)}")
+            raise InputError(f"a range must be finite, got {shown(self.low)} to {shown(self.high)}")
         if not self.low < self.high:
             raise InputError(
-                f"a range goes from its lower to its upper end, not from {self.low} to {self.high}"
+                f"a range goes from its lower to its upper end, got {self.low} to {self.high}"
             )
 
 
 @dataclass(frozen=True)
 class Study:
-    """An experiment many times, with some of its fields varied.
+    """An experiment with some of its fields varied.
 
     Without `sample` it is a grid: every value of a field with every value of the others, the last
     field fastest. With it, points are drawn, spread evenly over the ranges.
 
     Attributes:
-        experiment: what is common to all: an `Impact`, a `Drop` or an `Intrusion`.
-        vary: for each field that is varied its values, or for a sample a range, `Between`. Fields
-            of the experiment, SI and radians; `law.NAME` is a parameter of the law;
-            `medium.density` the bulk density of the sand [kg/m^3].
-        sample: how many points are drawn; None for a grid.
-        seed: of what is drawn.
-        method: "latin", a Latin hypercube, or "sobol", a scrambled Sobol sequence; both by SciPy
-            (`scipy.stats.qmc`). Of Sobol's, powers of two are balanced best.
+        experiment: the common part: an `Impact`, a `Drop` or an `Intrusion`.
+        vary: values of each varied field, or for a sample a range, `Between`. Fields of the
+            experiment, in SI units and radians; `law.NAME` is a parameter of the law;
+            `medium.density` is the bulk density of the sand [kg/m^3].
+        sample: number of drawn points; None for a grid.
+        seed: seed of the sample.
+        method: "latin", a Latin hypercube, or "sobol", a scrambled Sobol sequence, both of
+            `scipy.stats.qmc`. A Sobol sequence is best balanced if `sample` is a power of two.
 
     Raises:
-        InputError: nothing is varied, an invalid value of the experiment, or a range in a grid.
-        UnknownNameError: no such field; lists those there are.
-        MissingExtraError: a sample is asked for, and SciPy is not installed.
+        InputError: nothing is varied, a value is invalid, or a grid has a range.
+        UnknownNameError: no such field; lists the valid ones.
+        MissingExtraError: a sample needs SciPy, which is not installed.
     """
 
     experiment: Experiment = field(default_factory=Impact)
@@ -90,12 +90,11 @@ class Study:
     def __post_init__(self) -> None:
         if not isinstance(self.experiment, get_args(Experiment)):
             raise InputError(
-                f"a study is of an Impact, a Drop or an Intrusion, not of "
-                f"{kind_of(self.experiment)}"
+                f"a study is of an Impact, a Drop or an Intrusion, got {kind_of(self.experiment)}"
             )
         if not isinstance(self.vary, Mapping):
             raise InputError(
-                f"what is varied is a table, {{'speed': [1.0, 2.0]}}, not {kind_of(self.vary)}"
+                f"vary must be a table, {{'speed': [1.0, 2.0]}}, got {kind_of(self.vary)}"
             )
         if not self.vary:
             raise InputError("a study varies something, such as speed=(1.0, 2.0)")
@@ -104,20 +103,18 @@ class Study:
         if self.sample is not None:
             check_count("sample", self.sample)
         check_count("seed", self.seed, least=0)
-        if self.sample is not None and not 1 <= self.sample <= _MOST:
-            raise InputError(f"a sample has 1 to {_MOST} points, not {self.sample}")
         for name, values in self.vary.items():
             self._check_values(name, values)
         if len(self) > _MOST:
-            raise InputError(f"a grid of {len(self)} points: {_MOST} are the most")
+            raise InputError(f"a study has at most {_MOST} points, got {len(self)}")
         self._check_experiments()
 
     def __len__(self) -> int:
-        """How many experiments there are."""
+        """Return the number of experiments."""
         return math.prod(self._shape) if self.sample is None else self.sample
 
     def __getitem__(self, index: int) -> dict[str, Value]:
-        """The values of one of them, by the names of the fields."""
+        """Return the values of one experiment, by the names of the fields."""
         if not 0 <= index < len(self):
             raise IndexError(index)
         if self.sample is None:
@@ -133,12 +130,13 @@ class Study:
         }
 
     def at(self, index: int) -> Experiment:
-        """One of the experiments."""
+        """Return one of the experiments."""
         return with_values(self.experiment, self[index])
 
     def config(self) -> dict[str, Any]:
-        """The study in plain values."""
+        """Return the study in plain values."""
         base = self.experiment
+        drawn = self.sample is not None
         return {
             "experiment": type(base).__name__.lower(),
             "common": asdict(base) if isinstance(base, Impact) else base.config(),
@@ -147,8 +145,8 @@ class Study:
                 for name, values in self.vary.items()
             },
             "sample": self.sample,
-            "seed": None if self.sample is None else self.seed,
-            "method": None if self.sample is None else self.method,
+            "seed": self.seed if drawn else None,
+            "method": self.method if drawn else None,
         }
 
     @property
@@ -157,13 +155,13 @@ class Study:
 
     @cached_property
     def _points(self) -> np.ndarray:
-        """What was drawn, in the unit cube, shape (sample, fields)."""
+        """Drawn points in the unit cube, shape (sample, fields)."""
         assert self.sample is not None
         qmc = require("scipy.stats.qmc", extra="sample", purpose="Drawing a sample")
         kind = qmc.LatinHypercube if self.method == "latin" else qmc.Sobol
         drawn = kind(len(self.vary), seed=np.random.default_rng(self.seed))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of no power of two: see `method`
+            warnings.simplefilter("ignore", UserWarning)  # not a power of two: see `method`
             return drawn.random(self.sample)
 
     def _check_values(self, name: str, values: object) -> None:
@@ -175,37 +173,38 @@ class Study:
                 )
             return
         if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
-            raise InputError(f"{name} needs a list of values, not {kind_of(values)}")
+            raise InputError(f"{name} needs a list of values, got {kind_of(values)}")
         if not len(values):
             raise InputError(f"{name} needs at least one value")
         for value in values:
             if not isinstance(value, str) and not is_finite(value):
-                raise InputError(f"values of {name} are finite numbers or names, not {value!r}")
+                raise InputError(f"values of {name} are finite numbers or names, got {value!r}")
 
     def _check_experiments(self) -> None:
-        """Makes the experiments at each value of each field, the others at their first."""
-        first = {name: _some(values)[0] for name, values in self.vary.items()}
-        for name, values in self.vary.items():
-            for value in _some(values):
+        """Make the experiments at each value of each field, the other fields at their first."""
+        some = {name: _some(values) for name, values in self.vary.items()}
+        first = {name: values[0] for name, values in some.items()}
+        for name, values in some.items():
+            for value in values:
                 with_values(self.experiment, {**first, name: value})
         if self.sample is not None:
             _ = self._points
 
 
 def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
-    """An experiment with other values of some fields.
+    """Return an experiment with other values of some fields.
 
     Args:
         experiment: the experiment.
-        values: by the names of the fields; `law.NAME`, and `medium.density`, too.
+        values: by the names of the fields, or `law.NAME`, or `medium.density`.
 
     Raises:
-        UnknownNameError: no such field, or no such parameter of the law; lists those there are.
+        UnknownNameError: no such field, or no such parameter of the law; lists the valid ones.
         InputError: an invalid value of the experiment.
     """
     hints = typing.get_type_hints(type(experiment))
     known = [f.name for f in fields(experiment) if f.name not in _NOT_VARIED]
-    own, law, medium = {}, {}, {}
+    changes, law, medium = {}, {}, {}
     for name, value in values.items():
         if name.startswith(LAW):
             law[name.removeprefix(LAW)] = value
@@ -214,9 +213,9 @@ def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experime
         elif name not in known:
             raise UnknownNameError("field to vary", name, [*known, "law.NAME", _DENSITY])
         else:
-            own[name] = _fitting(name, value, hints[name])
-    changed = replace(experiment, **own)
-    if law:  # of the medium as it is named: its law's constants do not depend on its density
+            changes[name] = _converted(name, value, hints[name])
+    changed = replace(experiment, **changes)
+    if law:  # before the medium: the constants of its law do not depend on its density
         changed = replace(changed, law=_law_with(changed, law))
     if medium:
         changed = replace(changed, medium=_medium_with(changed, medium))
@@ -224,38 +223,38 @@ def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experime
 
 
 def column_of(name: str) -> str:
-    """The heading of a field in tables."""
+    """Return the heading of a field in tables."""
     return f"{name}_deg" if name in ANGLES else name
 
 
 def value_in_table(name: str, value: Value) -> Value:
-    """A field's value as it stands in tables."""
+    """Return a field's value as in tables."""
     return degrees(value) if name in ANGLES and not isinstance(value, str) else value
 
 
 def _law_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
-    """The law of an experiment in words, with other parameters."""
+    """Return the law of an experiment in words, with other parameters."""
     text = experiment.law
     if text is None:
         if experiment.medium is None:
             raise InputError(
-                f"the law follows from the bodies where neither law nor medium is given: name the "
-                f"law whose parameter law.{next(iter(values))} is"
+                f"without law and medium the bodies determine the law: name the law whose "
+                f"parameter is law.{next(iter(values))}"
             )
         text = get_medium(experiment.medium).default_law
-    kind, given = law_in(text)
+    kind, options = law_in(text)
     hints = typing.get_type_hints(kind)
     known = [f.name for f in fields(kind)]  # pyright: ignore[reportArgumentType]
     for name, value in values.items():
         if name not in known:
             raise UnknownNameError(f"parameter of the law {kind.name}", name, known)
-        given[name] = _fitting(f"law.{name}", value, hints[name])
-    words = (f"{name}={_word(value)}" for name, value in given.items())
+        options[name] = _converted(f"law.{name}", value, hints[name])
+    words = (f"{name}={_word(value)}" for name, value in options.items())
     return " ".join((kind.name, *words))
 
 
 def _medium_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
-    """The medium of an experiment in words, with another density."""
+    """Return the medium of an experiment in words, with another density."""
     for name in values:
         if name != _DENSITY:
             raise UnknownNameError(
@@ -263,7 +262,7 @@ def _medium_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
             )
     if experiment.medium is None:
         raise InputError(
-            "the medium follows from law and bodies where it is not given: name the medium whose "
+            "law and bodies determine the medium if it is not given: name the medium whose "
             "density is varied"
         )
     name = str(experiment.medium).partition(" density=")[0]
@@ -276,22 +275,22 @@ def _word(value: Any) -> str:
     return value if isinstance(value, str) else repr(value)
 
 
-def _fitting(name: str, value: Value, kind: Any) -> Any:
-    """A value of the type that a field has.
+def _converted(name: str, value: Value, kind: Any) -> Any:
+    """Convert a value to the type of a field.
 
     Raises:
-        InputError: it cannot have that.
+        InputError: it is of another type.
     """
     kinds = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
-    if float in kinds or int in kinds:
-        if isinstance(value, str):
-            raise InputError(f"{name} is a number, not {shown(value)}")
-        if float in kinds:
-            return float(value)
-        if value != int(value):
-            raise InputError(f"{name} is a whole number, not {value}: give a list of such")
-        return int(value)
-    return value if isinstance(value, str) else f"{value:g}"
+    if float not in kinds and int not in kinds:
+        return value if isinstance(value, str) else f"{value:g}"
+    if isinstance(value, str):
+        raise InputError(f"{name} must be a number, got {shown(value)}")
+    if float in kinds:
+        return float(value)
+    if value != int(value):
+        raise InputError(f"{name} must be an integer, got {value}: give a list of integers")
+    return int(value)
 
 
 def _plain(value: Any) -> Value:
@@ -299,14 +298,14 @@ def _plain(value: Any) -> Value:
 
 
 def _drawn(values: Sequence[Value] | Between, share: float) -> Value:
-    """The value that lies at a share, from 0 to 1, of all that there are."""
+    """Return the value at a share of a range or list, from 0 to 1."""
     if isinstance(values, Between):
         return values.low + share * (values.high - values.low)
     return _plain(values[min(int(share * len(values)), len(values) - 1)])
 
 
 def _some(values: Sequence[Value] | Between) -> list[Value]:
-    """Values to look at beforehand."""
+    """Return values to check beforehand."""
     if isinstance(values, Between):
         return [values.low, values.high]
     few = values if len(values) <= _CHECKED else [values[0], values[-1]]

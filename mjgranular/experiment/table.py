@@ -1,4 +1,4 @@
-"""Tables of rows on disk, written row by row."""
+"""Tables on disk, written row by row."""
 
 from __future__ import annotations
 
@@ -8,22 +8,26 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mjgranular._util.extras import require
 
 Rows = Callable[[], Iterator[dict[str, Any]]]
-"""Gives the rows from the first, each time that it is called."""
+"""Returns an iterator over the rows, from the first, at each call."""
 
-_GROUP = 10_000  # rows of a Parquet file that lie in memory at once; chosen
+_GROUP = 10_000  # rows of a Parquet file that are in memory at once; chosen
+
+
+def write_numbers(path: Path, header: Sequence[str], values: np.ndarray) -> None:
+    """Write an array, shape (rows, columns), as a CSV file with all digits."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([map(repr, row) for row in values.tolist()])
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Rows) -> None:
-    """Writes a CSV file. What a row does not have is empty there.
-
-    Args:
-        path: of the file.
-        columns: names, in order.
-        rows: the rows.
-    """
+    """Write a CSV file with the columns in the given order; cells that a row lacks are empty."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(columns))
         writer.writeheader()
@@ -31,7 +35,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Rows) -> None:
 
 
 def need_parquet() -> Any:
-    """pyarrow, with which Parquet files are written.
+    """Return pyarrow's module for Parquet files.
 
     Raises:
         MissingExtraError: it is not installed.
@@ -40,27 +44,21 @@ def need_parquet() -> Any:
 
 
 def write_parquet(path: Path, columns: Sequence[str], rows: Rows) -> None:
-    """Writes a Parquet file: a column is numbers, whole numbers, yes and no, or texts.
-
-    Args:
-        path: of the file.
-        columns: names, in order.
-        rows: the rows.
-    """
+    """Write a Parquet file; a column has numbers, integers, booleans or strings."""
     parquet = need_parquet()
     arrow = require("pyarrow", extra="parquet", purpose="A table as Parquet")
-    found: dict[str, set[type]] = {name: set() for name in columns}
+    types: dict[str, set[type]] = {name: set() for name in columns}
     for row in rows():
         for name, value in row.items():
-            found[name].add(type(value))
+            types[name].add(type(value))
     kinds = {bool: arrow.bool_(), int: arrow.int64(), str: arrow.string()}
 
-    def kind(types: set[type]) -> Any:
-        types = types - {type(None)}
-        return kinds.get(types.pop(), arrow.float64()) if len(types) == 1 else arrow.float64()
+    def kind(found: set[type]) -> Any:
+        found = found - {type(None)}
+        return kinds.get(next(iter(found)), arrow.float64()) if len(found) == 1 else arrow.float64()
 
-    schema = arrow.schema([(name, kind(found[name])) for name in columns])
+    schema = arrow.schema([(name, kind(types[name])) for name in columns])
     with parquet.ParquetWriter(path, schema) as writer:
-        every = rows()
-        while group := list(itertools.islice(every, _GROUP)):
+        remaining = rows()
+        while group := list(itertools.islice(remaining, _GROUP)):
             writer.write_table(arrow.Table.from_pylist(group, schema=schema))

@@ -1,8 +1,13 @@
-"""When points have stayed in one place for long enough to count as at rest."""
+"""When a point that falls onto sand stops, and when points are at rest."""
 
 from __future__ import annotations
 
+from collections import deque
+
+import mujoco
 import numpy as np
+
+from mjgranular.errors import UnknownNameError
 
 # Rest: every point stays within this distance for this long, 1 mm/s. Chosen, not measured; the
 # explicit scheme creeps and trembles at a speed that grows with the time step.
@@ -10,12 +15,133 @@ REST_WINDOW = 0.02
 REST_DISTANCE = 2e-5
 
 STILL = 1e-9
-"""Speed of a point that stands [m/s]. The implicit scheme leaves some 1e-12 of either sign; chosen.
-"""
+"""Speed below which a point stands still [m/s]. The implicit scheme leaves some 1e-12 of either
+sign; chosen."""
+
+# Steps that a line is fitted to where velocities tremble. Chosen by trying: at 1e-6 s, 3 of 120
+# drawn conditions still miss 0.1 % of the stopping time (the worst 1.7 %); up to 1024 steps miss as
+# many. What is left is the creep of the explicit scheme.
+_MOST_AVERAGED = 32
+
+
+class StopWatch:
+    """Touchdown and stop of a point, from its depth and velocity at every step.
+
+    Args:
+        timestep: [s].
+
+    Attributes:
+        touchdown: time since the first step at which the point touched the sand [s]; None until
+            then.
+        time: time from the touchdown until its vertical velocity was first zero [s]; None until
+            then.
+        depth: its depth then [m].
+        part: when this was, in steps after the last but one.
+    """
+
+    def __init__(self, timestep: float) -> None:
+        self.touchdown: float | None = None
+        self.time: float | None = None
+        self.depth = self.part = 0.0
+        self._timestep = timestep
+        self._steps = 0
+        self._before: tuple[float, float] | None = None
+        self._velocities: deque[float] = deque(maxlen=_MOST_AVERAGED)
+        self._sinking = False  # it has moved down since it touched the sand
+
+    def follow(self, depth: float, velocity: float) -> bool:
+        """Take the depth [m] and the velocity, down [m/s], of the next step.
+
+        Returns:
+            Whether the point has stopped within the last step.
+        """
+        before, self._before = self._before, (depth, velocity)
+        step, self._steps = self._steps, self._steps + 1
+        self._velocities.append(velocity)
+        if before is None:
+            # A point that starts on the surface may be rounded to slightly above it.
+            self.touchdown = 0.0 if depth > -1e-12 else None
+            return False
+        if self.touchdown is None and depth >= 0:
+            self.touchdown = self._timestep * (step - depth / (depth - before[0]))
+        if self.touchdown is None or velocity > STILL:
+            return False
+        self._sinking = self._sinking or before[1] > STILL
+        part = self._crossing() if self._sinking else None
+        if part is None:
+            return False
+        self.time = (step - 1 + part) * self._timestep - self.touchdown
+        # Where velocities tremble, the crossing may be some steps earlier: there depth is constant.
+        self.depth = before[0] + self._timestep * max(part, 0.0) * before[1] / 2
+        self.part = part
+        return True
+
+    def _crossing(self) -> float | None:
+        """Find the time at which the velocity crosses zero, or reaches it, at its last value.
+
+        Where a link slides on the static force (E keeps its height while T still sinks), the
+        explicit sign of that force makes velocities tremble from step to step, and a velocity that
+        slowly approaches zero touches it early. Then a straight line through the last steps
+        decides.
+
+        Returns:
+            The crossing, in steps after the last but one; None if the velocity only trembles.
+        """
+        last, now = self._velocities[-2], self._velocities[-1]
+        if len(self._velocities) >= 8:
+            v = np.array(self._velocities)
+            slope, value = np.polyfit(np.arange(len(v)) - (len(v) - 2), v, 1)
+            if np.median(np.abs(np.diff(v, 2))) > abs(slope):
+                return -value / slope if slope < 0 and value + slope <= 0 else None
+        return min(last / (last - now), 1.0) if last > max(now, 0.0) else 0.0
+
+
+class SiteWatch:
+    """Stop of a site of a model.
+
+    After `Sand.step`, positions of sites are those at the beginning of the step, and velocities are
+    those half a step before and half a step after them: their mean is taken.
+
+    Args:
+        model: the model.
+        data: the simulation, before its first step.
+        site: name of the site.
+        height: height of the level surface [m].
+
+    Attributes:
+        stop: time since the site touched the sand [s] and depth [m] at its stop; None until then.
+
+    Raises:
+        UnknownNameError: the model has no such site.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, site: str, *, height: float
+    ) -> None:
+        self._site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
+        if self._site < 0:
+            known = [model.site(s).name for s in range(model.nsite)]
+            raise UnknownNameError("site of the model", site, known)
+        self._model, self._height = model, height
+        self._jacobian = np.zeros((3, model.nv))
+        self._qvel = data.qvel.copy()
+        self._watch = StopWatch(model.opt.timestep)
+        self.stop: tuple[float, float] | None = None
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """Look at the site; call this after every step."""
+        if self.stop is not None:
+            return
+        mujoco.mj_jacSite(self._model, data, self._jacobian, None, self._site)
+        down = -float(self._jacobian[2] @ (self._qvel + data.qvel)) / 2
+        self._qvel[:] = data.qvel
+        if self._watch.follow(self._height - float(data.site_xpos[self._site, 2]), down):
+            assert self._watch.time is not None
+            self.stop = self._watch.time, self._watch.depth
 
 
 class RestWatch:
-    """Watches points.
+    """Time since which points are at rest.
 
     Attributes:
         since: time from which they have stayed where they are [s].
@@ -30,8 +156,8 @@ class RestWatch:
         """Return whether the points have stayed where they are for the window of rest.
 
         Args:
-            time: now [s].
-            points: coordinates [m], any shape, always the same.
+            time: present time [s].
+            points: coordinates [m], always of the same shape.
         """
         if self._low.size:
             low, high = np.minimum(self._low, points), np.maximum(self._high, points)

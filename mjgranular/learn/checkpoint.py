@@ -12,8 +12,8 @@ import numpy as np
 
 from mjgranular._util import files
 from mjgranular._util.io import number, read_arrays, read_json
+from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import OutputError
-from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.run import (
     CURVE,
     NORMALIZER,

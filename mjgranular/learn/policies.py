@@ -11,8 +11,8 @@ import numpy as np
 
 import mjgranular.models
 from mjgranular._util import files
+from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import OutputError, UnknownNameError, warn_user
-from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.checkpoint import Normalizer, check_belongs
 from mjgranular.learn.run import (
     CHECKPOINTS,

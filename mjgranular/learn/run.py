@@ -17,6 +17,8 @@ from typing import Any
 
 from mjgranular._util import files
 from mjgranular._util.io import fits, is_text, read_json, read_text
+from mjgranular._util.result_folder import CONFIG, TRAINING
+from mjgranular._util.versions import versions
 from mjgranular.errors import (
     GranularError,
     InputError,
@@ -25,10 +27,8 @@ from mjgranular.errors import (
     shown,
     warn_user,
 )
-from mjgranular.experiment.folder import CONFIG, TRAINING
 from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
 from mjgranular.learn.settings import Settings
-from mjgranular.pool.versions import versions
 
 CHECKPOINTS = "checkpoints"
 TENSORBOARD = "tensorboard"

@@ -13,8 +13,8 @@ import numpy as np
 
 from mjgranular._util import files
 from mjgranular._util.extras import require
+from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import InputError, OutputError, warn_user
-from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn import environments
 from mjgranular.learn.checkpoint import Progress, load_checkpoint, write_policy
 from mjgranular.learn.run import (

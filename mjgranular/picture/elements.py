@@ -13,8 +13,8 @@ import numpy as np
 from mjgranular._util.extras import require
 from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError
+from mjgranular.picture.figures import plain
 from mjgranular.picture.outlines import AROUND, area_vectors, frames_of, padded, polygons_of
-from mjgranular.picture.plain import plain
 from mjgranular.picture.shown import DEPTHS, INK, RED, Color, Shown, kind_of, rgb, with_alpha
 from mjgranular.picture.solids import add_elements
 from mjgranular.sand import Sand

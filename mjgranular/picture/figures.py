@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,8 @@ import numpy as np
 
 from mjgranular._util.extras import require
 from mjgranular._util.files import atomic_write
+from mjgranular.errors import one_line
 from mjgranular.experiment.trajectory import Trajectory
-from mjgranular.picture.plain import plain
 
 _BLUE, _OCHRE, _GREY, _RED = "#20567f", "#b8761c", "#8a8a8a", "#b03a2e"
 PALETTE = (_BLUE, _OCHRE, _RED)
@@ -29,72 +30,65 @@ _STYLE = {
 }
 
 
-def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
-    """Return an empty figure of a size in inches, made without pyplot's global state."""
+@contextmanager
+def figure(path: Path, width: float, height: float, title: str) -> Iterator[Any]:
+    """Yield an empty figure of a size in inches, made without pyplot; write it at the end."""
     matplotlib = require("matplotlib", extra="figures", purpose="Drawing figures")
     require("matplotlib.figure", extra="figures", purpose="Drawing figures")
-    context = matplotlib.rc_context(_STYLE)
-    context.__enter__()
-    return matplotlib.figure.Figure(figsize=(width, height)), context
-
-
-def save_figure(figure: Any, context: Any, path: Path) -> None:
-    """Write a figure of `figure_of_size`."""
-    try:
+    with matplotlib.rc_context(_STYLE):
+        drawn = matplotlib.figure.Figure(figsize=(width, height))
+        drawn.suptitle(plain(title))
+        yield drawn
         with atomic_write(path) as part:
-            figure.savefig(part)
-    finally:
-        context.__exit__(None, None, None)
+            drawn.savefig(part)
+
+
+def plain(text: str) -> str:
+    """Return a string that matplotlib draws literally: no formula between dollars, no omission.
+
+    Labels that begin with an underscore would be missing from a legend.
+    """
+    lines = "\n".join(map(one_line, text.split("\n"))).replace("$", r"\$")
+    return f" {lines}" if lines.startswith("_") else lines
 
 
 def draw_motion(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
     """Draw depth and velocity of T and the link's angle against time, as in Figs. 2-4 and 6-8.
 
-    Args:
-        path: path of the picture.
-        trajectory: the run.
-        stop: time from release to the stop [s], drawn if there was one.
-        title: title of the figure.
+    A line marks the time from release to the stop [s], if there was one.
     """
-    figure, context = figure_of_size(6.4, 7.2)
-    axes = figure.subplots(3, 1, sharex=True)
-    t = trajectory.t * 1e3
-    axes[0].plot(t, trajectory.y_T * 1e3, color=_BLUE)
-    axes[0].set_ylabel("depth of T, $y_T$ [mm]")
-    axes[0].invert_yaxis()
-    axes[1].plot(t, trajectory.v_Ty, color=_BLUE)
-    axes[1].axhline(0, color=_GREY, linewidth=0.8)
-    axes[1].set_ylabel("velocity of T, $v_{Ty}$ [m/s]")
-    axes[2].plot(t, np.degrees(trajectory.q), color=_BLUE)
-    axes[2].set_ylabel("angle, $q$ [deg]")
-    axes[2].set_xlabel("time since release [ms]")
-    _mark_stop(axes, stop)
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
+    with figure(path, 6.4, 7.2, title) as drawn:
+        axes = drawn.subplots(3, 1, sharex=True)
+        t = trajectory.t * 1e3
+        axes[0].plot(t, trajectory.y_T * 1e3, color=_BLUE)
+        axes[0].set_ylabel("depth of T, $y_T$ [mm]")
+        axes[0].invert_yaxis()
+        axes[1].plot(t, trajectory.v_Ty, color=_BLUE)
+        axes[1].axhline(0, color=_GREY, linewidth=0.8)
+        axes[1].set_ylabel("velocity of T, $v_{Ty}$ [m/s]")
+        axes[2].plot(t, np.degrees(trajectory.q), color=_BLUE)
+        axes[2].set_ylabel("angle, $q$ [deg]")
+        axes[2].set_xlabel("time since release [ms]")
+        _mark_stop(axes, stop)
 
 
 def draw_forces(path: Path, trajectory: Trajectory, *, stop: float | None, title: str = "") -> None:
-    """Draw force, moment and power of the sand, and the link's energy, against time.
-
-    Args: as for `draw_motion`.
-    """
-    figure, context = figure_of_size(6.4, 8.2)
-    axes = figure.subplots(4, 1, sharex=True)
-    t = trajectory.t * 1e3
-    axes[0].plot(t, -trajectory.F_y, color=_BLUE, label="up, $-F_y$")
-    axes[0].plot(t, trajectory.F_x, color=_OCHRE, label="along the surface, $F_x$")
-    axes[0].set_ylabel("force [N]")
-    axes[0].legend()
-    axes[1].plot(t, trajectory.M, color=_BLUE)
-    axes[1].set_ylabel("moment about C [N m]")
-    axes[2].plot(t, trajectory.power, color=_BLUE)
-    axes[2].set_ylabel("power of the sand [W]")
-    axes[3].plot(t, trajectory.energy, color=_BLUE)
-    axes[3].set_ylabel("energy of the link [J]")
-    axes[3].set_xlabel("time since release [ms]")
-    _mark_stop(axes, stop)
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
+    """Draw force, moment and power of the sand, and the link's energy, as `draw_motion` does."""
+    with figure(path, 6.4, 8.2, title) as drawn:
+        axes = drawn.subplots(4, 1, sharex=True)
+        t = trajectory.t * 1e3
+        axes[0].plot(t, -trajectory.F_y, color=_BLUE, label="up, $-F_y$")
+        axes[0].plot(t, trajectory.F_x, color=_OCHRE, label="along the surface, $F_x$")
+        axes[0].set_ylabel("force [N]")
+        axes[0].legend()
+        axes[1].plot(t, trajectory.M, color=_BLUE)
+        axes[1].set_ylabel("moment about C [N m]")
+        axes[2].plot(t, trajectory.power, color=_BLUE)
+        axes[2].set_ylabel("power of the sand [W]")
+        axes[3].plot(t, trajectory.energy, color=_BLUE)
+        axes[3].set_ylabel("energy of the link [J]")
+        axes[3].set_xlabel("time since release [ms]")
+        _mark_stop(axes, stop)
 
 
 def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
@@ -115,22 +109,13 @@ def _mark_stop(axes: Sequence[Any], stop: float | None) -> None:
 
 
 def draw_prints(path: Path, x: np.ndarray, height: np.ndarray, *, title: str = "") -> None:
-    """Draw the surface of sand with memory, cut along the plane of motion.
-
-    Args:
-        path: path of the picture.
-        x: position along the surface [m], shape (n,).
-        height: height of the sand over the undisturbed surface [m], shape (n,).
-        title: title of the figure.
-    """
-    figure, context = figure_of_size(6.4, 3.2)
-    axes = figure.subplots()
-    axes.axhline(0, color=_GREY, linewidth=0.8)
-    axes.plot(x * 1e3, height * 1e3, color=_OCHRE, marker=".", markersize=3)
-    axes.set_xlabel("along the surface, $x$ [mm]")
-    axes.set_ylabel("height of the sand [mm]")
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
+    """Draw the height [m] of sand with memory over positions in the plane of motion [m]."""
+    with figure(path, 6.4, 3.2, title) as drawn:
+        axes = drawn.subplots()
+        axes.axhline(0, color=_GREY, linewidth=0.8)
+        axes.plot(x * 1e3, height * 1e3, color=_OCHRE, marker=".", markersize=3)
+        axes.set_xlabel("along the surface, $x$ [mm]")
+        axes.set_ylabel("height of the sand [mm]")
 
 
 def draw_drop(
@@ -156,26 +141,24 @@ def draw_drop(
         power: power of the sand [W], shape (n, bodies).
         title: title of the figure.
     """
-    figure, context = figure_of_size(6.8, 7.2)
-    axes = figure.subplots(3, 1, sharex=True)
     met = [k for k in range(len(names)) if depth[:, k].max() > 0] or list(range(len(names)))
     greatest = np.linalg.norm(force, axis=2).max(axis=0)
     strongest = sorted(met, key=lambda k: -greatest[k])[:_MOST_CURVES]
-    for k in sorted(strongest):
-        axes[0].plot(t, depth[:, k] * 1e3, label=plain(names[k]), linewidth=1.2)
-        axes[1].plot(t, np.linalg.norm(force[:, k], axis=1), linewidth=1.0)
-        axes[2].plot(t, power[:, k], linewidth=1.0)
-    axes[0].axhline(0, color=_OCHRE, linewidth=1.2)
-    axes[0].invert_yaxis()
-    axes[0].set_ylabel("greatest depth [mm]")
-    axes[1].set_ylabel("force of the sand [N]")
-    axes[2].set_ylabel("power of the sand [W]")
-    axes[2].set_xlabel("time [s]")
-    axes[0].legend(fontsize=8, ncols=2)
     if len(met) > _MOST_CURVES:
         title += f"\n(the {_MOST_CURVES} bodies with the largest forces, of {len(met)} in the sand)"
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
+    with figure(path, 6.8, 7.2, title) as drawn:
+        axes = drawn.subplots(3, 1, sharex=True)
+        for k in sorted(strongest):
+            axes[0].plot(t, depth[:, k] * 1e3, label=plain(names[k]), linewidth=1.2)
+            axes[1].plot(t, np.linalg.norm(force[:, k], axis=1), linewidth=1.0)
+            axes[2].plot(t, power[:, k], linewidth=1.0)
+        axes[0].axhline(0, color=_OCHRE, linewidth=1.2)
+        axes[0].invert_yaxis()
+        axes[0].set_ylabel("greatest depth [mm]")
+        axes[1].set_ylabel("force of the sand [N]")
+        axes[2].set_ylabel("power of the sand [W]")
+        axes[2].set_xlabel("time [s]")
+        axes[0].legend(fontsize=8, ncols=2)
 
 
 def draw_intrusion(
@@ -190,19 +173,17 @@ def draw_intrusion(
         moment: moment about the intruder's center [N m], shape (n, 3).
         title: title of the figure.
     """
-    figure, context = figure_of_size(6.4, 6.4)
-    axes = figure.subplots(2, 1, sharex=True)
-    labels = ("against the motion", "lift, up across the motion", "sideways")
-    for k, (label, colour) in enumerate(zip(labels, (_BLUE, _OCHRE, _GREY), strict=True)):
-        axes[0].plot(depth * 1e3, force[:, k], color=colour, label=label)
-    axes[0].set_ylabel("force of the sand [N]")
-    axes[0].legend()
-    for k, (label, colour) in enumerate(zip("xyz", (_OCHRE, _BLUE, _GREY), strict=True)):
-        axes[1].plot(depth * 1e3, moment[:, k], color=colour, label=f"about {label}")
-    if np.abs(moment).max() < 1e-9 * max(np.abs(force).max(), 1e-300):
-        axes[1].set_ylim(-1, 1)  # only rounding errors
-    axes[1].set_ylabel("moment about the centre [N m]")
-    axes[1].set_xlabel("depth of the deepest point [mm]")
-    axes[1].legend()
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
+    with figure(path, 6.4, 6.4, title) as drawn:
+        axes = drawn.subplots(2, 1, sharex=True)
+        labels = ("against the motion", "lift, up across the motion", "sideways")
+        for k, (label, color) in enumerate(zip(labels, (_BLUE, _OCHRE, _GREY), strict=True)):
+            axes[0].plot(depth * 1e3, force[:, k], color=color, label=label)
+        axes[0].set_ylabel("force of the sand [N]")
+        axes[0].legend()
+        for k, (label, color) in enumerate(zip("xyz", (_OCHRE, _BLUE, _GREY), strict=True)):
+            axes[1].plot(depth * 1e3, moment[:, k], color=color, label=f"about {label}")
+        if np.abs(moment).max() < 1e-9 * max(np.abs(force).max(), 1e-300):
+            axes[1].set_ylim(-1, 1)  # only rounding errors
+        axes[1].set_ylabel("moment about the center [N m]")
+        axes[1].set_xlabel("depth of the deepest point [mm]")
+        axes[1].legend()

@@ -6,8 +6,7 @@ import math
 from pathlib import Path
 
 from mjgranular.fit import FitResult
-from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
-from mjgranular.picture.plain import plain
+from mjgranular.picture.figures import PALETTE, figure, plain
 
 _AXES = {"time": (1e3, "time since the touch [ms]"), "depth": (1e3, "depth [mm]")}
 _AXES["speed"] = (1.0, "speed [m/s]")
@@ -19,42 +18,32 @@ _MOST = 24  # curves in a figure
 def draw_fit(path: Path, result: FitResult, *, title: str = "") -> None:
     """Draw every run's curves: measurements as dots, predictions of the fitted law as lines.
 
-    Args:
-        path: path of the picture.
-        result: the fit.
-        title: title of the figure; "" for the fitted constants.
+    The default title is the fitted constants.
     """
     curves = [(name, curve) for name, found in result.curves.items() for curve in found][:_MOST]
     columns = min(3, len(curves))
     rows = math.ceil(len(curves) / columns)
-    figure, context = figure_of_size(max(6.4, 3.6 * columns), 0.9 + 2.7 * rows)
-    grid = figure.subplots(rows, columns, squeeze=False).ravel()
+    size = max(6.4, 3.6 * columns), 0.9 + 2.7 * rows
     measured, fitted, predicted = "#8a8a8a", *PALETTE[:2]
-    for axes, (name, curve) in zip(grid, curves, strict=False):
-        along, below = _AXES[curve.axis]
-        factor, beside = _QUANTITIES[curve.quantity]
-        axes.plot(
-            along * curve.places,
-            factor * curve.measured,
-            ".",
-            color=measured,
-            markersize=3,
-            label="measured",
-        )
-        axes.plot(
-            along * curve.places,
-            factor * curve.predicted,
-            color=predicted if curve.held_out else fitted,
-            label="predicted" if curve.held_out else "fitted",
-        )
-        axes.set(xlabel=below, ylabel=beside, title=plain(name))
-        if curve.quantity == "depth":
-            axes.invert_yaxis()
-        axes.legend(loc="best", fontsize="small")
-    for axes in grid[len(curves) :]:
-        axes.set_visible(False)
-    figure.suptitle(plain(title or _constants(result)))
-    save_figure(figure, context, path)
+    with figure(path, *size, title or _constants(result)) as drawn:
+        grid = drawn.subplots(rows, columns, squeeze=False).ravel()
+        for axes, (name, curve) in zip(grid, curves, strict=False):
+            along, below = _AXES[curve.axis]
+            factor, beside = _QUANTITIES[curve.quantity]
+            places, values = along * curve.places, factor * curve.measured
+            axes.plot(places, values, ".", color=measured, markersize=3, label="measured")
+            axes.plot(
+                places,
+                factor * curve.predicted,
+                color=predicted if curve.held_out else fitted,
+                label="predicted" if curve.held_out else "fitted",
+            )
+            axes.set(xlabel=below, ylabel=beside, title=plain(name))
+            if curve.quantity == "depth":
+                axes.invert_yaxis()
+            axes.legend(loc="best", fontsize="small")
+        for axes in grid[len(curves) :]:
+            axes.set_visible(False)
 
 
 def _constants(result: FitResult) -> str:

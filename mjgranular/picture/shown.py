@@ -63,7 +63,7 @@ class Shown:
                 _, first, geom = np.unique(elements["geom"], return_index=True, return_inverse=True)
                 colors[(np.arange(len(elements)) - first[geom]) % 2 == 1] *= 0.75
         else:
-            raise UnknownNameError("way to colour elements", color, get_args(Color))
+            raise UnknownNameError("way to color elements", color, get_args(Color))
         body = elements["body"]
         turn = data.xmat[body].reshape(-1, 3, 3)
         return cls(kind, elements, data.xpos[body], turn, report, colors, names)
@@ -130,7 +130,7 @@ def kind_of(sand: Sand) -> Kind:
         if mark in fields:
             return kind
     raise InputError(
-        f"the law {sand.law.name!r} has elements of a kind of its own ({', '.join(fields)}): rods, "
+        f"the law {sand.law.name!r} has elements of an unknown kind ({', '.join(fields)}): rods, "
         "facets and blobs can be drawn"
     )
 

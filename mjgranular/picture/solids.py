@@ -57,11 +57,11 @@ def add_elements(
     shown = Shown.at(sand, data, color)
     tails, tips = shown.normals() if normals else (np.zeros((0, 3)),) * 2
     starts, ends = shown.forces(force_scale) if forces else (np.zeros((0, 3)),) * 2
-    needed, room = len(shown.elements) + len(tails) + len(starts), scene.maxgeom - scene.ngeom
-    if needed > room:
+    needed, free = len(shown.elements) + len(tails) + len(starts), scene.maxgeom - scene.ngeom
+    if needed > free:
         raise InputError(
-            f"the scene has room for {room} more geoms and {needed} are needed: make it larger "
-            "(mujoco.Renderer(..., max_geom=...)), say normals=False, or cut with a lower "
+            f"the scene can hold {free} more geoms and {needed} are needed: make it larger "
+            "(mujoco.Renderer(..., max_geom=...)), use normals=False, or a lower "
             "resolution"
         )
     mine = {*np.unique(shown.elements["geom"]).tolist(), *sand.surface.geoms(sand.model)}

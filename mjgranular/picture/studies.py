@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
-from mjgranular.picture.plain import plain
+from mjgranular.picture.figures import PALETTE, figure
 
 _BLUE, _, _RED = PALETTE
 _MOST_MARKERS = 60  # of a line; with more, the line suffices. Chosen
@@ -89,25 +88,24 @@ def draw_study(
     """
     inputs = [axis_of(name) for name in varied]
     if len(inputs) == 1:
-        figure, context = figure_of_size(6.4, 6.0)
-        axes = figure.subplots(2, 1, sharex=True)
+        with figure(path, 6.4, 6.0, title) as drawn:
+            axes = drawn.subplots(2, 1, sharex=True)
+            for axis, outcome in zip(axes, outcomes, strict=True):
+                _draw_line(axis, columns, inputs[0], outcome, joined=joined)
+                if printed:
+                    values = np.array(printed[outcome.column]) * outcome.scale
+                    at, style = printed[varied[0]], {"s": 60, "marker": "x", "zorder": 3}
+                    axis.scatter(at, values, color=_RED, label="paper", **style)
+                    axis.legend()
+            axes[1].set_xlabel(inputs[0].label)
+        return
+    with figure(path, 9.6, 4.2, title) as drawn:
+        axes = drawn.subplots(1, 2, sharey=True)
         for axis, outcome in zip(axes, outcomes, strict=True):
-            _draw_line(axis, columns, inputs[0], outcome, joined=joined)
-            if printed:
-                at, values = printed[varied[0]], np.array(printed[outcome.column]) * outcome.scale
-                axis.scatter(at, values, s=60, marker="x", color=_RED, zorder=3, label="paper")
-                axis.legend()
-        axes[1].set_xlabel(inputs[0].label)
-    else:
-        figure, context = figure_of_size(9.6, 4.2)
-        axes = figure.subplots(1, 2, sharey=True)
-        for axis, outcome in zip(axes, outcomes, strict=True):
-            drawn = _draw_over(axis, columns, inputs, outcome, joined=joined)
-            figure.colorbar(drawn, ax=axis, label=outcome.label)
+            colors = _draw_over(axis, columns, inputs, outcome, joined=joined)
+            drawn.colorbar(colors, ax=axis, label=outcome.label)
             axis.set_xlabel(inputs[0].label)
         axes[0].set_ylabel(inputs[1].label)
-    figure.suptitle(plain(title))
-    save_figure(figure, context, path)
 
 
 def _draw_line(

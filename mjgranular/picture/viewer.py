@@ -45,14 +45,14 @@ def check_display() -> None:
     """
     shown = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if sys.platform.startswith("linux") and not shown:
-        raise RenderError(f"there is no display to open a window on (DISPLAY is not set); {_FILM}")
+        raise RenderError(f"a window needs a display (DISPLAY is not set); {_FILM}")
     if sys.platform == "darwin":
         return  # windows belong to mjpython's thread, and MuJoCo says so itself
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         opens = _opens_a_window()
     if not opens:
-        reasons = [str(warning.message) for warning in told]
+        reasons = [str(warning.message) for warning in caught]
         reason = f" ({reasons[-1]})" if reasons else ""
         raise RenderError(f"no window can be opened on this display{reason}; {_FILM}")
 

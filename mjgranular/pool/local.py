@@ -1,4 +1,4 @@
-"""The engine `local`: processes on this machine, which end with this one in any case."""
+"""The engine `local`: processes of this machine, by `concurrent.futures`."""
 
 from __future__ import annotations
 
@@ -7,59 +7,56 @@ import os
 import pickle
 import signal
 import threading
-from collections import deque
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from typing import Any
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple
 
 from mjgranular.errors import InputError
-from mjgranular.pool.chunk import Function, run_chunk
-from mjgranular.pool.workers import Chunk, Done, Lost
+from mjgranular.pool.workers import Chunk, Done, Function, WorkerLostError, run_chunk
 
-# Successive workers that may end before they have begun, before we give up.
-_STILLBORN = 3  # by themselves
-_KILLED = 10  # from outside; chosen
-_PATIENCE = 5.0  # [s] for a process to exit by itself; chosen
+# Chosen, not measured.
+_STILLBORN = 5  # successive workers that may end before they have begun
+_PATIENCE = 5.0  # [s] for a process to exit by itself
+
+
+class _Worker(NamedTuple):
+    """An executor with one process, and the future of its process id."""
+
+    executor: ProcessPoolExecutor
+    process_id: Future
+
+    @property
+    def begun(self) -> bool:
+        """Whether it has been ready for work."""
+        return self.process_id.done() and self.process_id.exception() is None
 
 
 class ThisProcess:
-    """No workers: chunks run in the calling process.
-
-    Args:
-        function: function of the tasks.
-        shared: data for all of them.
-    """
+    """No workers: chunks run in the calling process."""
 
     slots = count = 1
 
     def __init__(self, function: Function, shared: Any) -> None:
         self._function, self._shared = function, shared
-        self._chunks: deque[tuple[int, Chunk]] = deque()
 
-    def submit(self, key: int, chunk: Chunk) -> None:
-        self._chunks.append((key, chunk))
+    def submit(self, chunk: Chunk) -> Future:
+        future: Future = Future()
+        future.set_result(run_chunk(self._function, self._shared, chunk))
+        return future
 
-    def wait(self) -> list[Done | Lost]:
-        key, chunk = self._chunks.popleft()
-        return [Done(key, *run_chunk(self._function, self._shared, chunk))]
+    def result(self, future: Future) -> Done:
+        return future.result()
 
     def close(self) -> None:
-        self._chunks.clear()
-
-
-@dataclass
-class _Worker:
-    """A process: the connection to it, whether it has begun, and its current chunk."""
-
-    process: Any
-    line: Connection
-    begun: bool = False
-    key: int | None = None
+        pass
 
 
 class Processes:
-    """Processes on this machine, each with one chunk at a time.
+    """Processes of this machine, each with one chunk at a time.
+
+    Each is an executor with one process: if it dies, the chunks of the others are not affected.
 
     Args:
         function: function of the tasks; the processes import it by its name.
@@ -68,89 +65,81 @@ class Processes:
     """
 
     def __init__(self, function: Function, shared: Any, count: int) -> None:
+        self.slots = self.count = count
+        self._work = pickle.dumps((function, shared))
         # Spawned rather than forked: MuJoCo and numba may hold threads and locks.
         self._context = multiprocessing.get_context("spawn")
         # Closed by us or, if we are killed, by the system: then the workers end.
         self._until, self._ours = self._context.Pipe(duplex=False)
-        self._work = pickle.dumps((function, shared))
+        self._idle: list[_Worker] = []
+        self._busy: dict[Future, _Worker] = {}
         self._stillborn = 0
-        self._workers: list[_Worker] = []
-        self.slots = self.count = count
 
-    def submit(self, key: int, chunk: Chunk) -> None:
-        free = next((one for one in self._workers if one.key is None), None)
-        if free is None:
-            free = self._start()
-        free.key = key
-        with suppress(OSError):  # it has died, which `wait` detects
-            free.line.send(chunk)
-
-    def wait(self) -> list[Done | Lost]:
-        found: list[Done | Lost] = []
-        while not found:
-            ready = wait([one.line for one in self._workers])
-            for worker in [one for one in self._workers if one.line in ready]:
-                found += self._hear(worker)
-        return found
-
-    def _hear(self, worker: _Worker) -> list[Done | Lost]:
+    def submit(self, chunk: Chunk) -> Future:
+        worker = self._idle.pop() if self._idle else self._start()
         try:
-            said = worker.line.recv()
-        except (EOFError, OSError):
-            return self._bury(worker)
-        if not worker.begun:
-            worker.begun = True
-            self._stillborn = 0
-            return []
-        key, worker.key = worker.key, None
-        assert key is not None
-        return [Done(key, *said)]
-
-    def _bury(self, worker: _Worker) -> list[Done | Lost]:
-        """Drop a worker that has died; another one is started when there is work for it."""
-        self._workers.remove(worker)
-        worker.line.close()
-        worker.process.join(_PATIENCE)
-        code = worker.process.exitcode
-        killed = code is not None and code < 0
-        how = f"signal {-(code or 0)}" if killed else f"status {code}"
-        reason = f"its process was ended from outside ({how}), perhaps for lack of memory"
-        if not worker.begun:
-            self._stillborn += 1
-            if self._stillborn >= _STILLBORN and not killed:
-                raise InputError(
-                    "the worker processes end before they begin: a script needs "
-                    'if __name__ == "__main__": around what it does, or 1 worker'
-                )
-            if self._stillborn >= _KILLED:
-                raise InputError(f"no worker can begin: {reason}")
-        return [] if worker.key is None else [Lost(worker.key, reason, worker.begun)]
+            future = worker.executor.submit(_run, chunk)
+        except BrokenProcessPool:  # it was killed while it was idle
+            worker = self._start()
+            future = worker.executor.submit(_run, chunk)
+        self._busy[future] = worker
+        return future
 
     def _start(self) -> _Worker:
-        ours, theirs = self._context.Pipe()
-        process = self._context.Process(
-            target=_work, args=(theirs, self._until, self._work), daemon=True
+        executor = ProcessPoolExecutor(
+            1, self._context, initializer=_begin, initargs=(self._until, self._work)
         )
-        process.start()
-        theirs.close()
-        worker = _Worker(process, ours)
-        self._workers.append(worker)
-        return worker
+        return _Worker(executor, executor.submit(os.getpid))
+
+    def result(self, future: Future) -> Done:
+        worker = self._busy.pop(future)
+        try:
+            done = future.result()
+        except BrokenProcessPool:
+            raise self._lost(worker) from None
+        self._stillborn = 0
+        self._idle.append(worker)
+        return done
+
+    def _lost(self, worker: _Worker) -> WorkerLostError:
+        """Return the error for a dead worker; another one is started when there is work for it.
+
+        Raises:
+            InputError: several in succession have died before they began.
+        """
+        worker.executor.shutdown()
+        self._stillborn = 0 if worker.begun else self._stillborn + 1
+        if self._stillborn >= _STILLBORN:
+            raise InputError(
+                "the worker processes end before they begin: a script needs "
+                'if __name__ == "__main__": around what it does, or 1 worker'
+            )
+        reason = "its process ended abruptly, perhaps for lack of memory"
+        return WorkerLostError(reason, begun=worker.begun)
 
     def close(self) -> None:
         self._ours.close()  # which ends them in the middle of a task
-        for worker in self._workers:
-            worker.process.join(_PATIENCE)
-            if worker.process.is_alive():
-                worker.process.kill()
-                worker.process.join()
-            worker.line.close()
-        self._workers.clear()
+        workers = [*self._idle, *self._busy.values()]
+        numbers = {worker.process_id.result() for worker in workers if worker.begun}
+        for process in multiprocessing.active_children():
+            if process.pid in numbers:
+                process.join(_PATIENCE)
+                process.kill()
+        for worker in workers:
+            worker.executor.shutdown(cancel_futures=True)
+        self._idle.clear()
+        self._busy.clear()
         self._until.close()
 
 
-def _work(line: Connection, until: Connection, work: bytes) -> None:
-    """Process chunks as they come. Ctrl-C is for the parent, which keeps finished results."""
+# In a worker
+
+_work: tuple[Function, Any]
+
+
+def _begin(until: Connection, work: bytes) -> None:
+    """Prepare a worker. Ctrl-C is for the parent, which keeps finished results."""
+    global _work
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def end() -> None:
@@ -159,8 +148,8 @@ def _work(line: Connection, until: Connection, work: bytes) -> None:
         os._exit(1)
 
     threading.Thread(target=end, daemon=True).start()
-    function, shared = pickle.loads(work)
-    with suppress(EOFError, OSError):  # the parent has gone
-        line.send(None)
-        while True:
-            line.send(run_chunk(function, shared, line.recv()))
+    _work = pickle.loads(work)
+
+
+def _run(chunk: Chunk) -> Done:
+    return run_chunk(*_work, chunk)

@@ -9,68 +9,20 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 from mjgranular._util.extras import require
+from mjgranular._util.versions import mismatch, versions
 from mjgranular.errors import GranularError, InputError
-from mjgranular.pool.chunk import Function, run_chunk
-from mjgranular.pool.versions import mismatch, versions
-from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Workers
+from mjgranular.pool.workers import Chunk, Done, Function, WorkerLostError, Workers, run_chunk
 
 # Chosen, not measured.
 _CONNECT = 3.0  # [s] for the head's port to open
 _ANSWER = 15.0  # [s] for the head's health check, by a process of Ray
 _STORE = 128 * 2**20  # bytes of the object store of a Ray that we start: shared data and rows
 _AHEAD = 2  # chunks per core, so that no core waits for us
-
-
-class _Refused(NamedTuple):
-    """A worker that cannot do the work, with the reason."""
-
-    reason: str
-
-
-def begin_ray(workers: Workers) -> tuple[Any, bool]:
-    """Start a Ray session, or find the one that this process has.
-
-    Args:
-        workers: address; number of cores for a Ray on this machine.
-
-    Returns:
-        The module, and whether the session was started here, so that the caller must end it.
-
-    Raises:
-        MissingExtraError: Ray is not installed.
-        InputError: no cluster answers at the address, or it is one of another version of Ray.
-    """
-    ray = require("ray", extra="ray", purpose="The engine ray")
-    if ray.is_initialized():
-        return ray, False
-    common: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}
-    if workers.address is None:
-        common |= {
-            "num_cpus": workers.count or os.cpu_count(),
-            "object_store_memory": _STORE,
-            "include_dashboard": False,
-            "address": "local",  # overrides RAY_ADDRESS
-        }
-    else:
-        _check_answers(workers.address)
-        common["address"] = workers.address
-    try:
-        with _signals_kept():
-            ray.init(**common)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        said = " ".join(str(error).split())
-        where = f"the cluster at {workers.address}" if workers.address else "this machine"
-        raise InputError(f"Ray cannot be used on {where}: {said}") from None
-    return ray, True
-
-
-def cores_of(ray: Any) -> int:
-    """Return the number of cores of all nodes of the session."""
-    return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
 
 class RayPool:
@@ -90,53 +42,81 @@ class RayPool:
     """
 
     def __init__(self, function: Function, shared: Any, workers: Workers) -> None:
-        self._ray, self._mine = begin_ray(workers)
-        cores = cores_of(self._ray)
+        self._ray = require("ray", extra="ray", purpose="The engine ray")
+        self._mine = not self._ray.is_initialized()
+        if self._mine:
+            _start(self._ray, workers)
+        cores = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         self.count = min(workers.count or cores, cores)
         # Ray queues tasks beyond its cores; we queue those beyond the requested count.
         self.slots = self.count if self.count < cores else _AHEAD * cores
         self._work = self._ray.put((function, shared, versions()))
         # Retries of a chunk are not left to Ray: see `tasks`.
         self._run = self._ray.remote(num_cpus=1, max_retries=0)(_run)
-        self._under_way: dict[Any, int] = {}
+        self._references: dict[Future, Any] = {}
 
-    def submit(self, key: int, chunk: Chunk) -> None:
-        self._under_way[self._run.remote(self._work, chunk)] = key
+    def submit(self, chunk: Chunk) -> Future:
+        reference = self._run.remote(self._work, chunk)
+        future = reference.future()
+        self._references[future] = reference
+        return future
 
-    def wait(self) -> list[Done | Lost]:
-        ready, _ = self._ray.wait(list(self._under_way), num_returns=1)
-        return [self._result(ref, self._under_way.pop(ref)) for ref in ready]
-
-    def _result(self, ref: Any, key: int) -> Done | Lost:
+    def result(self, future: Future) -> Done:
+        del self._references[future]
         errors = self._ray.exceptions
         try:
-            found = self._ray.get(ref)
+            done = future.result()
         except errors.RayTaskError as error:  # not from a task: those are caught
             raise InputError(_why(error)) from None
         except errors.RayError as error:
-            told = " ".join(str(error).split()).partition(". ")[0]
-            return Lost(key, f"its worker is gone ({type(error).__name__}: {told})")
-        if isinstance(found, _Refused):
-            raise InputError(found.reason)
-        return Done(key, *found)
+            reason = " ".join(str(error).split()).partition(". ")[0]
+            raise WorkerLostError(
+                f"its worker is gone ({type(error).__name__}: {reason})"
+            ) from None
+        if isinstance(done, str):
+            raise InputError(done)
+        return done
 
     def close(self) -> None:
-        for ref in self._under_way:
+        for reference in self._references.values():
             with suppress(Exception):  # the cluster is gone: nothing to end
-                self._ray.cancel(ref, force=True)
-        self._under_way.clear()
+                self._ray.cancel(reference, force=True)
+        self._references.clear()
         if self._mine:
             self._ray.shutdown()
 
 
-def _run(
-    work: tuple[Function, Any, dict[str, Any]], chunk: Chunk
-) -> tuple[list[Answer], float] | _Refused:
-    """Process a chunk, in a Ray worker."""
+def _start(ray: Any, workers: Workers) -> None:
+    """Start Ray on this machine, or connect to the cluster at the address.
+
+    Raises:
+        InputError: no cluster answers at the address, or it is one of another version of Ray.
+    """
+    if workers.address is None:
+        options = {
+            "num_cpus": workers.count or os.cpu_count(),
+            "object_store_memory": _STORE,
+            "include_dashboard": False,
+            "address": "local",  # overrides RAY_ADDRESS
+        }
+    else:
+        _check_answers(workers.address)
+        options = {"address": workers.address}
+    try:
+        with _signals_kept():
+            ray.init(**options, logging_level="ERROR", log_to_driver=False)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        where = f"the cluster at {workers.address}" if workers.address else "this machine"
+        raise InputError(f"Ray cannot be used on {where}: {reason}") from None
+
+
+def _run(work: tuple[Function, Any, dict[str, Any]], chunk: Chunk) -> Done | str:
+    """Run a chunk in a Ray worker; return why it cannot, if it has other versions."""
     function, shared, expected = work
     different = mismatch(expected, versions())
     if different is not None:
-        return _Refused(
+        return (
             f"the worker on {socket.gethostname()} has other versions, so its results could be "
             f"other ones: {different}; install the same on all nodes"
         )
@@ -161,30 +141,14 @@ def _check_answers(address: str) -> None:
     """Check within seconds that a cluster answers at an address: Ray itself takes minutes.
 
     Raises:
-        InputError: says what was tried.
+        InputError: it does not; says what was tried.
     """
-    asked = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
+    check = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
     if address != "auto":
-        host, colon, port = address.rpartition(":")
-        if "://" in address or not (colon and host and port.isdigit() and int(port) < 65536):
-            raise InputError(
-                f"the address of a Ray cluster is HOST:PORT of its head, such as 10.0.0.1:6379, or "
-                f"auto, not {address!r}"
-            )
-        try:
-            socket.create_connection((host, int(port)), timeout=_CONNECT).close()
-        except OSError as error:
-            raise InputError(
-                f"nothing answers at {address} ({error.strerror or error}): is the head of the "
-                "cluster up (ray start --head), and its port open from here?"
-            ) from None
-        asked += ["--address", address]
-    try:
-        done = subprocess.run(asked, capture_output=True, timeout=_ANSWER, check=False)
-    except subprocess.TimeoutExpired:
-        pass
-    else:
-        if done.returncode == 0:
+        _check_port(address)
+        check += ["--address", address]
+    with suppress(subprocess.TimeoutExpired):
+        if subprocess.run(check, capture_output=True, timeout=_ANSWER, check=False).returncode == 0:
             return
     where = "on this machine" if address == "auto" else f"at {address}"
     raise InputError(
@@ -193,17 +157,32 @@ def _check_answers(address: str) -> None:
     )
 
 
+def _check_port(address: str) -> None:
+    """Check that something listens at HOST:PORT."""
+    host, colon, port = address.rpartition(":")
+    if "://" in address or not (colon and host and port.isdigit() and int(port) < 65536):
+        raise InputError(
+            f"the address of a Ray cluster is HOST:PORT of its head, such as 10.0.0.1:6379, or "
+            f"auto, got {address!r}"
+        )
+    try:
+        socket.create_connection((host, int(port)), timeout=_CONNECT).close()
+    except OSError as error:
+        raise InputError(
+            f"nothing answers at {address} ({error.strerror or error}): is the head of the "
+            "cluster up (ray start --head), and its port open from here?"
+        ) from None
+
+
 @contextmanager
 def _signals_kept() -> Iterator[None]:
     """Undo what Ray does to this process's signals, which end a run so that nothing is lost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.getsignal(number) for number in numbers]
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        for number, handler in zip(numbers, before, strict=True):
-            if handler is not None:
-                signal.signal(number, handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -6,15 +6,15 @@ import math
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
 from mjgranular._util.signals import signal_of
-from mjgranular.pool.chunk import Function
 from mjgranular.pool.journal import Journal
 from mjgranular.pool.local import Processes, ThisProcess
-from mjgranular.pool.workers import Answer, Chunk, Done, Lost, Pool, Workers
+from mjgranular.pool.workers import Done, Function, Pool, WorkerLostError, Workers
 
 TRIES = 3
 """Attempts at a chunk; in the last one each of its tasks runs separately."""
@@ -42,7 +42,7 @@ class Failure:
     lost: bool = False
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Mapped:
     """Outcome of many tasks.
 
@@ -71,7 +71,6 @@ def map_tasks(
     on: Workers | None = None,
     journal: Journal | None = None,
     progress: Callable[[int], None] | None = None,
-    answered: Callable[[int, Any], None] | None = None,
 ) -> Mapped:
     """Call a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps results.
 
@@ -87,7 +86,6 @@ def map_tasks(
         journal: journal for the results; tasks with results in it are skipped. None for a temporary
             one.
         progress: called with the number of finished tasks.
-        answered: called with number and result of each task as soon as the result is saved.
 
     Raises:
         InputError: no worker can do the work; says what would help.
@@ -96,7 +94,7 @@ def map_tasks(
     if journal is None:
         journal = Journal(None, {}, len(tasks))
         journal.begin()
-    run = _Run(tasks, on or Workers(), journal, progress, answered)
+    run = _Run(tasks, on or Workers(), journal, progress)
     todo = len(tasks) - journal.count
     if todo == 0:
         return run.mapped
@@ -139,14 +137,12 @@ class _Run:
         workers: Workers,
         journal: Journal,
         progress: Callable[[int], None] | None,
-        answered: Callable[[int, Any], None] | None,
     ) -> None:
         self.workers = workers
-        self.mapped = Mapped(journal, [])
+        self.mapped = Mapped(journal=journal, failures=[])
         self._tasks = tasks
         self._journal = journal
         self._progress = progress
-        self._answered = answered
         self._missing = journal.missing()
         self._left = len(tasks) - journal.count  # not submitted yet
         self._again: deque[_Batch] = deque()
@@ -154,21 +150,22 @@ class _Run:
 
     def follow(self, pool: Pool) -> None:
         """Loop until every task has an answer or is lost."""
-        under_way: dict[int, _Batch] = {}
-        key = 0
+        under_way: dict[Future, _Batch] = {}
         while True:
             while len(under_way) < pool.slots and (batch := self._next(pool.count)) is not None:
-                under_way[key] = batch
                 batch.tries += 1
-                pool.submit(key, self._chunk(batch))
-                key += 1
+                chunk = tuple((index, self._tasks[index]) for index in batch.indices)
+                under_way[pool.submit(chunk)] = batch
             if not under_way:
                 return
-            for found in pool.wait():
-                self._take(under_way.pop(found.key), found)
-
-    def _chunk(self, batch: _Batch) -> Chunk:
-        return tuple((index, self._tasks[index]) for index in batch.indices)
+            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+                batch = under_way.pop(future)
+                try:
+                    self._keep(pool.result(future))
+                except WorkerLostError as lost:
+                    self._lose(batch, lost)
+                if self._progress is not None:
+                    self._progress(self._journal.count + self.mapped.failed)
 
     def _next(self, count: int) -> _Batch | None:
         if self._again:
@@ -185,34 +182,23 @@ class _Run:
         by_time = int(min(_SECONDS / max(self._seconds, 1e-9), _LARGEST))
         return max(1, min(by_time, math.ceil(self._left / (_ROUNDS * count))))
 
-    def _take(self, batch: _Batch, found: Done | Lost) -> None:
-        if isinstance(found, Lost):
-            batch.tries -= not found.begun
-            self._lose(batch, found.reason)
-        else:
-            each = found.seconds / len(found.answers)
-            self._seconds = each if self._seconds is None else min(self._seconds, each)
-            self._keep(found.answers)
-        if self._progress is not None:
-            self._progress(self._journal.count + self.mapped.failed)
-
-    def _keep(self, answers: Sequence[Answer]) -> None:
-        there = [(one.number, one.result) for one in answers if one.error is None]
-        self._journal.keep(there)
-        for one in answers:
+    def _keep(self, done: Done) -> None:
+        each = done.seconds / len(done.answers)
+        self._seconds = each if self._seconds is None else min(self._seconds, each)
+        self._journal.keep([(one.number, one.result) for one in done.answers if one.error is None])
+        for one in done.answers:
             if one.error is not None:
                 self._fail(Failure(one.number, one.error))
-            elif self._answered is not None:
-                self._answered(one.number, one.result)
 
-    def _lose(self, batch: _Batch, reason: str) -> None:
+    def _lose(self, batch: _Batch, lost: WorkerLostError) -> None:
+        batch.tries -= not lost.begun
         if batch.tries < TRIES - 1:
             self._again.append(batch)
         elif batch.tries == TRIES - 1:
             self._again.extend(_Batch([index], batch.tries) for index in batch.indices)
         else:
             for index in batch.indices:
-                self._fail(Failure(index, f"{reason}; tried {TRIES} times", lost=True))
+                self._fail(Failure(index, f"{lost}; tried {TRIES} times", lost=True))
 
     def _fail(self, failure: Failure) -> None:
         self.mapped.failed += 1

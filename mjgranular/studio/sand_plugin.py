@@ -19,7 +19,7 @@ from mjgranular.engine import NAME, add_sand
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
 from mjgranular.experiment.ground import hide_replaced
-from mjgranular.experiment.scenery import add_scenery, place_sun
+from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.spec import combined

@@ -30,13 +30,14 @@ from attacks.worker import Case, Note, Result
 
 import mjgranular  # noqa: F401  before mujoco: it chooses the renderer without a display
 from mjgranular._util import files
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular.cli.agents import find_actor
 from mjgranular.cli.impact import release_to_stop
 from mjgranular.cli.main import main
 from mjgranular.cli.render import RenderCommand
 from mjgranular.errors import GranularError
 from mjgranular.experiment import Impact, Study, journal_of, run_study
-from mjgranular.experiment.folder import ResultFolder, read_impact, saved_command
+from mjgranular.experiment.folder import read_impact, saved_command
 from mjgranular.learn import change, find_settings
 from mjgranular.learn.checkpoint import load_checkpoint
 from mjgranular.learn.policies import last_return, load_policy

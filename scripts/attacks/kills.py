@@ -32,9 +32,10 @@ from attacks.worker import Case, Finding, Note, Result
 
 import mjgranular  # noqa: F401  before mujoco: it chooses how to draw without a screen
 from mjgranular._util.extras import require
+from mjgranular._util.result_folder import CONFIG
 from mjgranular.cli.main import main
 from mjgranular.errors import GranularError
-from mjgranular.experiment.folder import CONFIG, read_impact
+from mjgranular.experiment.folder import read_impact
 from mjgranular.learn import train as _training  # noqa: F401  imported once, for all children
 from mjgranular.learn.policies import load_policy
 from mjgranular.learn.run import open_run

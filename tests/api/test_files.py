@@ -13,11 +13,12 @@ import pytest
 
 from mjgranular._util import files
 from mjgranular._util.io import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
+from mjgranular._util.result_folder import ResultFolder
 from mjgranular._util.signals import Stopped, stopped_by_signals
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
 from mjgranular.experiment import Impact, Study, journal_of, run_study
-from mjgranular.experiment.folder import ResultFolder, read_impact
+from mjgranular.experiment.folder import read_impact
 from mjgranular.pool import UNFINISHED
 
 ATTACK = Path(__file__).resolve().parents[2] / "scripts" / "attack.py"

@@ -614,15 +614,18 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: batch("LinkDrop").reset(seed="1"),
         "a seed is a whole number, or a list of them, not '1'",
     ),
-    "text for a speed": (lambda: Impact(speed="10"), "speed must be finite, not '10'"),
+    "text for a speed": (lambda: Impact(speed="10"), "speed must be finite ... '10'"),
     "number for a drop": (lambda: run_impact(10), "run_impact takes an Impact, not 10"),
-    "path for a drop": (lambda: run_drop("robot.xml"), "run_drop takes a Drop(path, ...), not"),
+    "path for a drop": (
+        lambda: run_drop("robot.xml"),
+        "run_drop takes a Drop, not 'robot.xml'; use Drop(path",
+    ),
     "medium without a name": (lambda: medium(name=""), "a medium has a name, a text such as"),
     "number for a medium's name": (lambda: medium(name=3), "a medium has a name, a text such as"),
     "list of constants": (lambda: medium(constants=[1]), "constants are a table of laws, {'rft3d'"),
     "law of an impact": (
         lambda: Impact(law=mg.LinkLaw),
-        "medium and law of an impact are names, not the class LinkLaw",
+        "medium and law of an impact ... the class LinkLaw",
     ),
     "text for a height": (lambda: Drop("robot.xml", height="1"), "the height must be finite and"),
     "policy for its maker": (
@@ -660,7 +663,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "pairs for what is varied": (
         lambda: Study(Impact(), [("speed", [1.0])]),  # pyright: ignore[reportArgumentType]
-        "what is varied is a table, {'speed': [1.0, 2.0]}, not a list",
+        "must be a table, {'speed': [1.0, 2.0]} ... a list",
     ),
     "half a sample": (
         lambda: Study(Impact(), {"speed": [1.0]}, sample=2.5),  # pyright: ignore[reportArgumentType]
@@ -672,7 +675,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "folder for a journal": (
         lambda: run_study(Study(Impact(), {"speed": [1.0]}), journal="out"),  # pyright: ignore[reportArgumentType]
-        "run_study takes a Journal, not 'out'; use journal_of(study, folder), begun",
+        "run_study takes a Journal, not 'out'; use journal_of(study, folder)",
     ),
     "time step for the paper": (lambda: reproduce(1e-6), "reproduce takes an Impact, not 1e-06"),  # pyright: ignore[reportArgumentType]
     "path for an intrusion": (
@@ -682,15 +685,15 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "tilt in degrees": (lambda: Intrusion(tilt=30), "must be within 180 degrees (pi = 3.1416 rad)"),
     "text for an intruder's size": (
         lambda: Intrusion(size="0.04"),  # pyright: ignore[reportArgumentType]
-        "the size must be positive and finite, not '0.04'",
+        "the size must be positive and finite ... '0.04'",
     ),
     "model for a drop": (
         lambda: Drop(MODEL),  # pyright: ignore[reportArgumentType]
-        "a drop is of an MJCF file, Drop('robot.xml'), not of a MjModel ... use Sand",
+        "a drop is of an MJCF file, Drop('robot.xml') ... a MjModel ... use Sand",
     ),
     "memory of an impact": (
         lambda: Impact(memory=mg.Memory()),  # pyright: ignore[reportArgumentType]
-        "memory of an impact is in plain values: the side of a cell [m], or words",
+        "memory of an impact must be the side of a cell [m], or words",
     ),
     "path for a fit": (
         lambda: run_fit("runs.yaml"),  # pyright: ignore[reportArgumentType]
@@ -706,7 +709,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "film that stands still": (
         lambda: mg.show([np.zeros((4, 4, 3), np.uint8)], fps=0),
-        "a film has 1 to 240 frames a second, a whole number, not 0",
+        "from 1 to 240, got 0",
     ),
     "text for a density": (
         lambda: mg.Rft3dLaw("1500", 0.4, 0.4),  # pyright: ignore[reportArgumentType]

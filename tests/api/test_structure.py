@@ -34,7 +34,7 @@ ORDER = (
     "law",
     "scheme",
     "sand",
-    "prints",
+    "render",
     "engine",
     "warp",
     "mjgranular",

@@ -11,7 +11,7 @@ import pytest
 
 from mjgranular import Bed, HeightField, Memory, Plane, Sand, SandSpec, Surface, add_sand
 from mjgranular.engine import relief_of, show_prints
-from mjgranular.prints import Cover, Prints, PrintsRecorder, Replay
+from mjgranular.render import Replay, TrackMesh, TrackRecorder, Tracks
 
 CELL = 0.02
 MEMORY = Memory(cell=CELL, extent=1.2)
@@ -199,14 +199,14 @@ def test_a_film_has_prints_where_the_run_had_them() -> None:
     show_prints(spec, sand_spec)
     model = spec.compile()
     data, sand = mujoco.MjData(model), Sand(model, sand_spec)
-    recorder, seen = PrintsRecorder(sand, data, 0.15), {}
+    recorder, seen = TrackRecorder(sand, data, 0.15), {}
     for step in range(301):
         if step % 100 == 0:
             recorder.look(data.time, last=True)
             seen[data.time] = sand.relief(data)
         sand.step(data)
-    prints = Prints.from_arrays(recorder.prints().arrays())
-    cover, replay = Cover(model, ground.surface, MEMORY, unit=0.5), Replay(prints, MEMORY)
+    prints = Tracks.from_arrays(recorder.prints().arrays())
+    cover, replay = TrackMesh(model, ground.surface, MEMORY, unit=0.5), Replay(prints, MEMORY)
     assert all(relief.height.any() for time, relief in seen.items() if time > 0.06)
     for time, relief in reversed(seen.items()):
         cover.lay(replay.to(time), np.zeros(3))
@@ -239,13 +239,13 @@ def test_damaged_prints_are_refused(damage: dict[str, np.ndarray]) -> None:
         "prints_node": np.array([[3, -4]]),
         "prints_height": np.array([-0.01]),
     }
-    replay = Replay(Prints.from_arrays(whole), MEMORY)
+    replay = Replay(Tracks.from_arrays(whole), MEMORY)
     assert replay.to(0.0).min() == 0.0
     assert replay.to(0.5).min() == pytest.approx(-0.005)
     assert replay.to(1.0).min() == pytest.approx(-0.01)
     assert replay.to(0.0).min() == 0.0  # and back
     with pytest.raises(ValueError, match="prints"):
-        Prints.from_arrays(whole | damage)
+        Tracks.from_arrays(whole | damage)
 
 
 @pytest.mark.parametrize("cell", [0.01, 0.005, 0.0025])
@@ -254,14 +254,14 @@ def test_what_is_remembered_is_drawn_to_a_meter_away_at_any_cell_size(cell: floa
     nodes = round(far / cell) + np.arange(8)
     both = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
     replay = Replay(
-        Prints(np.zeros(1), np.array([64]), both.astype(np.int32), np.full(64, -0.02)), memory
+        Tracks(np.zeros(1), np.array([64]), both.astype(np.int32), np.full(64, -0.02)), memory
     )
     spec = spec_of(ground)
     show_prints(spec, SandSpec(surface=ground.surface, **(SAND | {"memory": memory})))
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    cover = Cover(model, ground.surface, memory, unit=0.5)
+    cover = TrackMesh(model, ground.surface, memory, unit=0.5)
     cover.lay(replay.to(0.0), np.zeros(3))
     scene = scene_of(model, data)
     vertices = np.array(scene.skinvert).reshape(-1, 3)

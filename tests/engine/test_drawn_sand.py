@@ -11,7 +11,7 @@ import pytest
 from mjgranular import Bed, HeightField, Plane, Surface, add_sand
 from mjgranular.engine import tune
 from mjgranular.models import Link
-from mjgranular.prints.look import MATERIAL, PlaneLook, radius_of
+from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
 
 SAND = {"medium": "quikrete_medium"}
 BLOCK = '<body pos="0 0 0.1"><freejoint/><geom name="g" type="box" size="0.1 0.06 0.04"/></body>'
@@ -62,7 +62,7 @@ def test_the_surface_is_drawn_where_the_sand_acts(plane: Plane) -> None:
     check_plane(geoms, plane)
     # As films of runs with `Sand` have it.
     scene = mujoco.MjvScene(model, 300)
-    look = PlaneLook.of(model, plane.normal, plane.offset, radius_of(model))
+    look = SandMaterial.of(model, plane.normal, plane.offset, radius_of(model))
     assert look is not None
     look.add(scene, plane.normal, plane.offset, data.xipos[1])
     assert len(geoms) == scene.ngeom

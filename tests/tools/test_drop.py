@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 import mjgranular.experiment
 from mjgranular import GranularWarning, InputError, UnknownNameError, UnstableError
 from mjgranular.experiment import Impact, run_impact
-from mjgranular.experiment.trajectory import UNITS, Recorder, Trajectory
+from mjgranular.experiment.sampling import Recorder
+from mjgranular.experiment.trajectory import UNITS, Trajectory
 
 NOT_NUMBERS = [math.nan, math.inf, -math.inf]
 POSITIVE = {name: name for name in ("length", "diameter", "density", "duration")}

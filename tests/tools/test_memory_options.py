@@ -10,7 +10,7 @@ import pytest
 
 from mjgranular import Memory, RenderError
 from mjgranular.cli import main
-from mjgranular.prints import Prints
+from mjgranular.render import Tracks
 
 BLOCK = """
 <mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody><body name="block">
@@ -57,7 +57,7 @@ def test_an_impact_with_memory(tmp_path: Path) -> None:
     at_the_end = np.interp(run.x[-1], places, heights)
     assert at_the_end == pytest.approx(run.z[-1], abs=0.001)  # the axis at C
 
-    untouched = Prints(prints.t[:1], prints.end[:1] * 0, prints.node[:0], prints.height[:0])
+    untouched = Tracks(prints.t[:1], prints.end[:1] * 0, prints.node[:0], prints.height[:0])
     film = Film(camera="corner", width=320, height=240, seconds=0.1, fps=10, hold=0)
     try:
         with_prints, without = (

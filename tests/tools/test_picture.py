@@ -159,10 +159,12 @@ def test_film_options_are_checked():
 
 
 def test_the_figure_of_many_bodies_shows_those_with_the_largest_forces(tmp_path, monkeypatch):
+    from matplotlib.figure import Figure
+
     from mjgranular.picture import figures
 
-    drawn = []
-    monkeypatch.setattr(figures, "save_figure", lambda figure, *_: drawn.append(figure))
+    drawn, save = [], Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", lambda f, path: (drawn.append(f), save(f, path)))
     t, count = np.linspace(0, 1, 5), 20
     size = np.array([(7 * k) % count for k in range(count)], float)
     force = np.zeros((5, count, 3))

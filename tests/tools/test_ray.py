@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjgranular._util.versions import versions
 from mjgranular.envs.rllib import register_env
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import Between, Impact, Study, journal_of, run_study
@@ -17,7 +18,6 @@ from mjgranular.experiment.table import write_csv
 from mjgranular.learn.blocks import Actor, Evaluation, Job, run_evaluation
 from mjgranular.learn.policies import load_policy
 from mjgranular.pool import Workers, map_tasks, on_ray
-from mjgranular.pool.versions import versions
 
 ray = pytest.importorskip("ray", reason="the extra ray is not installed")
 

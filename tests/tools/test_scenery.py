@@ -9,9 +9,9 @@ import pytest
 
 from mjgranular import Bed, HeightField, Plane
 from mjgranular.experiment.drop import Drop, load, run_drop, surface_drawn
-from mjgranular.experiment.scenery import add_scenery
 from mjgranular.picture.video import Film, Motion, frames_of_model
-from mjgranular.prints.look import MATERIAL, PlaneLook, radius_of
+from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
+from mjgranular.render.scenery import add_scenery
 
 BLOCK = (
     '<body pos="0 0 0.1"><freejoint/><geom name="block" type="box" size="0.1 0.06 0.04"/></body>'
@@ -114,7 +114,7 @@ def test_the_plane_is_drawn_where_the_sand_acts(surface, angle):
     model = spec.compile()
     middle = np.array([3.0, -7.0, 0.2])
     scene = mujoco.MjvScene(model, 500)
-    look = PlaneLook.of(model, surface.normal, surface.offset, radius_of(model))
+    look = SandMaterial.of(model, surface.normal, surface.offset, radius_of(model))
     assert look is not None
     look.add(scene, surface.normal, surface.offset, middle)
     below = np.array([0.0, 0.0, surface.height])
@@ -147,7 +147,7 @@ def test_ground_of_the_models_own_is_never_in_one_plane_with_the_sand(tmp_path):
 
     def lowered(more, **options):
         model, _ = load(Drop(write(tmp_path, more=more), **options))
-        look = PlaneLook.of(model, up, 0.0, radius_of(model))
+        look = SandMaterial.of(model, up, 0.0, radius_of(model))
         return None if look is None else look.lowered
 
     table = '<worldbody><geom name="table" type="box" size="0.2 0.2 0.1" pos="0 0 {}"/></worldbody>'

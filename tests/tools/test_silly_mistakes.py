@@ -84,7 +84,7 @@ drop block.xml --height nan | the height must be finite and not negative
 drop block.xml --height 10cm | a number without its unit ... '10cm'
 drop hinged.xml --height 1 | the model has no free joint and no vertical slide at its root: it can
 drop hinged.xml --velocity 1 | the model has no free joint and no vertical slide at its root: it
-drop block.xml --velocity inf | the velocity must be finite, not inf
+drop block.xml --velocity inf | the velocity must be finite
 drop block.xml --duration 0 | the duration must be positive and finite
 drop block.xml --duration inf | the duration must be positive and finite
 drop block.xml --timestep 0 | the time step must be positive and finite
@@ -127,7 +127,7 @@ drop block.xml --height-field block | geom 'block' is a box: a height field is m
 drop block.xml --keyframe stand | no keyframe of the model 'stand'
 drop block.xml --instead-of floor | no geom of the model 'floor'
 drop floor.xml --instead-of floor --keep-floor | --keep-floor has no other ground to keep than floor
-drop block.xml --bed tray --slope 10 | --bed lies as its geom does: --slope is for a plane
+drop block.xml --bed tray --slope 10 | --slope is for a plane
 drop block.xml --uphill 90 | --uphill is the direction of a slope: add --slope
 drop block.xml --law link --medium play_sand | choose them with --geoms NAME or --bodies NAME
 drop block.xml --memory 'yes please' | memory, the side of a cell, must be a number
@@ -160,11 +160,11 @@ impact --length 20 --diameter 30 | the link must be longer than it is thick: len
 impact --density 0 | the link's density must be positive and finite
 intrude --intruder cube | invalid choice 'cube' for argument '--intruder'. Expected one of
 intrude --depth -0.1 | the path never gets from 0.0 m to -0.1 m: it goes down
-intrude --points 1 | a path needs at least 2 points
+intrude --points 1 | points must be at least 2
 intrude --size 0 | the size must be positive and finite
-intrude --geom foot | --geom names a geom of a model: give the model too
+intrude --geom foot | --geom ... give the model too
 intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
-intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world: an intruder is a
+intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world
 intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: omit --model
 sweep --vary mass=1,2 | no field to vary 'mass'; there are:
 sweep --vary speed=2:2:3 | a range goes from its lower to its upper end, not from 2.0 to 2.0
@@ -242,10 +242,10 @@ sweep --vary angle=10:30:3 --of "impact --angle 20" | angle is varied, and --ang
 sweep --vary height=1:3:3 --of "impact --height 2" | height is varied, and --height 2.0 fixes it
 sweep --of "drop block.xml --velocity 3" --vary velocity=1,2 | --velocity 3.0 fixes it: omit one
 sweep --of "impact --paper" | --paper has its own drops: a sweep takes one experiment
-sweep --workers -1 | a run needs at least 1 worker, not -1
+sweep --workers -1 | at least 1 worker ... -1
 impact --paper --speed 3 | --paper has its own drops: omit --speed
 impact --paper --length 0.1 | --paper has its own drops: omit --length
-intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) either way, not 400
+intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) either way ... 400
 intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 rad)
 intrude --depth 0.05 --distance 0.2 | --depth and --distance both
 impact --body sphere | capsules and cylinders; take a medium whose own law takes every shape

@@ -91,7 +91,7 @@ def test_a_row_is_what_its_experiment_gives_alone():
         ({"model": ["a"]}, "no field to vary 'model'"),
         ({"speed": [1.0, -1.0]}, "must not be negative"),
         ({"speed": []}, "at least one value"),
-        ({"speed": ["fast"]}, "speed is a number, not 'fast'"),
+        ({"speed": ["fast"]}, "speed .*'fast'"),
         ({"speed": [math.nan]}, "finite"),
         ({"speed": 3.0}, "a list of values"),
         ({"angle": [0.1, 2.0]}, "less than 90"),
@@ -112,7 +112,7 @@ def test_other_mistakes():
         Between(2.0, 1.0)
     with pytest.raises(InputError, match="Impact, a Drop or an Intrusion"):
         Study("block.xml", {"speed": [1.0]})
-    with pytest.raises(InputError, match="whole number"):
+    with pytest.raises(InputError, match=r"points .*10\.5"):
         Study(Intrusion(), {"points": [10, 10.5]})
     with pytest.raises(InputError, match="name the law"):
         with_values(Drop(Path("robot.xml")), {"law.scale": 1.0})

@@ -18,7 +18,7 @@ _STEPS = 1e-3  # of a cell: a smaller change is not stored
 
 
 @dataclass(frozen=True)
-class Prints:
+class Tracks:
     """Heights of the sand at some instants of a run, as changes from one to the next.
 
     Attributes:
@@ -36,14 +36,14 @@ class Prints:
     @staticmethod
     def names() -> tuple[str, ...]:
         """Names of the arrays in a file."""
-        return tuple(f"prints_{field.name}" for field in fields(Prints))
+        return tuple(f"prints_{field.name}" for field in fields(Tracks))
 
     @staticmethod
     def are_in(file: Path) -> bool:
         """Return True if a file of arrays has tracks, which older ones do not."""
         try:
             with zipfile.ZipFile(file) as archive:
-                return f"{Prints.names()[0]}.npy" in archive.namelist()
+                return f"{Tracks.names()[0]}.npy" in archive.namelist()
         except (OSError, zipfile.BadZipFile):
             return False
 
@@ -71,7 +71,7 @@ class Prints:
         return {f"prints_{name}": value for name, value in vars(self).items()}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Prints:
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Tracks:
         """Restore the tracks that `arrays` returned.
 
         Raises:
@@ -86,11 +86,11 @@ class Prints:
         if node.shape != (count, 2) or height.shape != (count,) or node.dtype.kind != "i":
             raise ValueError("heights of the prints are damaged")
         if not np.isfinite(height).all() or (np.abs(node) >= 1 << 20).any():
-            raise ValueError("heights of the prints are none")
+            raise ValueError("heights of the prints must be finite")
         return found
 
 
-class PrintsRecorder:
+class TrackRecorder:
     """Record the tracks of a run while it is simulated.
 
     Args:
@@ -139,9 +139,9 @@ class PrintsRecorder:
         self._t.append(t)
         self._changes.append((nodes[at], now[at]))
 
-    def prints(self) -> Prints:
+    def prints(self) -> Tracks:
         """Return all recorded tracks."""
-        return Prints(
+        return Tracks(
             np.array(self._t),
             np.cumsum([len(heights) for _, heights in self._changes], dtype=np.int64),
             np.concatenate([np.zeros((0, 2), np.int32), *(nodes for nodes, _ in self._changes)]),
@@ -161,7 +161,7 @@ class Replay:
         time: that time [s].
     """
 
-    def __init__(self, prints: Prints, memory: Memory) -> None:
+    def __init__(self, prints: Tracks, memory: Memory) -> None:
         self._prints, self._size = prints, memory.size
         self.state = np.zeros(memory.state_size)
         self.time = 0.0

@@ -1,13 +1,13 @@
-"""Appearance of sand: its material, and the rectangles that draw an infinite plane of it.
+"""The material of sand, and the rectangles that draw an infinite plane of it.
 
-Nothing here is a geom of a model: drawings are added to scenes, so that a model keeps the bodies
-and geoms, and their order, that it has without sand.
+Drawings are added to scenes, not to the model, which keeps its bodies and geoms and their order.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,7 +18,7 @@ MATERIAL = "mjgranular_sand"
 TILE = 0.5
 """Edge of the grain texture on geoms [m]; grains of 2 mm. Chosen."""
 
-COLOUR = (0.83, 0.71, 0.53, 1.0)
+COLOR = (0.83, 0.71, 0.53, 1.0)
 """Color of sand in a model without the material."""
 
 NOT_SHOWN = 5
@@ -87,8 +87,8 @@ def paint(geom: mujoco.MjsGeom, material: str) -> None:
 
 
 @dataclass(frozen=True)
-class PlaneLook:
-    """Appearance of a plane in a model.
+class SandMaterial:
+    """Appearance of a plane of sand in a model.
 
     Attributes:
         material: id of its material; -1 for none.
@@ -106,7 +106,7 @@ class PlaneLook:
     @classmethod
     def of(
         cls, model: mujoco.MjModel, normal: np.ndarray, offset: float, radius: float
-    ) -> PlaneLook | None:
+    ) -> SandMaterial | None:
         """Return how the plane of the points p with normal @ p = offset is drawn under a model.
 
         Return None if the model shows it by its own geom without contacts.
@@ -119,14 +119,13 @@ class PlaneLook:
         """
         names = (model.material(number).name for number in range(model.nmat))
         found = next((k for k, name in enumerate(names) if name.endswith(MATERIAL)), -1)
-        role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
         hair = _HAIR * radius
         ground = _ground_at(model, normal, offset, hair)
         if any(not (model.geom_contype[geom] or model.geom_conaffinity[geom]) for geom in ground):
             return None
         return cls(
             material=found,
-            picture=int(model.mat_texid[found, role]) if found >= 0 else -1,
+            picture=texture_of(model, found),
             unit=2 * radius,
             lowered=hair if ground else 0.0,
         )
@@ -134,7 +133,7 @@ class PlaneLook:
     @property
     def rgba(self) -> np.ndarray:
         """Color that the material's texture is multiplied by, or the plain color."""
-        return np.array(COLOUR if self.material < 0 else (1.0, 1.0, 1.0, 1.0), np.float32)
+        return np.array(COLOR if self.material < 0 else (1.0, 1.0, 1.0, 1.0), np.float32)
 
     def add(
         self, scene: mujoco.MjvScene, normal: np.ndarray, offset: float, middle: np.ndarray
@@ -146,22 +145,52 @@ class PlaneLook:
         place[:2] = np.floor(place[:2] / self.unit + 0.5) * self.unit
         place[2] = offset - self.lowered
         for x, y, half_x, half_y in TILES * self.unit:
-            if scene.ngeom >= scene.maxgeom:
-                return
-            geom = scene.geoms[scene.ngeom]
-            mujoco.mjv_initGeom(
-                geom,
+            add_geom(
+                scene,
                 mujoco.mjtGeom.mjGEOM_PLANE,
                 np.array([half_x, half_y, 0.1]),
                 axes @ (place + np.array([x, y, 0.0])),
-                axes.ravel(),
-                self.rgba,
+                axes,
+                material=self.material,
+                texture=self.picture,
+                rgba=self.rgba,
+                unit=self.unit,
             )
-            geom.matid, geom.texid = self.material, self.picture
-            geom.texuniform, geom.texrepeat = 1, [2 / self.unit, 2 / self.unit]
-            geom.specular = geom.shininess = geom.reflectance = 0.0
-            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-            scene.ngeom += 1
+
+
+def add_geom(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    size: np.ndarray,
+    place: np.ndarray,
+    axes: np.ndarray,
+    *,
+    material: int,
+    texture: int,
+    rgba: np.ndarray,
+    unit: float,
+) -> Any:
+    """Add a decorative geom with the look of sand; return None if the scene is full.
+
+    Axes are in columns. Material and texture are ids, -1 for none; the texture is multiplied by
+    `rgba`, and its edge is `unit` [m].
+    """
+    if scene.ngeom >= scene.maxgeom:
+        return None
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(geom, kind, size, place, axes.ravel(), rgba)
+    geom.matid, geom.texid = material, texture
+    geom.texuniform, geom.texrepeat = 1, [2 / unit, 2 / unit]
+    geom.specular = geom.shininess = geom.reflectance = 0.0
+    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+    scene.ngeom += 1
+    return geom
+
+
+def texture_of(model: mujoco.MjModel, material: int) -> int:
+    """Return the id of the color texture of a material; -1 for none."""
+    role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
+    return int(model.mat_texid[material, role]) if material >= 0 else -1
 
 
 def axes_of(normal: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""`Cover`: sand with tracks in a scene that Python draws; the plugin draws it without Python."""
+"""Sand with tracks in a scene that Python draws; the plugin draws it in compiled code."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 
 from mjgranular.kernel.compiled import entry
-from mjgranular.prints.look import NOT_SHOWN
-from mjgranular.prints.shape import BLOCK, CANVAS_DTYPE, room_for, shape_of
-from mjgranular.prints.skin import lines_of, skin_of, stride_of, vertex_count
 from mjgranular.relief.memory import Memory
 from mjgranular.relief.relief import Relief
+from mjgranular.render.material import NOT_SHOWN, add_geom, texture_of
+from mjgranular.render.skin import lines_of, skin_of, stride_of, vertex_count
+from mjgranular.render.track_kernel import BLOCK, CANVAS_DTYPE, room_for, shape_of
 from mjgranular.surface import HeightField, Surface
 
 SIGNATURE = "int64(int64, float64)"
@@ -77,7 +77,7 @@ def room_of(canvas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return blocks, rectangles
 
 
-class Cover:
+class TrackMesh:
     """Sand with tracks, in a model that has a skin for it (`add_skin`).
 
     Args:
@@ -132,38 +132,30 @@ class Cover:
         """Add skin and rectangles to a scene; call it after it is updated."""
         record = self._record[0]
         axes = np.column_stack([record[name] for name in ("along", "across", "normal")])
-        geom = self._next(scene, mujoco.mjtGeom.mjGEOM_SKIN, np.zeros(3), np.zeros(3), np.eye(3))
+        skin, nothing = mujoco.mjtGeom.mjGEOM_SKIN, np.zeros(3)
+        geom = self._add(scene, skin, nothing, nothing, np.eye(3))
         if geom is not None:
             geom.objtype, geom.objid = mujoco.mjtObj.mjOBJ_SKIN, self._skin
-            geom.texcoord, geom.texrepeat = 1, [1 / self._unit, 1 / self._unit]
+            geom.texuniform, geom.texcoord = 0, 1
+            geom.texrepeat = [1 / self._unit, 1 / self._unit]
         if self._field >= 0 and not self._canvas["held"][0]:
             place = record["origin"] + self._canvas["sunk"][0] * axes[:, 2]
-            geom = self._next(scene, mujoco.mjtGeom.mjGEOM_HFIELD, np.zeros(3), place, axes)
+            geom = self._add(scene, mujoco.mjtGeom.mjGEOM_HFIELD, nothing, place, axes)
             if geom is not None:
                 geom.dataid = self._model.geom_dataid[self._field]
-                geom.texuniform, geom.texrepeat = 1, [2 / self._unit, 2 / self._unit]
         for u, v, half_u, half_v in self._rectangles[: int(self._canvas["count"][0])]:
             place = record["origin"] + axes @ [u, v, 0.0]
-            geom = self._next(
-                scene, mujoco.mjtGeom.mjGEOM_PLANE, np.array([half_u, half_v, 0.1]), place, axes
-            )
-            if geom is not None:
-                geom.texuniform, geom.texrepeat = 1, [2 / self._unit, 2 / self._unit]
+            size = np.array([half_u, half_v, 0.1])
+            self._add(scene, mujoco.mjtGeom.mjGEOM_PLANE, size, place, axes)
 
-    def _next(
-        self, scene: mujoco.MjvScene, kind: Any, size: np.ndarray, place: np.ndarray, axes: Any
-    ) -> Any:
-        """Return the next geom of a scene, with the look of sand; None if the scene is full."""
-        if scene.ngeom >= scene.maxgeom:
-            return None
-        geom, model = scene.geoms[scene.ngeom], self._model
-        rgba = np.append(model.skin_rgba[self._skin, :3], np.float32(1.0))
-        material = int(model.skin_matid[self._skin])
-        mujoco.mjv_initGeom(geom, kind, size, place, axes.ravel(), rgba)
-        geom.matid = material
-        role = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
-        geom.texid = model.mat_texid[material, role] if material >= 0 else -1
-        geom.specular = geom.shininess = geom.reflectance = 0.0
-        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-        scene.ngeom += 1
-        return geom
+    def _add(self, scene: mujoco.MjvScene, *shape: Any) -> Any:
+        """Add a geom to a scene with the material of the skin; return None if the scene is full."""
+        model, material = self._model, int(self._model.skin_matid[self._skin])
+        return add_geom(
+            scene,
+            *shape,
+            material=material,
+            texture=texture_of(model, material),
+            rgba=np.append(model.skin_rgba[self._skin, :3], np.float32(1.0)),
+            unit=self._unit,
+        )

@@ -1,36 +1,36 @@
-"""Scenery that makes a user's model look as if it were on sand by day."""
+"""Daylight, sky and sand for a model."""
 
 from __future__ import annotations
 
 import mujoco
 import numpy as np
 
-from mjgranular.prints import add_skin
-from mjgranular.prints.look import add_material, paint, radius_of
-from mjgranular.prints.skin import BLOCK, lines_of, stride_of
 from mjgranular.relief import Memory
+from mjgranular.render import add_skin
+from mjgranular.render.material import add_material, paint, radius_of
+from mjgranular.render.skin import BLOCK, lines_of, stride_of
 from mjgranular.surface import Bed, HeightField, Surface
 
 _SUN = "mjgranular_sun"
 _SKY, _HORIZON = [0.46, 0.63, 0.84], [0.88, 0.91, 0.93]
 _SHADOWS = 2048  # pixels along an edge of the map of shadows
-# Radii of what moves. MuJoCo looks shadows up by a pixel off at the edge of its map, which speckles
-# what casts shadows there: what is looked at lies in the middle.
+# Radius of the shadowed region, in radii of the moving parts. At the edge of MuJoCo's shadow map
+# surfaces that cast shadows are speckled: the moving parts must be in its middle.
 _SHADOWED = 6.0
-_SUNSHINE = np.array([-0.70, 0.26, -0.66])  # 41 degrees high, beside whoever looks by default
+_SUNSHINE = np.array([-0.70, 0.26, -0.66])  # 41 degrees high, to the side of the default view
 
 
 def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
-    """Adds daylight, a sky and the material of sand, and no geom.
+    """Add daylight, a sky and the material of sand, but no geom.
 
-    Lights of the model's own are switched off: one that lights a laboratory's floor leaves sand
-    dark or burns it out. The sun stands low enough for relief to show, casts the only shadows, and
-    follows the model. A bed or height field that nobody has coloured becomes sand; an endless plane
-    is no geom and is drawn into the scene (`look.PlaneLook`, or by the plugin).
+    Lights of the model are switched off: lights for a laboratory floor make sand too dark or too
+    bright. The sun is low enough to show relief, casts the only shadows, and follows the model. A
+    bed or height field without a color becomes sand; an infinite plane is not a geom, and is drawn
+    into the scene (`SandMaterial`, or by the plugin).
 
     Args:
         spec: the model to be; it is changed.
-        surface: of the sand.
+        surface: surface of the sand.
     """
     if known := spec.light(_SUN):  # a model that was written with its scenery
         spec.delete(known)
@@ -69,13 +69,13 @@ def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
 
 
 def add_cut_prints(spec: mujoco.MjSpec, memory: Memory | None) -> None:
-    """Adds what prints are drawn with to a link's or a chain's model, whose bed is cut open.
+    """Add the skin for tracks to the model of a link or chain, whose bed is cut open.
 
-    Of the bed no more is left than what is drawn with prints; the rest becomes boxes beside it.
+    The bed is reduced to the part that the skin draws; boxes draw the rest.
 
     Args:
         spec: the model to be.
-        memory: of the sand; None for sand that has no prints.
+        memory: memory of the sand; None for sand without tracks.
     """
     if memory is None:
         return
@@ -101,7 +101,7 @@ def add_cut_prints(spec: mujoco.MjSpec, memory: Memory | None) -> None:
 
 
 def place_sun(model: mujoco.MjModel) -> None:
-    """Has the sun of a model with scenery cast the shadows of what moves, and no others."""
+    """Restrict the shadows of a model with scenery to the moving parts."""
     sun = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_LIGHT, _SUN)
     if sun < 0:
         return

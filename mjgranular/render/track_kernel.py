@@ -18,10 +18,10 @@ import numpy as np
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.memory import floats, longs, records
 from mjgranular.kernel.vector import read_vector
-from mjgranular.prints.skin import BLOCK
 from mjgranular.relief.grid import HEIGHT, base_of, own_mark, place_of, start_of
 from mjgranular.relief.probe import level_kernel, state_length
 from mjgranular.relief.relief import Relief, relief_dtype
+from mjgranular.render.skin import BLOCK
 from mjgranular.surface import Surface
 
 CANVAS_DTYPE = np.dtype(

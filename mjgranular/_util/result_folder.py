@@ -1,0 +1,152 @@
+"""The folder of a result: claimed before the work, written at its end, nothing lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from mjgranular._util import files
+from mjgranular._util.io import is_plain_name, read_json
+from mjgranular._util.versions import versions
+from mjgranular.errors import OutputError
+
+CONFIG = "config.json"
+SUMMARY = "summary.json"
+TRAINING = "train"
+"""Command that `config.json` of a training run names."""
+
+
+class ResultFolder:
+    """A folder for the files of one result.
+
+    Args:
+        path: the folder; need not exist.
+        names: names of the files that may be written.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        self.path = path
+        self._names = tuple(names)
+        self._waiting: Path | None = None  # folder of files that are published together
+
+    @contextmanager
+    def claimed(
+        self, *, overwrite: bool = False, goes_on: Callable[[], bool] | None = None
+    ) -> Iterator[ResultFolder]:
+        """Check that the result can be written, and lock the folder; clean up if there is none.
+
+        Args:
+            overwrite: whether files of these names may be replaced.
+            goes_on: called once the folder is locked: whether its content is a part of this very
+                result, and may be replaced too.
+
+        Raises:
+            OutputError: another process uses the folder, it contains one of the files and
+                `overwrite` is false, it contains a training run, is not a folder, or cannot be
+                written to.
+        """
+        made = _missing(self.path)
+        # A single file, such as a film, may go to a folder that another process uses.
+        lock = files.LOCK if self._is_a_result else f".{self._names[0]}{files.LOCK}"
+        try:
+            with files.locked(self.path, lock):
+                if self._is_a_result:
+                    files.finish_publishing(self.path)
+                files.remove_leftovers(self.path, self._names)
+                self._check(overwrite or (goes_on is not None and goes_on()))
+                yield self
+        finally:
+            for folder in made:  # the innermost first; one with content stays
+                with suppress(OSError):
+                    folder.rmdir()
+
+    @property
+    def _is_a_result(self) -> bool:
+        return CONFIG in self._names or SUMMARY in self._names
+
+    def _check(self, overwrite: bool) -> None:
+        present = [name for name in self._names if (self.path / name).exists()]
+        if present and not overwrite:
+            raise OutputError(
+                f"{self.path} holds a result already ({', '.join(present)}): choose another "
+                "folder, or use --overwrite"
+            )
+        if CONFIG in present and self._command() == TRAINING:
+            raise OutputError(
+                f"{self.path} holds a training run, which --overwrite does not replace: choose "
+                "another folder"
+            )
+
+    def _command(self) -> object:
+        with suppress(OutputError):
+            return read_json(self.path / CONFIG).get("command")
+        return None
+
+    @contextmanager
+    def published(self, *, keep: Sequence[str] = ()) -> Iterator[None]:
+        """Publish all files of the block at once, in place of the whole previous result.
+
+        Args:
+            keep: names of files to keep although they are not written again.
+        """
+        stale = [name for name in (*self._names, *self._previous_names()) if name not in keep]
+        with files.replace_directory(self.path, instead_of=stale) as waiting:
+            self._waiting = waiting
+            try:
+                yield
+            finally:
+                self._waiting = None
+
+    def _previous_names(self) -> list[str]:
+        """Return names of files of the previous result, perhaps of another command."""
+        names: object = None
+        with suppress(OutputError):
+            names = read_json(self.path / CONFIG).get("files")
+        return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
+
+    def write(self, name: str, fill: Callable[[Path], object]) -> Path:
+        """Write a file atomically.
+
+        Args:
+            name: name of the file, one of the claimed names.
+            fill: writes to a given path.
+        """
+        path = (self._waiting or self.path) / name
+        with files.atomic_write(path) as part:
+            fill(part)
+        return self.path / name
+
+    def write_json(self, name: str, content: Any) -> Path:
+        """Write plain values as JSON."""
+        text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+        return self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
+
+    def write_config(self, command: str, config: dict[str, Any]) -> Path:
+        """Write the resolved options, and the versions of packages."""
+        return self.write_json(
+            CONFIG,
+            {
+                "command": command,
+                "config": config,
+                "seed": None,  # nothing is random
+                "versions": versions(),
+                "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+                "files": list(self._names),
+            },
+        )
+
+
+def _missing(folder: Path) -> list[Path]:
+    """Return the folders to be made, the innermost first."""
+    missing = []
+    while not folder.exists() and folder != folder.parent:
+        missing.append(folder)
+        folder = folder.parent
+    return missing

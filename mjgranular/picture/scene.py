@@ -1,0 +1,158 @@
+"""Views, sand and arrows in the scene of a film."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjgranular.errors import RenderError
+from mjgranular.relief import Memory
+from mjgranular.render import Replay, TrackMesh, Tracks
+from mjgranular.render.material import NOT_SHOWN, TILE, SandMaterial, boxes_of, moving_geoms
+from mjgranular.render.track_mesh import Region
+from mjgranular.surface import Plane, Surface
+
+_ARROW = np.array([0.80, 0.16, 0.10, 1.0], dtype=np.float32)
+# Chosen by appearance and speed: the time of software rendering is proportional to the samples.
+_SAMPLES = 2  # per pixel
+_INSTANTS = 16  # number of instants at which the extent of the model is sampled
+_MARGIN = 1.1  # around the view
+
+
+@dataclass(frozen=True)
+class View:
+    """A sphere around all visible moving parts, over a whole run.
+
+    Attributes:
+        middle: center [m], shape (3,).
+        radius: [m].
+    """
+
+    middle: np.ndarray
+    radius: float
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -> View:
+        """Return the view of a run through these positions, shape (n, nq); `data` is changed."""
+        geoms = moving_geoms(model)
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        for row in qpos[:: max(1, len(qpos) // _INSTANTS)]:
+            data.qpos[:] = row
+            mujoco.mj_kinematics(model, data)
+            lowest, highest = boxes_of(model, data, geoms)
+            low = np.minimum(low, lowest.min(axis=0))
+            high = np.maximum(high, highest.max(axis=0))
+        return cls((low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-6))
+
+    def camera(self, model: mujoco.MjModel, aspect: float) -> mujoco.MjvCamera:
+        """Return a free camera that shows it, from slightly above."""
+        angle = math.radians(model.vis.global_.fovy) / 2
+        angle = min(angle, math.atan(math.tan(angle) * aspect))
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = self.middle
+        camera.distance = _MARGIN * self.radius / math.sin(angle)
+        camera.azimuth, camera.elevation = 120.0, -18.0
+        return camera
+
+
+class Ground:
+    """Sand in a scene.
+
+    Args:
+        model: the drawn model.
+        surface: surface of the sand; None for the bed of a link or a chain.
+        view: the view.
+        covered: tracks of the run and memory of the sand; None for sand without memory.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        surface: Surface | None,
+        view: View,
+        covered: tuple[Tracks, Memory] | None = None,
+    ) -> None:
+        self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
+        self._cover = None
+        if covered is not None:
+            unit = 2 * view.radius if isinstance(surface, Plane) else TILE
+            region = None
+            if surface is None:
+                region, unit = _cut_open(model)
+            self._cover = TrackMesh(model, surface or Plane(), covered[1], unit=unit, region=region)
+            self._replay, self._prints = Replay(*covered), covered[0]
+            return
+        if isinstance(surface, Plane):
+            self._plane = surface
+            self._look = SandMaterial.of(model, surface.normal, surface.offset, view.radius)
+        elif surface is not None:
+            self._geoms = surface.geoms(model)
+
+    def moves(self, time: float) -> bool:
+        """Return True if sand has flowed between the last picture and a time [s]."""
+        return self._cover is not None and self._prints.change(self._replay.time, time)
+
+    def lay(self, time: float, middle: np.ndarray) -> None:
+        """Update the tracks to a time [s], around a place [m]; call this before a scene is made."""
+        if self._cover is not None:
+            self._cover.lay(self._replay.to(time), middle)
+
+    def show(self, scene: mujoco.MjvScene) -> None:
+        """Add a plane; stop geoms of sand from casting shadows, which would speckle them."""
+        if self._cover is not None:
+            self._cover.show(scene)
+        if self._look is not None and self._plane is not None:
+            self._look.add(scene, self._plane.normal, self._plane.offset, self._middle)
+        if self._geoms:
+            for geom in scene.geoms[: scene.ngeom]:
+                if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._geoms:
+                    geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+
+
+def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
+    """Return the box of sand behind a link or a chain, which the skin with tracks replaces.
+
+    Returns:
+        The box, and the edge length of its texture of grains [m].
+    """
+    bed = model.geom("bed")
+    bed.group = NOT_SHOWN
+    low, high = bed.pos - bed.size, bed.pos + bed.size
+    grains = 2 / float(model.mat_texrepeat[bed.matid.item(), 0])  # of a box MuJoCo has half sizes
+    return Region((low[0], low[1]), (high[0], high[1]), low[2]), grains
+
+
+def make_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
+    """Make a renderer for pictures of a size in pixels.
+
+    Raises:
+        RenderError: MuJoCo cannot render on this machine; says what to install.
+    """
+    # Exactly the size of the picture: MuJoCo processes its whole buffer.
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    model.vis.quality.offsamples = min(model.vis.quality.offsamples, _SAMPLES)
+    try:
+        return mujoco.Renderer(model, height, width)
+    except Exception as error:  # each platform's GL fails differently
+        raise RenderError(
+            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
+            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri) and import "
+            "mjgranular before mujoco, or set MUJOCO_GL=egl yourself; MUJOCO_GL=osmesa with "
+            "libosmesa6 works too"
+        ) from None
+
+
+def add_arrow(scene: Any, tail: np.ndarray, tip: np.ndarray, width: float) -> None:
+    """Add an arrow to a scene."""
+    if scene.ngeom >= scene.maxgeom:
+        return
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(
+        geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.eye(3).ravel(), _ARROW
+    )
+    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width, tail, tip)
+    scene.ngeom += 1
