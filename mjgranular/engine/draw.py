@@ -138,7 +138,7 @@ def add_sand(scene, header, kind, center, along, across, normal):
 
 @compiled
 def add_surface(scene, header, table, bodies):
-    """Add the plane of sand at its height, around the first body, as `look.PlaneLook.add` does."""
+    """Add the plane of sand at its height, around the first body, as `SandMaterial.add` does."""
     plane = _planes(table[SCENE] + header.plane, 1)[0]
     normal = read_vector(plane.normal, 0)
     length = math.sqrt(normal.x * normal.x + normal.z * normal.z)

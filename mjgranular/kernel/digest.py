@@ -29,7 +29,7 @@ _SETTINGS = (
 # Folders of modules that contain kernels, or that kernels read while they are compiled: programs
 # are compiled again after a change in one of these.
 FOLDERS = (
-    "engine", "kernel", "law", "prints", "relief", "sand", "scheme", "shape", "surface",
+    "engine", "kernel", "law", "relief", "render", "sand", "scheme", "shape", "surface",
 )  # fmt: skip
 
 
