@@ -15,11 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular._util import files
+from mjgranular.calibrate import Errors, Fit, FitResult, read_fit, run_fit
+from mjgranular.calibrate.medium import fitted_medium, medium_text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
 from mjgranular.cli.options import law_named
 from mjgranular.errors import InputError, MissingExtraError, OutputError
-from mjgranular.fit import Fit, FitResult, RunErrors, read_fit, run_fit
-from mjgranular.fit.known import fitted_medium, medium_text
 from mjgranular.pool.versions import versions
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
@@ -172,7 +172,7 @@ def _constants(result: FitResult) -> Table:
     return made
 
 
-def _errors(title: str, errors: dict[str, RunErrors] | Any) -> Table:
+def _errors(title: str, errors: dict[str, Errors] | Any) -> Table:
     cells = [
         (
             name,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from mjgranular.fit import FitResult
+from mjgranular.calibrate import FitResult
 from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
 from mjgranular.picture.plain import plain
 

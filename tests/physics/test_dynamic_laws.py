@@ -227,7 +227,7 @@ def test_limits_say_how_fast_it_was_confirmed():
 
 
 def test_strength_can_be_free_in_a_fit():
-    from mjgranular.fit.constants import Material
+    from mjgranular.calibrate.material import Material
 
     medium = read_runs(DATA / "wide_bed").medium  # with a grain size
     for law in ("rft3d", "rft3d_dynamic"):

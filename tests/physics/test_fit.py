@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from mjgranular import Medium, Quantity
 from mjgranular.fit import Body, Fit, Run, run_fit
-from mjgranular.fit.intervals import correlation_time
+from mjgranular.calibrate.intervals import correlation_time
 
 MASS, STIFFNESS, QUADRATIC = 0.0692, 60.0, 0.8  # Katsuragi and Durian's sphere, about
 BALL = Body("sphere", 0.0254, mass=MASS)

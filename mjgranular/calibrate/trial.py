@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mjgranular.fit.constants import Material
-from mjgranular.fit.result import RunErrors
-from mjgranular.fit.run import Run
+from mjgranular.calibrate.errors import Errors
+from mjgranular.calibrate.material import Material
+from mjgranular.calibrate.runs import Run
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,6 @@ class Trial(ABC):
     """A run with its data read and checked.
 
     Attributes:
-        run: the run.
         carries: largest number of constants that such a curve can determine; chosen.
         series: measured series.
         axis: name of the independent variable.
@@ -49,11 +48,6 @@ class Trial(ABC):
     places: np.ndarray
     shift: float | None = None
     shift_range: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def name(self) -> str:
-        """Name of the run."""
-        return self.run.name
 
     @property
     def speeds(self) -> tuple[float, ...]:
@@ -74,8 +68,12 @@ class Trial(ABC):
         """Return the series as they would have been measured."""
 
     @abstractmethod
-    def errors(self, outcome: Any, shift: float | None) -> RunErrors:
+    def errors(self, outcome: Any, shift: float | None) -> Errors:
         """Summarize the errors of a prediction."""
+
+    def since(self, shift: float | None) -> np.ndarray:
+        """Return the places of a curve: times count from the touch."""
+        return self.places
 
     def residual(self, outcome: Any, shift: float | None) -> np.ndarray:
         """Return prediction minus measurement, in parts of each scale.
@@ -88,8 +86,3 @@ class Trial(ABC):
             for series, found in zip(self.series, self.predicted(outcome, shift), strict=True)
         ]
         return np.concatenate(parts)
-
-
-def rms(values: np.ndarray) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular.calibrate.material import Material
+from mjgranular.calibrate.trial import Trial
 from mjgranular.errors import UnstableError
-from mjgranular.fit.constants import Material
-from mjgranular.fit.trial import Trial
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
 _FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
@@ -50,6 +50,15 @@ class Problem:
     def count(self) -> int:
         """Number of free constants."""
         return len(self.free)
+
+    @property
+    def range(self) -> np.ndarray:
+        """Width between the bounds of each unknown; may be infinite."""
+        return self.high - self.low
+
+    def sizes(self, constants: np.ndarray) -> np.ndarray:
+        """Return the size of each unknown: that of `constants`, and the range of each touch."""
+        return np.concatenate([constants[: self.count], self.range[self.count :]])
 
     def start(self) -> np.ndarray:
         """Return the initial unknowns."""
@@ -119,7 +128,7 @@ class Problem:
             if k < self.count:
                 step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start()[k]))
             else:
-                step = 1e-3 * (self.high[k] - self.low[k])
+                step = _FINE * self.range[k]
             up, down = x.copy(), x.copy()
             up[k] = min(x[k] + step, self.high[k])
             down[k] = max(x[k] - step, self.low[k])

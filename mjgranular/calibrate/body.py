@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import get_args
 
@@ -45,7 +44,7 @@ class Body:
             what = "its side" if self.shape == "plate" else "along its axis"
             raise InputError(f"a {self.shape} needs a length, {what} [m]")
         if self.mass is not None and self.density is not None:
-            raise InputError("a body has a mass or a density: leave one of them away")
+            raise InputError("a body has a mass or a density, got both")
         for name in ("diameter", "length", "mass", "density"):
             value = getattr(self, name)
             if value is not None and not (is_finite(value) and value > 0):
@@ -72,11 +71,6 @@ class Body:
         """Largest extent [m]."""
         return max(self.diameter, 0.0 if self.length is None else self.length)
 
-    @property
-    def area(self) -> float:
-        """A measure of the area in the sand [m^2]: largest extent times diameter."""
-        return self.size * (self.size if self.shape == "plate" else self.diameter)
-
     def reach(self, angle: np.ndarray) -> np.ndarray:
         """Return the distance from the center down to the lowest point, at some angles [m].
 
@@ -102,8 +96,3 @@ class Body:
     def heavier(self, factor: float) -> Body:
         """Return the same body with its mass multiplied by `factor`."""
         return Body(self.shape, self.diameter, self.length, self.projectile.mass * factor)
-
-
-def degrees(angle: float) -> float:
-    """Convert radians to degrees, rounding away the noise of the last digit."""
-    return round(math.degrees(angle), 9)

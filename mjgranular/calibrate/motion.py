@@ -59,7 +59,7 @@ class Motion:
         if self.time is None or self.depth.max() <= 0:
             return None
         speed = np.gradient(self.depth, self.time) if self.speed is None else self.speed
-        touch = _crossing(self.time, self.depth)
+        touch = _touch(self.time, self.depth)
         if touch is not None and self.to_the_stop:
             return float(self.time[-1] - touch)
         k = int(np.argmax(speed))
@@ -84,12 +84,12 @@ class Motion:
         return float(gained.max() / _MEAN) if len(gained) else None
 
 
-def _crossing(time: np.ndarray, depth: np.ndarray) -> float | None:
+def _touch(time: np.ndarray, depth: np.ndarray) -> float | None:
     """Return the time at which a body touches the surface."""
-    wet = np.flatnonzero(depth >= 0)
-    if not len(wet):
+    inside = np.flatnonzero(depth >= 0)
+    if not len(inside):
         return None
-    i = int(wet[0])
+    i = int(inside[0])
     if i == 0:
         return float(time[0])
     part = -depth[i - 1] / (depth[i] - depth[i - 1])

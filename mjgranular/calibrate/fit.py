@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,28 +11,34 @@ import numpy as np
 
 from mjgranular._util.checks import check_kind
 from mjgranular._util.extras import need
+from mjgranular.calibrate.fall import DropTrial, ModelTrial
+from mjgranular.calibrate.identifiability import (
+    COLLINEAR,
+    WIDE,
+    Information,
+    further_tests,
+    trades_off,
+)
+from mjgranular.calibrate.intervals import spread_of
+from mjgranular.calibrate.material import STRENGTH, Material
+from mjgranular.calibrate.problem import Problem
+from mjgranular.calibrate.result import Curve, FitResult
+from mjgranular.calibrate.rows import PushTrial
+from mjgranular.calibrate.runs import Run
+from mjgranular.calibrate.trial import Trial
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
-from mjgranular.fit.constants import STRENGTH, Material
-from mjgranular.fit.drop import DropTrial, ModelTrial
-from mjgranular.fit.intervals import spread_of
-from mjgranular.fit.problem import Problem
-from mjgranular.fit.push import DragTrial, PushTrial
-from mjgranular.fit.result import Curve, FitResult
-from mjgranular.fit.run import Run
-from mjgranular.fit.telling import TANGLED, WIDE, Information, further_tests, trades_off
-from mjgranular.fit.trial import Trial
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 
 _TRIALS: dict[str, Callable[[Run], Trial]] = {
     "drop": DropTrial,
     "intrude": PushTrial,
-    "drag": DragTrial,
+    "drag": PushTrial,
     "model": ModelTrial,
 }
 _SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried if none is given
 _MOST_ROUNDS = 40
-_NOTHING_KNOWN = 10.0  # half width in parts of the value from which no interval is reported; chosen
+_UNKNOWN = 10.0  # half width in parts of the value from which no interval is reported; chosen
 _ON_BOUND = 1e-3  # parts of its size within which a constant counts as on a bound; chosen
 
 Progress = Callable[[int, str], None]
@@ -77,7 +83,7 @@ class Fit:
             if name not in names:
                 raise UnknownNameError("run to hold out", name, names)
         if not set(names) - set(self.hold_out):
-            raise InputError("there is no run to fit to: at least one is not held out")
+            raise InputError("there is no run to fit to: at least one must not be held out")
         material = self.material
         material.check_free(self.free)
         for name in self.free:
@@ -129,30 +135,20 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     problem = Problem(fitted, start, fit.free, show)
     x = problem.start()
     if any(outcome is None for outcome in problem.outcomes(x)):
-        raise UnstableError(
-            f"with {start.law} a run leaves reason at once: start from other constants"
-        )
-    scale = np.abs(x[: problem.count])
-    sizes = np.concatenate([scale, (problem.high - problem.low)[problem.count :]])
+        raise UnstableError(f"a run diverges with {start.law}: start from other constants")
+    inner = 1e-6 * np.where(np.isfinite(problem.range), problem.range, 0.0)
     solution = optimize.least_squares(
         problem.residual,
-        np.clip(x, *_inside(problem)),
+        np.clip(x, problem.low + inner, problem.high - inner),  # a solver starts inside
         jac=problem.jacobian,
         bounds=(problem.low, problem.high),
-        x_scale=sizes,
+        x_scale=problem.sizes(np.abs(x)),
         xtol=1e-6,
         ftol=1e-9,
         gtol=1e-9,
         max_nfev=_MOST_ROUNDS,
     )
     return _result(fit, start, problem, solution.x, trials, special)
-
-
-def _inside(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds, moved inward a little where both are finite: a solver starts inside."""
-    room = problem.high - problem.low
-    margin = np.where(np.isfinite(room), 1e-6 * np.where(np.isfinite(room), room, 0.0), 0.0)
-    return problem.low + margin, problem.high - margin
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
@@ -181,14 +177,14 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
     for name in fit.free:
         if material.has_start(name):
             continue
-        best, least = None, np.inf
+        best, least = material, np.inf
         for value in _SCAN:
             tried = material.changed({name: value})
             probe = Problem(trials, tried, (name,))
             error = float(np.square(probe.residual(probe.start())).sum())
             if error < least:
                 best, least = tried, error
-        material = material if best is None else best
+        material = best
     return material
 
 
@@ -197,33 +193,38 @@ def _result(
     start: Material,
     problem: Problem,
     x: np.ndarray,
-    trials: dict[str, Trial],
+    trials: Mapping[str, Trial],
     special: Any,
 ) -> FitResult:
-    count = problem.count
+    """Return the result at the solution `x`, with intervals and what the data determine."""
+    count, names = problem.count, fit.free
     material = problem.material_at(x)
     residual, jacobian = problem.residual(x), problem.jacobian(x)
-    sizes = np.concatenate([np.abs(problem.start()[:count]), np.ones(len(x) - count)])
+    sizes = problem.sizes(np.abs(problem.start()))
     near = _ON_BOUND * sizes
-    near[count:] = _ON_BOUND * (problem.high - problem.low)[count:]
     held = (x - problem.low < near) | (problem.high - x < near)
     jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound cannot move
-    scale = np.where(np.abs(x[:count]) > near[:count], np.abs(x[:count]), sizes[:count])
+    scale = np.where(np.abs(x) > near, np.abs(x), sizes)[:count]
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
-    whole = np.concatenate([scale, (problem.high - problem.low)[count:]])
     spread = spread_of(
-        jacobian[:, moving], residual, problem.blocks(), problem.runs(), whole[moving], special
+        jacobian[:, moving],
+        residual,
+        problem.blocks(),
+        problem.runs(),
+        problem.sizes(scale)[moving],
+        special,
     )
     information = Information.of(jacobian, scale)
     half = spread.half[:count]
     relative = half / scale
-    tangled = information.tangled()
-    one_speed = trades_off(problem.trials, material, fit.free)
-    valley = (tangled >= TANGLED) | one_speed
-    good = ~valley & (relative <= WIDE)
+    one_speed = trades_off(problem.trials, material, names)
+    flat = (information.collinear() >= COLLINEAR) | one_speed
+    good = ~flat & (relative <= WIDE)
     further = ()
     if not good.all():
-        further = further_tests(problem, material, information, relative, _steps(fit.free, scale))
+        # Strength is a factor on the fitted material.
+        steps = np.where(np.array(names) == STRENGTH, 1.0, scale)
+        further = further_tests(problem, material, information, relative, steps)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
         outcome = trial.simulate(material)
@@ -231,24 +232,22 @@ def _result(
         shift = problem.shift_of(x, problem.trials.index(trial)) if fitted else trial.shift
         (runs if fitted else held_out)[name] = trial.errors(outcome, shift)
         curves[name] = _curves(trial, outcome, shift, not fitted)
-    ends = {
-        name: _interval(x[k], half[k], relative[k], problem.low[k], problem.high[k])
-        for k, name in enumerate(fit.free)
-    }
-    names = fit.free
     return FitResult(
         start=start,
         material=material,
         free=names,
         values={name: float(x[k]) for k, name in enumerate(names)},
-        intervals=ends,
+        intervals={
+            name: _interval(x[k], half[k], relative[k], problem.low[k], problem.high[k])
+            for k, name in enumerate(names)
+        },
         correlations={
             a: {b: float(spread.correlation[i, j]) for j, b in enumerate(names) if i != j}
             for i, a in enumerate(names)
         },
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
         at_bound=tuple(name for k, name in enumerate(names) if held[k]),
-        valleys=information.valleys(names, bool(one_speed.any())) if valley.any() else (),
+        valleys=information.null_directions(names, one_speed) if flat.any() else (),
         further=further,
         runs=runs,
         held_out=held_out,
@@ -258,19 +257,13 @@ def _result(
     )
 
 
-def _steps(free: Sequence[str], scale: np.ndarray) -> np.ndarray:
-    """Return the sizes of relative changes from the fitted material: strength is 1 there."""
-    return np.array([1.0 if n == STRENGTH else s for n, s in zip(free, scale, strict=True)])
-
-
 def _interval(
     value: float, half: float, relative: float, low: float, high: float
 ) -> tuple[float | None, float | None]:
-    """Return an end of an interval, within the law's bounds; None for no end."""
-    below, above = value - half, value + half
-    if not relative < _NOTHING_KNOWN:
-        below, above = -np.inf, np.inf
-    below, above = max(below, low), min(above, high)
+    """Return the ends of an interval, within the law's bounds; None for no end."""
+    if not relative < _UNKNOWN:
+        half = np.inf
+    below, above = max(value - half, low), min(value + half, high)
     return (
         float(below) if np.isfinite(below) else None,
         float(above) if np.isfinite(above) else None,
@@ -278,11 +271,8 @@ def _interval(
 
 
 def _curves(trial: Trial, outcome: Any, shift: float | None, held_out: bool) -> tuple[Curve, ...]:
-    begin = 0.0
-    if isinstance(trial, DropTrial):
-        begin = trial.touch if shift is None else shift
-    found = trial.predicted(outcome, shift)
+    places = trial.since(shift)
     return tuple(
-        Curve(trial.axis, s.name, trial.places - begin, s.values, values, held_out)
-        for s, values in zip(trial.series, found, strict=True)
+        Curve(trial.axis, series.name, places, series.values, values, held_out)
+        for series, values in zip(trial.series, trial.predicted(outcome, shift), strict=True)
     )

@@ -17,6 +17,7 @@ _USUAL = 0.6  # ratio of `_PLAUSIBLE` for a body with constant deceleration
 _END = 0.1  # part of the rows over which the final depth is averaged; chosen
 _PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
 _TIMES = 200  # number of stopping times tried
+_STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
 
 
 @dataclass(frozen=True)
@@ -125,21 +126,57 @@ def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, 
         if guesses:
             unit = min(guesses)[1]
             raise InputError(
-                f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s "
-                f"cannot be: it looks like {unit}; name the column 'depth [{unit}]'"
+                f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s is not "
+                f"plausible: it looks like {unit}; name the column 'depth [{unit}]'"
             )
         raise InputError(
-            f"{where}: a depth of {greatest:.4g} m after {took:.3g} s is more than a free fall "
-            f"makes of {speed:g} m/s: look at the units of time, depth and speed"
+            f"{where}: a depth of {greatest:.4g} m after {took:.3g} s is more than that of a "
+            f"free fall at {speed:g} m/s: check the units of time, depth and speed"
         )
     if rate < low:
         short = took * 1e-3
         if low < way / (speed * short + GRAVITY * short**2 / 2) < high:
             raise InputError(
-                f"{where}: {took:.4g} s for a depth of {greatest:.3g} m at {speed:g} m/s cannot "
-                "be: the times look like ms; name the column 'time [ms]'"
+                f"{where}: {took:.4g} s for a depth of {greatest:.3g} m at {speed:g} m/s is not "
+                "plausible: the times look like ms; name the column 'time [ms]'"
             )
         raise InputError(
             f"{where}: {took:.4g} s for a depth of {greatest:.3g} m is far too slow for {speed:g} "
-            "m/s at the touch: look at the units of time, depth and speed"
+            "m/s at the touch: check the units of time, depth and speed"
+        )
+
+
+def settling(since: np.ndarray, values: np.ndarray) -> float:
+    """Return when a curve has settled to its end value but for noise, else its last time.
+
+    Args:
+        since: time since the touch [s], shape (n,).
+        values: shape (n,).
+    """
+    width = max(1, len(values) // 20)
+    smooth = np.convolve(values, np.ones(width) / width, mode="valid")
+    away = np.flatnonzero(np.abs(smooth - smooth[-1]) > _STAYS * np.ptp(smooth))
+    last = min(len(since) - 1, int(away[-1]) + width) if len(away) else 0
+    return float(since[last])
+
+
+def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
+    """Check that a record has enough rows, increasing times and contact.
+
+    Raises:
+        InputError: it does not; says which is missing.
+    """
+    if len(time) < 4:
+        raise InputError(f"{where}: a trajectory needs at least 4 rows, got {len(time)}")
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        row = int(back[0])
+        raise InputError(
+            f"{where}: times must grow from row to row, got {time[row + 1]:g} s after "
+            f"{time[row]:g} s in row {row + 2}"
+        )
+    if depth.max() <= 0:
+        raise InputError(
+            f"{where}: no contact, the depth is at most {depth.max():.4g} m: depths are positive "
+            "below the surface"
         )

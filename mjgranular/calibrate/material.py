@@ -25,7 +25,7 @@ DENSITY = "density"
 
 _STRONGER = 1.5  # a factor for the test
 _LARGEST = 1e9  # times the start: a value that a law accepts here it accepts anywhere
-_BISECTIONS = 60
+_BISECTIONS = 100
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,7 @@ class Material:
         return any(np.any(plain[key] != 0) for key in keys)
 
     def _times(self, names: tuple[str, ...], factor: float) -> Material:
+        """Return the material with some constants multiplied by a factor."""
         changes: Any = {name: factor * getattr(self.law, name) for name in names}
         return replace(self, law=replace(self.law, **changes))  # pyright: ignore
 
@@ -155,8 +156,7 @@ class Material:
         """
         if not names:
             raise InputError(
-                f"nothing is free: name constants of the law {self.law.name!r}, of "
-                f"{', '.join(self.names)}"
+                f"no constant is free: the law {self.law.name!r} has {', '.join(self.names)}"
             )
         for name in names:
             if name not in self.names:
@@ -169,7 +169,7 @@ class Material:
             both = [name for name in self._stronger if name in names]
             if both:
                 raise InputError(
-                    f"strength is a factor on {', '.join(self._stronger)}: free one of strength "
+                    f"strength is a factor on {', '.join(self._stronger)}: fit one of strength "
                     f"and {both[0]}, not both"
                 )
 
@@ -185,7 +185,7 @@ class Material:
         if name in self.given:
             raise InputError(
                 f"{name} starts at {value:g}, which is a bound of what the law {self.law.name!r} "
-                f"accepts, {_range(low, high)}: give a start inside, or leave it away"
+                f"accepts, {_range(low, high)}: give a start inside, or none"
             )
         return False
 
@@ -196,15 +196,12 @@ class Material:
         return self._end(name, value, -size), self._end(name, value, size)
 
     def _end(self, name: str, value: float, way: float) -> float:
+        """Return the bound in the direction of `way`, by bisection."""
         if self._accepts(name, value + way * _LARGEST):
             return math.copysign(math.inf, way)
         if way < 0 < value and self._accepts(name, 0.0) and not self._accepts(name, -1e-9 * value):
             return 0.0
         inside, outside = 0.0, abs(way) * _LARGEST
-        step = abs(way)
-        while step < outside and self._accepts(name, value + math.copysign(step, way)):
-            inside, step = step, 2 * step
-        outside = min(step, outside)
         for _ in range(_BISECTIONS):
             middle = (inside + outside) / 2
             if self._accepts(name, value + math.copysign(middle, way)):
@@ -244,15 +241,6 @@ class Material:
             if default is MISSING or value != default or name in self.given:
                 kept[name] = float(value)
         return kept
-
-    def others(self) -> dict[str, Any]:
-        """Return fields that a medium cannot have: neither numbers nor the law's defaults."""
-        every = fields(self.law)  # pyright: ignore[reportArgumentType]
-        return {
-            field.name: getattr(self.law, field.name)
-            for field in every
-            if field.name not in self._numbers and getattr(self.law, field.name) != field.default
-        }
 
 
 def _range(low: float, high: float) -> str:
