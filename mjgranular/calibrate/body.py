@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import get_args
 
-import numpy as np
-
 from mjgranular._util.checks import is_finite
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.models import Projectile
@@ -70,20 +68,6 @@ class Body:
     def size(self) -> float:
         """Largest extent [m]."""
         return max(self.diameter, 0.0 if self.length is None else self.length)
-
-    def reach(self, angle: np.ndarray) -> np.ndarray:
-        """Return the distance from the center down to the lowest point, at some angles [m].
-
-        Args:
-            angle: angle from the vertical [rad], any shape.
-        """
-        x, _, z = self.projectile.halves
-        s, c = np.abs(np.sin(angle)), np.abs(np.cos(angle))
-        if self.shape in ("box", "plate", "cylinder"):
-            return x * s + z * c
-        if self.shape in ("sphere", "ellipsoid"):
-            return np.sqrt((x * s) ** 2 + (z * c) ** 2)
-        return x + (z - x) * c  # half spheres at both ends
 
     def describe(self) -> str:
         """Return a short description."""

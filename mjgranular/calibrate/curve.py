@@ -16,6 +16,7 @@ _NEAR_STOP = 0.75  # part of the depth beyond which a stop is searched; chosen
 _USUAL = 0.6  # ratio of `_PLAUSIBLE` for a body with constant deceleration
 _END = 0.1  # part of the rows over which the final depth is averaged; chosen
 _PLAUSIBLE = (0.02, 1.5)  # mean speed on the way down over that of a free fall; chosen, wide
+_OTHER_UNITS = (("depth", "mm", 1e-3, 1.0), ("depth", "cm", 1e-2, 1.0), ("time", "ms", 1.0, 1e-3))
 _TIMES = 200  # number of stopping times tried
 _STAYS = 0.03  # parts of its range within which a curve counts as settled; chosen
 
@@ -38,11 +39,6 @@ def find_touch(time: np.ndarray, depth: np.ndarray, speed: float) -> float:
 
     Above the sand the body falls freely; in the first tenth of its path the deceleration is
     constant.
-
-    Args:
-        time: [s], shape (n,).
-        depth: [m], shape (n,).
-        speed: downward speed at the touch [m/s].
     """
     greatest = depth.max()
     beyond = np.flatnonzero(depth > 3 * _BEGINNING * greatest)[0]
@@ -67,10 +63,6 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
     With constant deceleration at the end, `d = D - a (T - t)^2 / 2` before the body stops: D, a and
     T are fitted to the last quarter of the path. If the body rolls over afterwards, only the part
     before it rises again counts.
-
-    Args:
-        since: time since the touch [s], shape (n,).
-        depth: [m], shape (n,).
     """
     count = max(1, round(_END * len(depth)))
     final = float(depth[-count:].mean())
@@ -114,45 +106,32 @@ def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, 
     begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
     took = float(time[near] - time[begin[-1] if len(begin) else 0])
     took = max(took, float(np.diff(time).min()))
-    way = 0.9 * greatest
     low, high = _PLAUSIBLE
-    rate = way / (speed * took + GRAVITY * took**2 / 2)
-    if rate > high or greatest > 50 * size:
-        guesses = [
-            (abs(math.log(rate * factor / _USUAL)), unit)
-            for unit, factor in (("mm", 1e-3), ("cm", 1e-2))
-            if low < rate * factor < high and greatest * factor < 20 * size
-        ]
-        if guesses:
-            unit = min(guesses)[1]
-            raise InputError(
-                f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s is not "
-                f"plausible: it looks like {unit}; name the column 'depth [{unit}]'"
-            )
-        raise InputError(
-            f"{where}: a depth of {greatest:.4g} m after {took:.3g} s is more than that of a "
-            f"free fall at {speed:g} m/s: check the units of time, depth and speed"
-        )
-    if rate < low:
-        short = took * 1e-3
-        if low < way / (speed * short + GRAVITY * short**2 / 2) < high:
-            raise InputError(
-                f"{where}: {took:.4g} s for a depth of {greatest:.3g} m at {speed:g} m/s is not "
-                "plausible: the times look like ms; name the column 'time [ms]'"
-            )
-        raise InputError(
-            f"{where}: {took:.4g} s for a depth of {greatest:.3g} m is far too slow for {speed:g} "
-            "m/s at the touch: check the units of time, depth and speed"
-        )
+
+    def ratio(meter: float = 1.0, second: float = 1.0) -> float:
+        """Return the mean speed over that of a free fall, with other units of the file."""
+        t = took * second
+        return 0.9 * greatest * meter / (speed * t + GRAVITY * t**2 / 2)
+
+    if low <= ratio() <= high and greatest <= 50 * size:
+        return
+    guesses = [
+        (abs(math.log(ratio(meter, second) / _USUAL)), f"{column} [{unit}]")
+        for column, unit, meter, second in _OTHER_UNITS
+        if low < ratio(meter, second) < high and greatest * meter < 20 * size
+    ]
+    hint = "check the units of time, depth and speed"
+    if guesses:
+        column = min(guesses)[1]
+        hint = f"it looks like {column.split('[')[1][:-1]}; name the column '{column}'"
+    raise InputError(
+        f"{where}: a depth of {greatest:.4g} m after {took:.3g} s at {speed:g} m/s is not "
+        f"plausible: {hint}"
+    )
 
 
 def settling(since: np.ndarray, values: np.ndarray) -> float:
-    """Return when a curve has settled to its end value but for noise, else its last time.
-
-    Args:
-        since: time since the touch [s], shape (n,).
-        values: shape (n,).
-    """
+    """Return when a curve has settled to its end value but for noise, else its last time."""
     width = max(1, len(values) // 20)
     smooth = np.convolve(values, np.ones(width) / width, mode="valid")
     away = np.flatnonzero(np.abs(smooth - smooth[-1]) > _STAYS * np.ptp(smooth))

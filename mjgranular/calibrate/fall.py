@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -18,7 +17,9 @@ from mjgranular.calibrate.curve import (
 )
 from mjgranular.calibrate.errors import Errors, relative, rms
 from mjgranular.calibrate.material import Material
+from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import Run
+from mjgranular.calibrate.simulate import lowest_depth
 from mjgranular.calibrate.simulator import Simulator
 from mjgranular.calibrate.trial import Series, Trial
 from mjgranular.errors import InputError, UnknownNameError, shown
@@ -35,21 +36,6 @@ _AFTER = 1.5  # rows are used up to this many times the time to rest: later rows
 _BEFORE = 0.1  # and from this part of it before the touch: rows in the air do not depend on sand
 _LEAST_PITCH = 10.0  # scale of a pitch that hardly changes [degrees]; chosen
 _TOUCH = 0.03  # parts of the depth by which the first touch may be off; chosen
-
-
-@dataclass(frozen=True)
-class Fall:
-    """A simulated fall, from the touch on.
-
-    Attributes:
-        time: [s], shape (n,).
-        depth: depth of the lowest point [m], shape (n,).
-        pitch: [degrees], shape (n,); None if it was not measured.
-    """
-
-    time: np.ndarray
-    depth: np.ndarray
-    pitch: np.ndarray | None = None
 
 
 class DropTrial(Trial):
@@ -91,6 +77,10 @@ class DropTrial(Trial):
             self._free_touch(time, depth)
 
     @property
+    def speeds(self) -> tuple[float, ...]:
+        return (self._speed,)
+
+    @property
     def _longest_fall(self) -> float:
         """The longest time that the body can have fallen before the touch [s]."""
         return self._speed / GRAVITY
@@ -129,7 +119,6 @@ class DropTrial(Trial):
         )
 
     def _make_simulator(self, duration: float) -> Simulator:
-        assert self.run.body is not None
         self._timestep = float(np.clip(duration / _STEPS, *_STEP_RANGE))
         self._duration = duration + self._timestep
         projectile = self.run.body.projectile
@@ -137,8 +126,7 @@ class DropTrial(Trial):
         self._qvel = np.array(projectile.moving(self.run.angle, self._speed, 0.0, 0.0), float)
         return Simulator(projectile.model(self._timestep), Implicit(), ("link",))
 
-    def simulate(self, material: Material) -> Fall:
-        assert self.run.body is not None
+    def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)
         late = 0.0 if self.shift is None else self.shift_range[1] - self.shift_range[0]
         # The scheme is of first order: with 300 steps a drag would come out 1.7 % too large. The
@@ -146,8 +134,8 @@ class DropTrial(Trial):
         steps = int(np.ceil((self._duration + late) / self._timestep))
         path = 2 * self._path(steps, 2) - self._path(steps, 1)
         time = self._timestep * np.arange(len(path))
-        depth = self.run.body.reach(path[:, 2]) - path[:, 1]
-        return Fall(time, depth, np.degrees(path[:, 2]))
+        depth = np.array([lowest_depth(self.run.body.projectile, row) for row in path])
+        return Motion(depth=depth, time=time, pitch=np.degrees(path[:, 2]))
 
     def _path(self, steps: int, parts: int) -> np.ndarray:
         """Return positions before and after each of `steps` steps, each divided into `parts`."""
@@ -163,17 +151,14 @@ class DropTrial(Trial):
     def since(self, shift: float | None) -> np.ndarray:
         return self.places - (self.touch if shift is None else shift)
 
-    def predicted(self, outcome: Fall, shift: float | None) -> list[np.ndarray]:
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
         since = self.since(shift)
         above = np.minimum(since, 0.0)
-        depth = np.interp(since, outcome.time, outcome.depth)
-        depth += self._speed * above + GRAVITY / 2 * above**2
-        if len(self.series) == 1:
-            return [depth]
-        assert outcome.pitch is not None
-        return [depth, np.interp(since, outcome.time, outcome.pitch)]
+        found = [np.interp(since, outcome.time, getattr(outcome, s.name)) for s in self.series]
+        found[0] += self._speed * above + GRAVITY / 2 * above**2
+        return found
 
-    def errors(self, outcome: Fall, shift: float | None) -> Errors:
+    def errors(self, outcome: Motion, shift: float | None) -> Errors:
         found = self.predicted(outcome, shift)
         off = [f - s.values for f, s in zip(found, self.series, strict=True)]
         measured, predicted = self.arrest, find_arrest(self.since(shift), found[0])
@@ -204,7 +189,6 @@ class ModelTrial(DropTrial):
 
     def _make_simulator(self, duration: float) -> Simulator:
         run = self.run
-        assert run.model is not None
         model, _ = load(Drop(run.model, keyframe=run.keyframe))
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, run.model_body or "")
         if body < 0:
@@ -218,7 +202,7 @@ class ModelTrial(DropTrial):
             )
         data = mujoco.MjData(model)
         start_from(model, data, run.keyframe)
-        self._body, self._steps = body, int(np.ceil(duration / model.opt.timestep + 1)) + 1
+        self._body, self._steps = body, int(np.ceil(duration / model.opt.timestep)) + 2
         self._qpos, self._qvel = data.qpos.copy(), data.qvel.copy()
         if self._speed:
             joint = model.body_jntadr[model.body_rootid[body]]
@@ -230,7 +214,7 @@ class ModelTrial(DropTrial):
             self._qvel[model.jnt_dofadr[joint] + 2] -= self._speed
         return Simulator(model, Implicit())
 
-    def simulate(self, material: Material) -> Fall:
+    def simulate(self, material: Material) -> Motion:
         simulator = self._simulator
         simulator.use(material)
         rows = np.flatnonzero(simulator.elements["body"] == self._body)
@@ -238,7 +222,7 @@ class ModelTrial(DropTrial):
             raise InputError(f"the body {self.run.model_body!r} does not meet the sand")
         simulator.reset(self._qpos, self._qvel)
         depth = simulator.move(self._steps, lambda: simulator.depths[rows].max())
-        return Fall(simulator.model.opt.timestep * np.arange(len(depth)), depth)
+        return Motion(depth=depth, time=simulator.model.opt.timestep * np.arange(len(depth)))
 
-    def predicted(self, outcome: Fall, shift: float | None) -> list[np.ndarray]:
-        return [np.interp(self.places - self.touch, outcome.time, outcome.depth)]
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
+        return [np.interp(self.since(None), outcome.time, outcome.depth)]

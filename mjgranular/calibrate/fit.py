@@ -21,10 +21,11 @@ from mjgranular.calibrate.identifiability import (
 )
 from mjgranular.calibrate.intervals import spread_of
 from mjgranular.calibrate.material import STRENGTH, Material
+from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.problem import Problem
 from mjgranular.calibrate.result import Curve, FitResult
-from mjgranular.calibrate.rows import PushTrial
-from mjgranular.calibrate.runs import Run
+from mjgranular.calibrate.rows import PushTrial, RowsTrial
+from mjgranular.calibrate.runs import MeasuredRun, Run
 from mjgranular.calibrate.trial import Trial
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
 from mjgranular.law import Law
@@ -36,6 +37,8 @@ _TRIALS: dict[str, Callable[[Run], Trial]] = {
     "drag": PushTrial,
     "model": ModelTrial,
 }
+"""Trials of a `Run`, by kind."""
+
 _SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried if none is given
 _MOST_ROUNDS = 40
 _UNKNOWN = 10.0  # half width in parts of the value from which no interval is reported; chosen
@@ -49,7 +52,7 @@ class Fit:
     """Runs, medium, law and free constants of a fit.
 
     Attributes:
-        runs: the runs, with different names.
+        runs: the runs, with different names; a `MeasuredRun` is not a drop.
         medium: a medium, its name, or a YAML file. Its constants are the start of the fit.
         law: a law, or its name, optionally with parameters; None for the medium's default.
         free: names of the constants to fit.
@@ -61,20 +64,25 @@ class Fit:
         InputError: no run to fit, two of the same name, or a start that lies on a bound.
     """
 
-    runs: tuple[Run, ...]
+    runs: tuple[Run | MeasuredRun, ...]
     medium: Medium | str | Path
     free: tuple[str, ...]
     law: str | Law | None = None
     hold_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if isinstance(self.runs, Run | str | Path) or isinstance(self.free, str):
+        if isinstance(self.runs, Run | MeasuredRun | str | Path) or isinstance(self.free, str):
             raise InputError(
                 "runs and free are each several, [run, ...] and ['strength', ...]; read_fit reads "
                 "them from a file"
             )
         for run in self.runs:
-            check_kind(run, Run, "a fit")
+            if not isinstance(run, MeasuredRun):
+                check_kind(run, Run, "a fit")
+            elif run.kind == "drop":
+                raise InputError(
+                    f"run {shown(run.name)}: a fit takes a drop as Run, not MeasuredRun"
+                )
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
@@ -123,7 +131,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
     optimize = need("scipy.optimize", extra="fit", purpose="Fitting")
     special = need("scipy.special", extra="fit", purpose="Fitting")
-    trials = {run.name: _TRIALS[run.kind](run) for run in fit.runs}
+    trials = {run.name: _trial(run) for run in fit.runs}
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)
 
@@ -149,6 +157,10 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
         max_nfev=_MOST_ROUNDS,
     )
     return _result(fit, start, problem, solution.x, trials, special)
+
+
+def _trial(run: Run | MeasuredRun) -> Trial:
+    return RowsTrial(run) if isinstance(run, MeasuredRun) else _TRIALS[run.kind](run)
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
@@ -270,7 +282,9 @@ def _interval(
     )
 
 
-def _curves(trial: Trial, outcome: Any, shift: float | None, held_out: bool) -> tuple[Curve, ...]:
+def _curves(
+    trial: Trial, outcome: Motion, shift: float | None, held_out: bool
+) -> tuple[Curve, ...]:
     places = trial.since(shift)
     return tuple(
         Curve(trial.axis, series.name, places, series.values, values, held_out)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -45,13 +45,8 @@ def known_medium(
     where = f"{place(path)}: medium"
     if isinstance(entry, str):
         return get_medium(_base(entry, path))
-    if not isinstance(entry, dict):
-        raise InputError(
-            f"{where} must be a mapping, such as {{base: quikrete_medium}} or {{density: 1500, "
-            "internal_friction: 0.6, surface_friction: 0.4}"
-        )
     base = None
-    if entry.get("base") is not None:
+    if isinstance(entry, dict) and entry.get("base") is not None:
         base = get_medium(_base(str(entry["base"]), path))
     kind = _law_class(law, base, where)
     given = _given(entry, kind, where, source or f"given in {path.name}")
@@ -87,6 +82,25 @@ def known_medium(
         raise InputError(f"{place(path)}: {error}") from None
 
 
+def check_mapping(
+    entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
+) -> None:
+    """Check that an entry of a file is a mapping with known keys.
+
+    Raises:
+        InputError: it is not, has another key, or lacks one that is needed.
+    """
+    known = ", ".join(keys)
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} must be a mapping with {known}, got {shown(entry)}")
+    for key in entry:
+        if key not in keys:
+            raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
+    for key in needed:
+        if entry.get(key) is None:
+            raise InputError(f"{where} needs {key}")
+
+
 def number(value: Any, key: str) -> float:
     """Return a finite number from a file.
 
@@ -106,12 +120,8 @@ def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> d
     """Return density, grain size and constants of a law that a mapping has."""
     units = {"density": "kg/m^3", "grain": "m"}
     names = [*units, *(name for name in _numbers_of(kind) if name not in units)]
-    for key in entry:
-        if key not in (*_MEDIUM_KEYS, *names):
-            known = ", ".join(dict.fromkeys((*_MEDIUM_KEYS, *names)))
-            raise InputError(
-                f"{where} has no key {shown(key)}; with the law {kind.name!r} there are: {known}"
-            )
+    keys = dict.fromkeys((*_MEDIUM_KEYS, *names))
+    check_mapping(entry, f"{where} with the law {kind.name!r}", keys)
     return {
         key: Quantity(number(entry[key], f"{where}.{key}"), units.get(key, ""), source)
         for key in entry

@@ -34,7 +34,7 @@ import numpy as np
 from mjgranular._util.reading import place, read_file
 from mjgranular.calibrate.body import Body
 from mjgranular.calibrate.fit import Fit
-from mjgranular.calibrate.medium import known_medium, number
+from mjgranular.calibrate.medium import check_mapping, known_medium, number
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import COLUMNS, Kind, MeasuredRun, Run, RunSet
 from mjgranular.calibrate.table import read_table
@@ -52,7 +52,10 @@ _NAMES = ("model_body", "keyframe")
 _RUN_KEYS = ("name", "kind", "data", "body", "columns", "model", *_NUMBERS, *_NAMES)
 _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")
 
-_R = TypeVar("_R", Run, MeasuredRun)
+_ABOUT: dict[str, Any] = {"source": "unknown", "marks": {}, "guided": [], "to_the_stop": []}
+"""What a set of runs says about them by default."""
+
+_R = TypeVar("_R")
 
 
 def read_fit(
@@ -116,14 +119,10 @@ def _content(path: Path, extra: str) -> dict[str, Any]:
         extra=extra,
         purpose="Reading runs from a file",
     )
-    name = place(path)
-    if not isinstance(content, dict) or not isinstance(content.get("runs"), list):
-        raise InputError(f"{name}: runs are a list under the key runs, next to the key medium")
-    for key in content:
-        if key not in ("medium", "runs"):
-            raise InputError(f"{name}: no key {shown(key)}; there are: medium, runs")
-    if not content["runs"]:
-        raise InputError(f"{name}: runs is empty")
+    where = place(path)
+    check_mapping(content, where, ("medium", "runs"), needed=("runs",))
+    if not isinstance(content["runs"], list) or not content["runs"]:
+        raise InputError(f"{where}: runs must be a list of at least one run")
     return content
 
 
@@ -134,17 +133,10 @@ def _runs(
     found = []
     for k, entry in enumerate(content["runs"]):
         where = f"{place(path)}: runs[{k}]"
-        if not isinstance(entry, dict):
-            raise InputError(
-                f"{where} must be a mapping with name, kind and data, got {shown(entry)}"
-            )
-        for key in entry:
-            if key not in _RUN_KEYS:
-                known = ", ".join(_RUN_KEYS)
-                raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
+        check_mapping(entry, where, _RUN_KEYS, needed=("name", "kind", "data"))
         for key in ("name", "kind", "data"):
-            if not isinstance(entry.get(key), str):
-                raise InputError(f"{where} needs {key}, a string")
+            if not isinstance(entry[key], str):
+                raise InputError(f"{where}.{key} must be a string, got {shown(entry[key])}")
         try:
             found.append(make(entry, where, path))
         except UnknownNameError:
@@ -157,8 +149,10 @@ def _runs(
     return found
 
 
-def _run(entry: dict[str, Any], where: str, path: Path) -> Run:
-    """Return a run to fit to."""
+def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
+    """Return a run to fit to: a `MeasuredRun` where the body is in a file, but for a model."""
+    if isinstance(entry.get("body"), dict) and "file" in entry["body"]:
+        return _measured_run(entry, where, path, _ABOUT)
     values: dict[str, Any] = _numbers(entry, where)
     values |= {key: entry[key] for key in _NAMES if entry.get(key) is not None}
     if "height" in values:
@@ -234,13 +228,7 @@ def _body_or_file(entry: Any, kind: str, where: str, path: Path) -> Projectile |
 
 
 def _body(entry: Any, where: str) -> Body:
-    if not isinstance(entry, dict):
-        raise InputError(f"{where} must be a mapping with shape and diameter, got {shown(entry)}")
-    for key in entry:
-        if key not in _BODY_KEYS:
-            raise InputError(f"{where} has no key {shown(key)}; there are: {', '.join(_BODY_KEYS)}")
-    if not isinstance(entry.get("shape"), str) or entry.get("diameter") is None:
-        raise InputError(f"{where} needs shape and diameter [m]")
+    check_mapping(entry, where, _BODY_KEYS, needed=("shape", "diameter"))
     sizes = {
         key: number(entry[key], f"{where}.{key}")
         for key in _BODY_KEYS[1:]
@@ -256,13 +244,7 @@ def _body(entry: Any, where: str) -> Body:
 
 def _about(file: Path) -> dict[str, Any]:
     """Return title, source and marks of a set; defaults if the file does not exist."""
-    plain: dict[str, Any] = {
-        "title": file.parent.name,
-        "source": "unknown",
-        "marks": {},
-        "guided": [],
-        "to_the_stop": [],
-    }
+    plain = {"title": file.parent.name, **_ABOUT}
     if not file.exists():
         return plain
     try:

@@ -1,20 +1,63 @@
-"""Runs of prescribed motion, wheels and robots: forces, sinkages or speeds row by row."""
+"""Runs row by row: forces on a body that is pushed, dragged, turned or rolled; speeds of robots."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from mjgranular.calibrate.errors import Errors, rms
+from mjgranular.calibrate.errors import Errors, compare, rms
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.runs import MeasuredRun, Run
-from mjgranular.calibrate.simulate import place, simulator_of
+from mjgranular.calibrate.simulate import MOVES, place, simulator_of, way_of
+from mjgranular.calibrate.simulator import Simulator
 from mjgranular.calibrate.trial import Series, Trial
 from mjgranular.errors import InputError, shown
 
 _POINTS = 41  # points at which the force of a smooth path is computed; linear in between
 _UNITS = (("mm", 1e-3), ("cm", 1e-2))
 _DEEPEST = 20.0  # depth of a push, at most, in largest extents of the body; chosen, wide
+
+_FORCES = ("force", "side", "lift")
+_SERIES = {
+    "intrude": ("depth", ("force",)),
+    "drag": ("speed", ("force", "lift")),
+    "turn": ("angle", ("force", "lift")),
+    "roll": ("spin", ("force", "side", "lift")),
+    "sink": ("spin", ("force", "side", "depth")),
+    "walk": ("rate", ("speed",)),
+}
+"""Axis of each kind of run, and the quantities that are fitted."""
+
+
+class RowsTrial(Trial):
+    """A run whose rows are compared one by one."""
+
+    def __init__(self, run: MeasuredRun) -> None:
+        self.run = run
+        self.axis, names = _SERIES[run.kind]
+        self.places = getattr(run.motion, self.axis)
+        self.series = _series({name: getattr(run.motion, name) for name in names})
+        self._simulators: dict[str, Simulator] = {}
+
+    @property
+    def speeds(self) -> tuple[float, ...]:
+        run = self.run
+        assert isinstance(run, MeasuredRun)
+        if run.kind == "turn":
+            return (abs(run.speed) * run.width,)
+        found = run.motion.rate if run.kind == "walk" else run.motion.speed
+        return (run.speed,) if found is None else (float(found.min()), float(found.max()))
+
+    def simulate(self, material: Material) -> Motion:
+        assert isinstance(self.run, MeasuredRun)
+        way = way_of(self.run, material.law)
+        if way not in self._simulators:
+            self._simulators[way] = simulator_of(self.run, way)
+        self._simulators[way].use(material)
+        return MOVES[way](self.run, self._simulators[way])
+
+    def errors(self, outcome: Motion, shift: float | None) -> Errors:
+        return compare(self.run.motion, outcome)
 
 
 class PushTrial(Trial):
@@ -25,33 +68,28 @@ class PushTrial(Trial):
     """
 
     def __init__(self, run: Run) -> None:
-        assert run.body is not None
         self.run = run
-        self.axis = "speed" if run.kind == "drag" else "depth"
+        self.axis, names = _SERIES[run.kind]
         where = f"run {shown(run.name)}"
         measured = run.measured()
-        self.places, force = measured[self.axis], measured["force"]
-        if run.kind == "drag":
-            assert run.depth is not None
-            _check_depth(run.depth, run, where)
-            if not (self.places > 0).all():
-                least = self.places.min()
-                raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
-        else:
-            deepest = self.places.max()
-            _check_depth(deepest, run, where)
-            if not deepest > 0:
-                raise InputError(f"{where}: no contact, the depth is at most {deepest:.4g} m")
-            inside = self.places > 0
-            self.places, force = self.places[inside], force[inside]
-        if len(force) < 2:
-            raise InputError(f"{where}: a {run.kind} needs at least 2 rows in the sand, got 1")
-        if force.mean() <= 0:
+        inside = measured["depth"] > 0 if run.kind == "intrude" else measured["speed"] > 0
+        _check_depth(run.depth or measured["depth"].max(), run, where)
+        if run.kind == "drag" and not inside.all():
+            least = measured["speed"].min()
+            raise InputError(f"{where}: speeds of a drag must be positive, got {least:g} m/s")
+        if inside.sum() < 2:
+            count = inside.sum() or "no contact"
+            raise InputError(
+                f"{where}: a {run.kind} needs at least 2 rows in the sand, got {count}"
+            )
+        rows = {name: values[inside] for name, values in measured.items()}
+        if rows["force"].mean() <= 0:
             raise InputError(
                 f"{where}: the mean force must be positive, that of the sand against the motion, "
-                f"got {force.mean():.3g} N"
+                f"got {rows['force'].mean():.3g} N"
             )
-        self.series = (Series("force", force, float(np.abs(force).max())),)
+        self.places = rows[self.axis]
+        self.series = _series({name: rows.get(name) for name in names})
         self._simulated = self._run_at(self._points())
         self._simulator = simulator_of(self._simulated, "place")
 
@@ -62,17 +100,14 @@ class PushTrial(Trial):
         return np.linspace(self.places.min(), self.places.max(), _POINTS)
 
     def _run_at(self, places: np.ndarray) -> MeasuredRun:
-        """Return the run with rows at these places; its forces are not used."""
+        """Return the run with rows at these places, and forces that are not used."""
         run, none = self.run, np.zeros(len(places))
-        assert run.body is not None
+        motion = Motion(depth=places, force=none)
         if self.axis == "speed":
             motion = Motion(depth=none + run.depth, speed=places, force=none)
-        else:
-            motion = Motion(depth=places, force=none)
         angle = float(np.degrees(run.angle))
-        return MeasuredRun(
-            run.name, run.kind, run.body.projectile, motion, speed=run.push_speed, angle=angle
-        )
+        body = run.body.projectile
+        return MeasuredRun(run.name, run.kind, body, motion, speed=run.push_speed, angle=angle)
 
     @property
     def speeds(self) -> tuple[float, ...]:
@@ -80,26 +115,36 @@ class PushTrial(Trial):
             return (self.run.push_speed,)
         return float(self.places.min()), float(self.places.max())
 
-    def simulate(self, material: Material) -> np.ndarray:
+    def simulate(self, material: Material) -> Motion:
         self._simulator.use(material)
-        motion = place(self._simulated, self._simulator)
-        at = motion.speed if self.axis == "speed" else motion.depth
-        return np.interp(self.places, at, motion.force)
+        found = place(self._simulated, self._simulator)
+        at = getattr(found, self.axis)
+        columns = {s.name: np.interp(self.places, at, getattr(found, s.name)) for s in self.series}
+        return Motion(depth=self.places, **columns)
 
-    def predicted(self, outcome: np.ndarray, shift: float | None) -> list[np.ndarray]:
-        return [outcome]
-
-    def errors(self, outcome: np.ndarray, shift: float | None) -> Errors:
-        series = self.series[0]
+    def errors(self, outcome: Motion, shift: float | None) -> Errors:
+        found = self.predicted(outcome, shift)
+        off = [f - s.values for f, s in zip(found, self.series, strict=True)]
+        force = self.series[0]
         return Errors(
-            trajectory=rms(outcome - series.values) / series.scale,
-            force=float(outcome.mean() / series.values.mean() - 1),
+            trajectory=rms(np.linalg.norm(off, axis=0)) / force.scale,
+            force=float(found[0].mean() / force.values.mean() - 1),
         )
+
+
+def _series(columns: dict[str, np.ndarray | None]) -> tuple[Series, ...]:
+    """Return series of the measured columns; forces in several directions have one scale."""
+    given = {name: values for name, values in columns.items() if values is not None}
+    forces = [values for name, values in given.items() if name in _FORCES]
+    scale = float(np.linalg.norm(forces, axis=0).max()) if forces else 0.0
+    return tuple(
+        Series(name, values, scale if name in _FORCES else float(np.abs(values).max()))
+        for name, values in given.items()
+    )
 
 
 def _check_depth(depth: float, run: Run, where: str) -> None:
     """Check that a depth is plausible in meters; guess the unit if not."""
-    assert run.body is not None
     size = run.body.size
     if depth <= _DEEPEST * size:
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -67,8 +67,8 @@ class Run:
         kind: "drop": the body falls freely; columns time and depth, and optionally the pitch of its
             axis from the vertical [degrees]. "intrude": it is pushed straight down at constant
             speed; depth and force. "drag": it is dragged along the surface at one depth, at several
-            speeds; speed and force. "model": a body of an MJCF model that is released; time and
-            depth.
+            speeds; speed and force, and optionally lift. "model": a body of an MJCF model that is
+            released; time and depth.
         data: a CSV file, or the columns by their names, in SI units and degrees.
         body: the body that meets the sand; not for "model".
         speed: downward, when the lowest point touches the sand, or of a push [m/s].
@@ -138,7 +138,8 @@ class Run:
     @property
     def _columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Required and optional columns that a fit reads."""
-        return COLUMNS[self.kind][0], ("pitch",) if self.kind == "drop" else ()
+        needed, optional = COLUMNS[self.kind]
+        return needed, tuple(name for name in optional if name in ("pitch", "lift"))
 
     def measured(self) -> dict[str, np.ndarray]:
         """Return the columns by their names, in SI units and degrees.
@@ -165,17 +166,8 @@ class Run:
 
     def config(self) -> dict[str, Any]:
         """Return the run in plain values."""
-        plain = {
-            "name": self.name,
-            "kind": self.kind,
-            "data": "given" if isinstance(self.data, Mapping) else str(self.data),
-            "body": None if self.body is None else dict(vars(self.body)),
-            "model": None if self.model is None else str(self.model),
-            "columns": dict(self.columns) or None,
-        }
-        for name in ("speed", "angle", "touch", "depth", "model_body", "keyframe"):
-            plain[name] = getattr(self, name)
-        return {key: value for key, value in plain.items() if value is not None}
+        given = isinstance(self.data, Mapping)
+        return _plain(self, data="given" if given else self.data, columns=dict(self.columns))
 
 
 @dataclass(frozen=True)
@@ -239,6 +231,10 @@ class MeasuredRun:
         if self.kind == "walk" and not spec.keys:
             raise InputError(f"{shown(self.shape)}: a walk needs a keyframe to start from")
 
+    def config(self) -> dict[str, Any]:
+        """Return the run in plain values, without its motion."""
+        return _plain(self, motion=None)
+
     @property
     def to_the_stop(self) -> bool:
         """Whether the record ends where the lowest point stops, not where the body is at rest."""
@@ -298,6 +294,17 @@ class RunSet:
             if run.name == name:
                 return run
         raise UnknownNameError(f"run of {self.name}", name, [run.name for run in self.runs])
+
+
+def _plain(run: Run | MeasuredRun, **changes: Any) -> dict[str, Any]:
+    """Return the fields of a run in plain values; those that are None or empty are omitted."""
+    values = {field.name: getattr(run, field.name) for field in fields(run)} | changes
+    for name, value in values.items():
+        if isinstance(value, Path):
+            values[name] = str(value)
+        elif isinstance(value, Body | Projectile):
+            values[name] = dict(vars(value))
+    return {name: value for name, value in values.items() if value not in (None, {})}
 
 
 def load_machine(file: Path) -> mujoco.MjSpec:

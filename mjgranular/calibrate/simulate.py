@@ -151,9 +151,15 @@ def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
 
 def _sample(body: Projectile, data: mujoco.MjData) -> tuple[float, float, float]:
     """Return lowest depth [m], downward speed of C [m/s], angle from vertical [degrees]."""
-    q = float(data.qpos[2])
+    depth = lowest_depth(body, data.qpos)
+    return depth, -float(data.qvel[1]), abs(math.degrees(float(data.qpos[2])))
+
+
+def lowest_depth(body: Projectile, qpos: np.ndarray) -> float:
+    """Return the depth of the lowest point of a projectile [m]."""
+    q = float(qpos[2])
     _, below = offset(body.lowest(q), q)
-    return -(float(data.qpos[1]) + below), -float(data.qvel[1]), abs(math.degrees(q))
+    return -(float(qpos[1]) + below)
 
 
 def _push(run: MeasuredRun, simulator: Simulator) -> Motion:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjgranular.calibrate.errors import Errors
 from mjgranular.calibrate.material import Material
-from mjgranular.calibrate.runs import Run
+from mjgranular.calibrate.motion import Motion
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Series:
     """Measurements of one quantity.
 
     Attributes:
-        name: name of the quantity.
+        name: name of the quantity, an attribute of `Motion`.
         values: shape (n,).
         scale: divisor of errors: mostly the largest absolute value.
     """
@@ -33,6 +33,7 @@ class Trial(ABC):
 
     Attributes:
         carries: largest number of constants that such a curve can determine; chosen.
+        run: a `Run` or `MeasuredRun`.
         series: measured series.
         axis: name of the independent variable.
         places: values on that axis, shape (n,).
@@ -42,7 +43,7 @@ class Trial(ABC):
 
     carries: ClassVar[int] = 2
 
-    run: Run
+    run: Any
     series: tuple[Series, ...]
     axis: str
     places: np.ndarray
@@ -50,9 +51,9 @@ class Trial(ABC):
     shift_range: tuple[float, float] = (0.0, 0.0)
 
     @property
+    @abstractmethod
     def speeds(self) -> tuple[float, ...]:
         """Speeds of the run [m/s]."""
-        return (self.run.speed or 0.0,)
 
     @property
     def rows(self) -> int:
@@ -60,22 +61,22 @@ class Trial(ABC):
         return sum(len(series.values) for series in self.series)
 
     @abstractmethod
-    def simulate(self, material: Material) -> Any:
-        """Simulate the run with a material, for `predicted`."""
+    def simulate(self, material: Material) -> Motion:
+        """Simulate the run with a material."""
 
     @abstractmethod
-    def predicted(self, outcome: Any, shift: float | None) -> list[np.ndarray]:
+    def errors(self, outcome: Motion, shift: float | None) -> Errors:
+        """Summarize the errors of a simulated run."""
+
+    def predicted(self, outcome: Motion, shift: float | None) -> list[np.ndarray]:
         """Return the series as they would have been measured."""
-
-    @abstractmethod
-    def errors(self, outcome: Any, shift: float | None) -> Errors:
-        """Summarize the errors of a prediction."""
+        return [getattr(outcome, series.name) for series in self.series]
 
     def since(self, shift: float | None) -> np.ndarray:
         """Return the places of a curve: times count from the touch."""
         return self.places
 
-    def residual(self, outcome: Any, shift: float | None) -> np.ndarray:
+    def residual(self, outcome: Motion, shift: float | None) -> np.ndarray:
         """Return prediction minus measurement, in parts of each scale.
 
         Divided by the root of the number of rows: every series has the same weight at any frame

@@ -10,9 +10,19 @@ from mjgranular.picture.figures import PALETTE, figure_of_size, save_figure
 from mjgranular.picture.plain import plain
 
 _AXES = {"time": (1e3, "time since the touch [ms]"), "depth": (1e3, "depth [mm]")}
-_AXES["speed"] = (1.0, "speed [m/s]")
-_QUANTITIES = {"depth": (1e3, "depth [mm]"), "force": (1.0, "force [N]")}
-_QUANTITIES["pitch"] = (1.0, "pitch [deg]")
+_AXES |= {
+    "speed": (1.0, "speed [m/s]"),
+    "angle": (1.0, "angle [deg]"),
+    "spin": (1.0, "spin [rad/s]"),
+    "rate": (1.0, "rate [Hz]"),
+}
+_QUANTITIES = {"depth": (1e3, "depth [mm]"), "pitch": (1.0, "pitch [deg]")}
+_QUANTITIES |= {
+    "force": (1.0, "force [N]"),
+    "side": (1.0, "side force [N]"),
+    "lift": (1.0, "lift [N]"),
+    "speed": (1.0, "speed [m/s]"),
+}
 _MOST = 24  # curves in a figure
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from mjgranular import DynamicRft2dLaw, DynamicRft3dLaw, InputError, Rft3dLaw, Sand, add_sand
+from mjgranular.calibrate import compare, read_runs, simulate
 from mjgranular.law.raised import INERTIAL_NUMBER, RATE, cone_under
-from mjgranular.referee import compare, read_runs, simulate
 from mjgranular.scheme import Explicit
 from mjgranular.shape import facets_from_model
 
