@@ -11,7 +11,7 @@ import numpy as np
 from findings import findings
 
 from mjgranular.calibrate import MARKS, MeasuredRun, compare
-from mjgranular.calibrate.errors import gain
+from mjgranular.calibrate.motion import gain
 
 if TYPE_CHECKING:
     from comparison import Comparison

@@ -24,9 +24,8 @@ from mjgranular.calibrate.material import STRENGTH, Material
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.problem import Problem
 from mjgranular.calibrate.result import Curve, FitResult
-from mjgranular.calibrate.rows import PushTrial, RowsTrial
 from mjgranular.calibrate.runs import MeasuredRun, Run
-from mjgranular.calibrate.trial import Trial
+from mjgranular.calibrate.trial import PushTrial, RowsTrial, Trial
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium

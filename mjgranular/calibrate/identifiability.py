@@ -8,16 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from mjgranular.calibrate.body import Body
-from mjgranular.calibrate.curve import GRAVITY, find_arrest
-from mjgranular.calibrate.fall import DropTrial
+from mjgranular.calibrate.fall import GRAVITY, DropTrial, find_arrest
 from mjgranular.calibrate.intervals import SMALLEST
 from mjgranular.calibrate.material import Material
 from mjgranular.calibrate.problem import Problem
 from mjgranular.calibrate.result import FurtherTest, NullDirection
-from mjgranular.calibrate.rows import PushTrial
-from mjgranular.calibrate.runs import Run
-from mjgranular.calibrate.trial import Trial
+from mjgranular.calibrate.runs import Body, Run
+from mjgranular.calibrate.trial import PushTrial, Trial
 from mjgranular.errors import GranularError
 
 COLLINEAR = 0.96
@@ -197,6 +194,7 @@ def _planned_drop(
     free = {"time": time, "depth": speed * time + 0.1 * GRAVITY * time**2}
     run = Run("planned", "drop", free, body=body, speed=speed, angle=angle)
     fall = DropTrial(run).simulate(material)
+    assert fall.time is not None
     arrest = find_arrest(fall.time, fall.depth)
     time = np.linspace(0.0, min(1.3 * (arrest.time or duration), fall.time[-1]), _ROWS)
     record = {"time": time, "depth": np.interp(time, fall.time, fall.depth)}
@@ -217,4 +215,5 @@ def _planned_drag(body: Body, depth: float, material: Material) -> PushTrial:
 
 def _simulated(run: Run, material: Material) -> PushTrial:
     """Return a run with the forces of a material."""
-    return PushTrial(replace(run, data={**run.data, "force": PushTrial(run).simulate(material)}))
+    force = PushTrial(run).simulate(material).force
+    return PushTrial(replace(run, data=run.measured() | {"force": force}))

@@ -32,11 +32,11 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 
 from mjgranular._util.reading import place, read_file
-from mjgranular.calibrate.body import Body
+from mjgranular.calibrate.fall import GRAVITY
 from mjgranular.calibrate.fit import Fit
 from mjgranular.calibrate.medium import check_mapping, known_medium, number
 from mjgranular.calibrate.motion import Motion
-from mjgranular.calibrate.runs import COLUMNS, Kind, MeasuredRun, Run, RunSet
+from mjgranular.calibrate.runs import COLUMNS, Body, Kind, MeasuredRun, Run, RunSet
 from mjgranular.calibrate.table import read_table
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.law import Law, Rft3dLaw
@@ -46,7 +46,6 @@ from mjgranular.models import Projectile
 LARGEST = 1_000_000
 """Size up to which a file is read [bytes]; chosen."""
 
-_GRAVITY = 9.81
 _NUMBERS = ("speed", "touch", "depth", "angle", "height")
 _NAMES = ("model_body", "keyframe")
 _RUN_KEYS = ("name", "kind", "data", "body", "columns", "model", *_NUMBERS, *_NAMES)
@@ -161,7 +160,7 @@ def _run(entry: dict[str, Any], where: str, path: Path) -> Run | MeasuredRun:
             raise InputError(f"{where}: a drop has a speed at the touch or a height, not both")
         if height < 0:
             raise InputError(f"{where}: the height of a drop must not be negative, got {height} m")
-        values["speed"] = math.sqrt(2 * _GRAVITY * height)
+        values["speed"] = math.sqrt(2 * GRAVITY * height)
     if "angle" in values:
         values["angle"] = math.radians(values["angle"])
     if entry.get("model") is not None:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.calibrate.errors import Errors
 from mjgranular.calibrate.material import Material
+from mjgranular.calibrate.motion import Errors
 
 
 @dataclass(frozen=True)

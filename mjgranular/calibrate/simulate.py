@@ -84,10 +84,9 @@ def simulator_of(
         scheme: time stepping scheme of a drop.
         timestep: time step of a drop or push [s].
     """
-    in_file = isinstance(run.body, Path)
-    spec = load_machine(run.body) if in_file else run.body.spec()
+    spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
-    chosen: Scheme | str | None = "implicit"
+    chosen: Scheme | str = "implicit"
     if way in ("drop", "push"):
         spec.option.timestep = timestep
     if way == "drop":
@@ -101,14 +100,15 @@ def simulator_of(
         for name in ("x", "y", "turn"):
             spec.joint(name).armature = _HEAVY_BODY
     elif way == "walk":
-        chosen = None
+        chosen = "auto"
         spec.option.timestep = _WALK_STEP
         for joint in hinges:
             if joint.name != "pitch":
                 joint.armature = _HEAVY_BODY
     else:
         chosen = Explicit(prescribed=True)
-    return Simulator(spec.compile(), chosen, None if in_file else ("link",))
+    bodies = None if isinstance(run.body, Path) else ("link",)
+    return Simulator(spec.compile(), chosen, bodies)
 
 
 def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:

@@ -33,8 +33,7 @@ class Simulator:
 
     Args:
         model: the model; its time step may change between two runs.
-        scheme: time stepping scheme, for free motion or for forces on a prescribed motion; None for
-            the scheme that `Sand` takes by default.
+        scheme: time stepping scheme, for free motion or for forces on a prescribed motion.
         bodies: names of the bodies that meet the sand; None for all that can move.
 
     Attributes:
@@ -44,13 +43,12 @@ class Simulator:
     def __init__(
         self,
         model: mujoco.MjModel,
-        scheme: Scheme | str | None = None,
+        scheme: Scheme | str = "auto",
         bodies: tuple[str, ...] | None = None,
     ) -> None:
         self.model = model
         self.data = mujoco.MjData(model)
-        self._fields = {} if scheme is None else {"scheme": scheme}
-        self._fields["bodies"] = bodies
+        self._scheme, self._bodies = scheme, bodies
         self._prepared: PreparedSand
         self._binding: Binding
         self._material: Material | None = None
@@ -80,7 +78,9 @@ class Simulator:
         self._bind(prepared, material)
 
     def _prepare(self, material: Material) -> PreparedSand:
-        spec = SandSpec(medium=material.medium, law=material.law, **self._fields)
+        spec = SandSpec(
+            medium=material.medium, law=material.law, scheme=self._scheme, bodies=self._bodies
+        )
         with warnings.catch_warnings():  # the model is made for this, and the law is still unknown
             warnings.simplefilter("ignore", GranularWarning)
             return prepare(self.model, spec)
