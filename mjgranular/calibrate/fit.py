@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import check_kind
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.calibrate.fall import DropTrial, ModelTrial
 from mjgranular.calibrate.identifiability import (
     COLLINEAR,
@@ -128,8 +128,8 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
         MissingExtraError: SciPy is not installed.
     """
     check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
-    optimize = need("scipy.optimize", extra="fit", purpose="Fitting")
-    special = need("scipy.special", extra="fit", purpose="Fitting")
+    optimize = require("scipy.optimize", extra="fit", purpose="Fitting")
+    special = require("scipy.special", extra="fit", purpose="Fitting")
     trials = {run.name: _trial(run) for run in fit.runs}
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)

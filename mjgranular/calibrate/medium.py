@@ -8,7 +8,7 @@ from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from mjgranular._util.reading import place
+from mjgranular._util.io import place
 from mjgranular.calibrate.material import DENSITY, STRENGTH
 from mjgranular.calibrate.result import FitResult
 from mjgranular.errors import GranularError, InputError, shown

@@ -31,7 +31,7 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 
-from mjgranular._util.reading import place, read_file
+from mjgranular._util.io import place, read_file
 from mjgranular.calibrate.fall import GRAVITY
 from mjgranular.calibrate.fit import Fit
 from mjgranular.calibrate.medium import check_mapping, known_medium, number

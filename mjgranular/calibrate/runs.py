@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import is_finite
-from mjgranular._util.reading import place
+from mjgranular._util.io import place
 from mjgranular.calibrate.motion import Motion
 from mjgranular.calibrate.table import read_table
 from mjgranular.errors import InputError, UnknownNameError, shown

@@ -156,7 +156,7 @@ class Simulator:
         """Return the sand's force on the model at the state in `data` [N], world, shape (3,)."""
         model, data = self.model, self.data
         data.xfrc_applied[:] = 0.0
-        self._binding.bodies["written"] = np.nan
+        self._binding.bodies["last_wrench"] = np.nan
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         self._act(0.0)
