@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mjgranular import Law
-from mjgranular.referee import Errors, MeasuredRun, Motion, RunSet
+from mjgranular.calibrate import Errors, MeasuredRun, Motion, RunSet
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from findings import findings
 
-from mjgranular.referee import MARKS, MeasuredRun, compare
-from mjgranular.referee.errors import gain
+from mjgranular.calibrate import MARKS, MeasuredRun, compare
+from mjgranular.calibrate.motion import gain
 
 if TYPE_CHECKING:
     from comparison import Comparison
 
-    from mjgranular.referee import Errors
+    from mjgranular.calibrate import Errors
 
 _DATA = Path(__file__).parent / "data"
 # Worst errors of trajectories and final depths, and of stopping times; chosen.

@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from comparison import Comparison
 
-    from mjgranular.referee import Motion
+    from mjgranular.calibrate import Motion
 
 # Okabe and Ito's colors; dashed lines for the laws without inertia, dotted for those with an added
 # mass, dash-dotted for those for fast motion.

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from mjgranular.calibrate import RunSet, compare, read_runs, simulate
 from mjgranular.law import Law
-from mjgranular.referee import RunSet, compare, read_runs, simulate
 from mjgranular.sand.material import law_of
 
 DATA = Path(__file__).parent / "data"

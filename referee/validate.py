@@ -4,7 +4,7 @@
     python referee/validate.py --report page.md --only seen
 
 Run it after a law, a constant or a set has changed. Errors are those of whole trajectories
-(`mjgranular.referee.compare`).
+(`mjgranular.calibrate.compare`).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from mjgranular import (
     Rft2dLaw,
     Rft3dLaw,
 )
+from mjgranular.calibrate import MeasuredRun, RunSet, compare, read_runs, simulate
 from mjgranular.errors import GranularError
-from mjgranular.referee import MeasuredRun, RunSet, compare, read_runs, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "referee" / "data"

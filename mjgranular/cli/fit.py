@@ -16,12 +16,12 @@ from rich.text import Text
 
 from mjgranular._util import files
 from mjgranular._util.versions import versions
+from mjgranular.calibrate import Errors, Fit, FitResult, read_fit, run_fit
+from mjgranular.calibrate.medium import fitted_medium, medium_text
 from mjgranular.cli.console import out, print_json, progress_bar, show_error, table
 from mjgranular.cli.options import law_named
 from mjgranular.cli.results import Flag
 from mjgranular.errors import InputError, MissingExtraError, OutputError
-from mjgranular.fit import Fit, FitResult, RunErrors, read_fit, run_fit
-from mjgranular.fit.known import fitted_medium, medium_text
 
 _ROUNDS = 12  # of a fit, as a guess for the progress bar
 
@@ -175,8 +175,8 @@ def _constants(result: FitResult) -> Table:
     return shown
 
 
-def _errors(title: str, errors: Mapping[str, RunErrors]) -> Table:
-    def cells(name: str, error: RunErrors) -> list[str]:
+def _errors(title: str, errors: Mapping[str, Errors]) -> Table:
+    def cells(name: str, error: Errors) -> list[str]:
         numbers = (error.depth, error.stopping_time, error.force)
         signed = ["" if number is None else f"{100 * number:+.1f}" for number in numbers]
         return [name, *signed, f"{100 * error.trajectory:.1f}"]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mjgranular as mg
+from mjgranular.calibrate import Fit, run_fit
 from mjgranular.engine import relief_of, rne_post_constraint, tune
 from mjgranular.engine.readings import SandReadings
 from mjgranular.errors import GranularError, MissedStepWarning
@@ -23,7 +24,6 @@ from mjgranular.experiment import (
 )
 from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.experiment.intrusion import Intrusion, run_intrusion
-from mjgranular.fit import Fit, run_fit
 from mjgranular.medium.file import read_medium
 from mjgranular.models import Link, model_path
 from mjgranular.relief.heights import heights_of

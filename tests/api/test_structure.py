@@ -41,13 +41,16 @@ ORDER = (
     "models",
     "envs",
     "experiment",
-    "referee",
-    "fit",
+    "calibrate",
     "picture",
     "studio",
     "learn",
     "cli",
 )
+
+
+ALIASES = {"fit": "calibrate", "referee": "calibrate"}
+"""Modules that only import names of a folder, which they rank with."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,8 @@ def rank(module: str) -> int:
         return len(ORDER)
     if len(parts) == 1:
         return ORDER.index("mjgranular")
-    return ORDER.index(parts[1]) if parts[1] in ORDER else ORDER.index("_util")
+    folder = ALIASES.get(parts[1], parts[1])
+    return ORDER.index(folder) if folder in ORDER else ORDER.index("_util")
 
 
 def test_every_folder_has_its_place_in_the_order() -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from mjgranular import DynamicRft2dLaw, DynamicRft3dLaw, InputError, Rft3dLaw, Sand, add_sand
+from mjgranular.calibrate import compare, read_runs, simulate
 from mjgranular.law.raised import INERTIAL_NUMBER, RATE, cone_under
-from mjgranular.referee import compare, read_runs, simulate
 from mjgranular.scheme import Explicit
 from mjgranular.shape import facets_from_model
 
@@ -227,7 +227,7 @@ def test_limits_say_how_fast_it_was_confirmed():
 
 
 def test_strength_can_be_free_in_a_fit():
-    from mjgranular.fit.constants import Material
+    from mjgranular.calibrate.material import Material
 
     medium = read_runs(DATA / "wide_bed").medium  # with a grain size
     for law in ("rft3d", "rft3d_dynamic"):

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mjgranular import Medium, Quantity
-from mjgranular.fit import Body, Fit, Run, run_fit
-from mjgranular.fit.intervals import correlation_time
+from mjgranular import InputError, Medium, Quantity, Rft3dLaw, calibrate
+from mjgranular.calibrate import Body, Fit, Run, read_fit, read_runs, run_fit, simulate
+from mjgranular.calibrate.intervals import correlation_time
 
+DATA = Path(__file__).resolve().parents[2] / "referee" / "data"
 MASS, STIFFNESS, QUADRATIC = 0.0692, 60.0, 0.8  # Katsuragi and Durian's sphere, about
 BALL = Body("sphere", 0.0254, mass=MASS)
 TRUE = {"stiffness": STIFFNESS, "quadratic": QUADRATIC}
@@ -92,7 +95,7 @@ def test_a_run_that_was_held_out_is_predicted(two_speeds):
     assert errors.measured_stopping_time == pytest.approx(stop, rel=0.03)
 
 
-def test_drops_of_one_speed_leave_a_valley():
+def test_drops_of_one_speed_leave_a_null_direction():
     random = np.random.default_rng(3)
     runs = tuple(drop(1.0, random.normal(size=60), name) for name in "ab")
     result = run_fit(Fit(runs, GUESS, ("stiffness", "quadratic")))
@@ -141,6 +144,69 @@ def test_force_against_speed():
     assert result.values["constant"] == pytest.approx(0.3, rel=1e-5)
     assert result.values["quadratic"] == pytest.approx(QUADRATIC, rel=1e-5)
     assert all(result.identifiable.values())
+
+
+def law_of_rft(**constants):
+    """The law whose constants a fit has to find."""
+    return replace(Rft3dLaw.from_medium(RFT), **constants)
+
+
+def test_forces_in_two_directions_of_a_turning_leg(tmp_path):
+    """Thrust and lift from a file, made with the law: they determine strength and friction."""
+    leg = DATA / "legs_poppy" / "flat.xml"
+    (run,) = (run for run in read_runs(leg.parent).runs if run.name == "flat")
+    motion = simulate(run, RFT, law_of_rft(scale=1.3, surface_friction=0.25))
+    table = np.column_stack([motion.angle, motion.force, motion.lift])
+    heading = "angle [deg],force [N],lift [N]"
+    np.savetxt(tmp_path / "leg.csv", table, "%.9g", ",", header=heading, comments="")
+    file = tmp_path / "runs.yaml"
+    file.write_text(
+        "medium: {density: 1500, internal_friction: 0.5, surface_friction: 0.4}\n"
+        f"runs: [{{name: leg, kind: turn, speed: 0.2, data: leg.csv, body: {{file: {leg}}}}}]\n"
+    )
+    fit = read_fit(file, law="rft3d", free=["strength", "surface_friction"])
+    result = run_fit(fit)
+    assert result.values["strength"] == pytest.approx(1.3, rel=1e-4)
+    assert result.values["surface_friction"] == pytest.approx(0.25, rel=1e-3)
+    assert all(result.identifiable.values())
+    assert {curve.quantity for curve in result.curves["leg"]} == {"force", "lift"}
+    assert fit.config()["runs"][0]["body"] == str(leg)
+
+
+def test_lift_of_a_drag_counts():
+    speed = np.linspace(0.1, 1.0, 6)
+    drag = Run("drag", "drag", {"speed": speed, "force": 1.0 + speed, "lift": 0.5 + 0.0 * speed},
+               body=Body("plate", 0.005, 0.02), angle=math.pi / 2, depth=0.03)  # fmt: skip
+    both = run_fit(Fit((drag,), RFT, ("strength",)))
+    data = {key: value for key, value in drag.data.items() if key != "lift"}
+    alone = run_fit(Fit((replace(drag, data=data),), RFT, ("strength",)))
+    assert [curve.quantity for curve in both.curves["drag"]] == ["force", "lift"]
+    assert [curve.quantity for curve in alone.curves["drag"]] == ["force"]
+    assert both.values["strength"] != pytest.approx(alone.values["strength"], rel=1e-3)
+
+
+def test_a_wheel_at_its_sinkage():
+    run = read_runs(DATA / "wheel").runs[2]
+    law = law_of_rft(scale=0.8, surface_friction=0.3)
+    wheel = replace(run, motion=simulate(run, RFT, law))
+    result = run_fit(Fit((wheel,), RFT, ("strength", "surface_friction")))
+    assert result.values["strength"] == pytest.approx(0.8, rel=1e-4)
+    assert result.values["surface_friction"] == pytest.approx(0.3, rel=1e-3)
+    assert all(result.identifiable.values())
+    assert result.runs[run.name].trajectory < 1e-4
+
+
+def test_a_measured_drop_is_given_as_run():
+    with pytest.raises(InputError, match="sphere 1 m/s"):
+        Fit(read_runs(DATA / "seen").runs, RFT, ("strength",))
+
+
+def test_names_of_before_are_aliases():
+    from mjgranular import fit, referee
+
+    assert fit.run_fit is run_fit
+    assert fit.RunErrors is referee.Errors is calibrate.Errors
+    assert referee.simulate is simulate
 
 
 def test_a_model_of_ones_own(tmp_path):

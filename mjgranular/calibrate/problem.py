@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from mjgranular.calibrate.material import Material
+from mjgranular.calibrate.motion import Motion
+from mjgranular.calibrate.trial import Trial
 from mjgranular.errors import UnstableError
-from mjgranular.fit.constants import Material
-from mjgranular.fit.trial import Trial
 
 _FAR = 10.0  # residual of a run that diverged: ten times what was measured
 _FINE = 1e-3  # relative step of a difference; chosen: the error of central ones is its square
@@ -44,12 +44,21 @@ class Problem:
         self.low, self.high = (np.array(ends, float) for ends in zip(*bounds, strict=True))
         self.evaluations = 0
         self._progress = progress
-        self._outcomes: dict[tuple[float, ...], list[Any]] = {}
+        self._outcomes: dict[tuple[float, ...], list[Motion | None]] = {}
 
     @property
     def count(self) -> int:
         """Number of free constants."""
         return len(self.free)
+
+    @property
+    def range(self) -> np.ndarray:
+        """Width between the bounds of each unknown; may be infinite."""
+        return self.high - self.low
+
+    def sizes(self, constants: np.ndarray) -> np.ndarray:
+        """Return the size of each unknown: that of `constants`, and the range of each touch."""
+        return np.concatenate([constants[: self.count], self.range[self.count :]])
 
     def start(self) -> np.ndarray:
         """Return the initial unknowns."""
@@ -68,7 +77,7 @@ class Problem:
             return None
         return float(x[self.count + self.shifted.index(trial)])
 
-    def outcomes(self, x: np.ndarray) -> list[Any]:
+    def outcomes(self, x: np.ndarray) -> list[Motion | None]:
         """Return the outcome of each run; None for one that diverged."""
         key = tuple(x[: self.count])
         if key not in self._outcomes:
@@ -100,17 +109,11 @@ class Problem:
 
     def blocks(self) -> list[slice]:
         """Return the rows of each series of each run among the residuals."""
-        found, first = [], 0
-        for trial in self.trials:
-            for series in trial.series:
-                found.append(slice(first, first + len(series.values)))
-                first += len(series.values)
-        return found
+        return _slices([len(series.values) for trial in self.trials for series in trial.series])
 
     def runs(self) -> list[slice]:
         """Return the rows of each run among the residuals."""
-        ends = np.cumsum([0, *(trial.rows for trial in self.trials)]).tolist()
-        return [slice(a, b) for a, b in pairwise(ends)]
+        return _slices([trial.rows for trial in self.trials])
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives of the residuals, central differences if the bounds allow."""
@@ -119,9 +122,14 @@ class Problem:
             if k < self.count:
                 step = _FINE * max(abs(x[k]), 1e-3 * abs(self.start()[k]))
             else:
-                step = 1e-3 * (self.high[k] - self.low[k])
+                step = _FINE * self.range[k]
             up, down = x.copy(), x.copy()
             up[k] = min(x[k] + step, self.high[k])
             down[k] = max(x[k] - step, self.low[k])
             columns.append((self.residual(up) - self.residual(down)) / (up[k] - down[k]))
         return np.column_stack(columns)
+
+
+def _slices(lengths: Sequence[int]) -> list[slice]:
+    """Return slices of these lengths, one after the other."""
+    return [slice(a, b) for a, b in pairwise(np.cumsum([0, *lengths]).tolist())]

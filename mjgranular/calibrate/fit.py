@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,28 +11,36 @@ import numpy as np
 
 from mjgranular._util.checks import check_kind
 from mjgranular._util.extras import require
+from mjgranular.calibrate.fall import DropTrial, ModelTrial
+from mjgranular.calibrate.identifiability import (
+    COLLINEAR,
+    WIDE,
+    Information,
+    further_tests,
+    trades_off,
+)
+from mjgranular.calibrate.intervals import spread_of
+from mjgranular.calibrate.material import STRENGTH, Material
+from mjgranular.calibrate.motion import Motion
+from mjgranular.calibrate.problem import Problem
+from mjgranular.calibrate.result import Curve, FitResult
+from mjgranular.calibrate.runs import MeasuredRun, Run
+from mjgranular.calibrate.trial import PushTrial, RowsTrial, Trial
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
-from mjgranular.fit.constants import STRENGTH, Material
-from mjgranular.fit.drop import DropTrial, ModelTrial
-from mjgranular.fit.intervals import spread_of
-from mjgranular.fit.problem import Problem
-from mjgranular.fit.push import DragTrial, PushTrial
-from mjgranular.fit.result import Curve, FitResult
-from mjgranular.fit.run import Run
-from mjgranular.fit.telling import TANGLED, WIDE, Information, further_tests, trades_off
-from mjgranular.fit.trial import Trial
 from mjgranular.law import Law
 from mjgranular.medium import Medium, get_medium
 
 _TRIALS: dict[str, Callable[[Run], Trial]] = {
     "drop": DropTrial,
     "intrude": PushTrial,
-    "drag": DragTrial,
+    "drag": PushTrial,
     "model": ModelTrial,
 }
+"""Trials of a `Run`, by kind."""
+
 _SCAN = tuple(10.0**k for k in range(-3, 4))  # starts that are tried if none is given
 _MOST_ROUNDS = 40
-_NOTHING_KNOWN = 10.0  # half width in parts of the value from which no interval is reported; chosen
+_UNKNOWN = 10.0  # half width in parts of the value from which no interval is reported; chosen
 _ON_BOUND = 1e-3  # parts of its size within which a constant counts as on a bound; chosen
 
 Progress = Callable[[int, str], None]
@@ -43,7 +51,7 @@ class Fit:
     """Runs, medium, law and free constants of a fit.
 
     Attributes:
-        runs: the runs, with different names.
+        runs: the runs, with different names; a `MeasuredRun` is not a drop.
         medium: a medium, its name, or a YAML file. Its constants are the start of the fit.
         law: a law, or its name, optionally with parameters; None for the medium's default.
         free: names of the constants to fit.
@@ -55,20 +63,25 @@ class Fit:
         InputError: no run to fit, two of the same name, or a start that lies on a bound.
     """
 
-    runs: tuple[Run, ...]
+    runs: tuple[Run | MeasuredRun, ...]
     medium: Medium | str | Path
     free: tuple[str, ...]
     law: str | Law | None = None
     hold_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if isinstance(self.runs, Run | str | Path) or isinstance(self.free, str):
+        if isinstance(self.runs, Run | MeasuredRun | str | Path) or isinstance(self.free, str):
             raise InputError(
                 "runs and free are each several, [run, ...] and ['strength', ...]; read_fit reads "
                 "them from a file"
             )
         for run in self.runs:
-            check_kind(run, Run, "a fit")
+            if not isinstance(run, MeasuredRun):
+                check_kind(run, Run, "a fit")
+            elif run.kind == "drop":
+                raise InputError(
+                    f"run {shown(run.name)}: a fit takes a drop as Run, not MeasuredRun"
+                )
         names = [run.name for run in self.runs]
         for name in names:
             if names.count(name) > 1:
@@ -77,7 +90,7 @@ class Fit:
             if name not in names:
                 raise UnknownNameError("run to hold out", name, names)
         if not set(names) - set(self.hold_out):
-            raise InputError("there is no run to fit to: at least one is not held out")
+            raise InputError("there is no run to fit to: at least one must not be held out")
         material = self.material
         material.check_free(self.free)
         for name in self.free:
@@ -117,7 +130,7 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
     optimize = require("scipy.optimize", extra="fit", purpose="Fitting")
     special = require("scipy.special", extra="fit", purpose="Fitting")
-    trials = {run.name: _TRIALS[run.kind](run) for run in fit.runs}
+    trials = {run.name: _trial(run) for run in fit.runs}
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)
 
@@ -129,17 +142,14 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     problem = Problem(fitted, start, fit.free, show)
     x = problem.start()
     if any(outcome is None for outcome in problem.outcomes(x)):
-        raise UnstableError(
-            f"with {start.law} a run leaves reason at once: start from other constants"
-        )
-    scale = np.abs(x[: problem.count])
-    sizes = np.concatenate([scale, (problem.high - problem.low)[problem.count :]])
+        raise UnstableError(f"a run diverges with {start.law}: start from other constants")
+    inner = 1e-6 * np.where(np.isfinite(problem.range), problem.range, 0.0)
     solution = optimize.least_squares(
         problem.residual,
-        np.clip(x, *_inside(problem)),
+        np.clip(x, problem.low + inner, problem.high - inner),  # a solver starts inside
         jac=problem.jacobian,
         bounds=(problem.low, problem.high),
-        x_scale=sizes,
+        x_scale=problem.sizes(np.abs(x)),
         xtol=1e-6,
         ftol=1e-9,
         gtol=1e-9,
@@ -148,11 +158,8 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
     return _result(fit, start, problem, solution.x, trials, special)
 
 
-def _inside(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds, moved inward a little where both are finite: a solver starts inside."""
-    room = problem.high - problem.low
-    margin = np.where(np.isfinite(room), 1e-6 * np.where(np.isfinite(room), room, 0.0), 0.0)
-    return problem.low + margin, problem.high - margin
+def _trial(run: Run | MeasuredRun) -> Trial:
+    return RowsTrial(run) if isinstance(run, MeasuredRun) else _TRIALS[run.kind](run)
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
@@ -181,14 +188,14 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
     for name in fit.free:
         if material.has_start(name):
             continue
-        best, least = None, np.inf
+        best, least = material, np.inf
         for value in _SCAN:
             tried = material.changed({name: value})
             probe = Problem(trials, tried, (name,))
             error = float(np.square(probe.residual(probe.start())).sum())
             if error < least:
                 best, least = tried, error
-        material = material if best is None else best
+        material = best
     return material
 
 
@@ -197,33 +204,38 @@ def _result(
     start: Material,
     problem: Problem,
     x: np.ndarray,
-    trials: dict[str, Trial],
+    trials: Mapping[str, Trial],
     special: Any,
 ) -> FitResult:
-    count = problem.count
+    """Return the result at the solution `x`, with intervals and what the data determine."""
+    count, names = problem.count, fit.free
     material = problem.material_at(x)
     residual, jacobian = problem.residual(x), problem.jacobian(x)
-    sizes = np.concatenate([np.abs(problem.start()[:count]), np.ones(len(x) - count)])
+    sizes = problem.sizes(np.abs(problem.start()))
     near = _ON_BOUND * sizes
-    near[count:] = _ON_BOUND * (problem.high - problem.low)[count:]
     held = (x - problem.low < near) | (problem.high - x < near)
     jacobian[:, count:][:, held[count:]] = 0.0  # a touch on its bound cannot move
-    scale = np.where(np.abs(x[:count]) > near[:count], np.abs(x[:count]), sizes[:count])
+    scale = np.where(np.abs(x) > near, np.abs(x), sizes)[:count]
     moving = np.concatenate([np.arange(count), count + np.flatnonzero(~held[count:])])
-    whole = np.concatenate([scale, (problem.high - problem.low)[count:]])
     spread = spread_of(
-        jacobian[:, moving], residual, problem.blocks(), problem.runs(), whole[moving], special
+        jacobian[:, moving],
+        residual,
+        problem.blocks(),
+        problem.runs(),
+        problem.sizes(scale)[moving],
+        special,
     )
     information = Information.of(jacobian, scale)
     half = spread.half[:count]
     relative = half / scale
-    tangled = information.tangled()
-    one_speed = trades_off(problem.trials, material, fit.free)
-    valley = (tangled >= TANGLED) | one_speed
-    good = ~valley & (relative <= WIDE)
+    one_speed = trades_off(problem.trials, material, names)
+    flat = (information.collinear() >= COLLINEAR) | one_speed
+    good = ~flat & (relative <= WIDE)
     further = ()
     if not good.all():
-        further = further_tests(problem, material, information, relative, _steps(fit.free, scale))
+        # Strength is a factor on the fitted material.
+        steps = np.where(np.array(names) == STRENGTH, 1.0, scale)
+        further = further_tests(problem, material, information, relative, steps)
     runs, held_out, curves = {}, {}, {}
     for name, trial in trials.items():
         outcome = trial.simulate(material)
@@ -231,24 +243,22 @@ def _result(
         shift = problem.shift_of(x, problem.trials.index(trial)) if fitted else trial.shift
         (runs if fitted else held_out)[name] = trial.errors(outcome, shift)
         curves[name] = _curves(trial, outcome, shift, not fitted)
-    ends = {
-        name: _interval(x[k], half[k], relative[k], problem.low[k], problem.high[k])
-        for k, name in enumerate(fit.free)
-    }
-    names = fit.free
     return FitResult(
         start=start,
         material=material,
         free=names,
         values={name: float(x[k]) for k, name in enumerate(names)},
-        intervals=ends,
+        intervals={
+            name: _interval(x[k], half[k], relative[k], problem.low[k], problem.high[k])
+            for k, name in enumerate(names)
+        },
         correlations={
             a: {b: float(spread.correlation[i, j]) for j, b in enumerate(names) if i != j}
             for i, a in enumerate(names)
         },
         identifiable={name: bool(good[k]) for k, name in enumerate(names)},
         at_bound=tuple(name for k, name in enumerate(names) if held[k]),
-        valleys=information.valleys(names, bool(one_speed.any())) if valley.any() else (),
+        valleys=information.null_directions(names, one_speed) if flat.any() else (),
         further=further,
         runs=runs,
         held_out=held_out,
@@ -258,31 +268,24 @@ def _result(
     )
 
 
-def _steps(free: Sequence[str], scale: np.ndarray) -> np.ndarray:
-    """Return the sizes of relative changes from the fitted material: strength is 1 there."""
-    return np.array([1.0 if n == STRENGTH else s for n, s in zip(free, scale, strict=True)])
-
-
 def _interval(
     value: float, half: float, relative: float, low: float, high: float
 ) -> tuple[float | None, float | None]:
-    """Return an end of an interval, within the law's bounds; None for no end."""
-    below, above = value - half, value + half
-    if not relative < _NOTHING_KNOWN:
-        below, above = -np.inf, np.inf
-    below, above = max(below, low), min(above, high)
+    """Return the ends of an interval, within the law's bounds; None for no end."""
+    if not relative < _UNKNOWN:
+        half = np.inf
+    below, above = max(value - half, low), min(value + half, high)
     return (
         float(below) if np.isfinite(below) else None,
         float(above) if np.isfinite(above) else None,
     )
 
 
-def _curves(trial: Trial, outcome: Any, shift: float | None, held_out: bool) -> tuple[Curve, ...]:
-    begin = 0.0
-    if isinstance(trial, DropTrial):
-        begin = trial.touch if shift is None else shift
-    found = trial.predicted(outcome, shift)
+def _curves(
+    trial: Trial, outcome: Motion, shift: float | None, held_out: bool
+) -> tuple[Curve, ...]:
+    places = trial.since(shift)
     return tuple(
-        Curve(trial.axis, s.name, trial.places - begin, s.values, values, held_out)
-        for s, values in zip(trial.series, found, strict=True)
+        Curve(trial.axis, series.name, places, series.values, values, held_out)
+        for series, values in zip(trial.series, trial.predicted(outcome, shift), strict=True)
     )

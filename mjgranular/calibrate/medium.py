@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from mjgranular._util.io import place
+from mjgranular.calibrate.material import DENSITY, STRENGTH
+from mjgranular.calibrate.result import FitResult
 from mjgranular.errors import GranularError, InputError, shown
-from mjgranular.fit.constants import DENSITY, STRENGTH
-from mjgranular.fit.result import FitResult
 from mjgranular.law import Law, law_in, laws
 from mjgranular.medium import Medium, Quantity, get_medium
 
 _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 
 
-def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
+def known_medium(
+    entry: Any,
+    law: str | Law | None,
+    path: Path,
+    *,
+    name: str | None = None,
+    title: str | None = None,
+    source: str | None = None,
+) -> Medium:
     """Return the medium of a file of runs: constants by their names, optionally based on another.
 
     Args:
@@ -26,6 +34,9 @@ def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
             and constants of the law; or the name of a medium.
         law: the law, or its name; None for that of the base.
         path: path of the file.
+        name: default name of the medium; None for that of the file.
+        title: default title.
+        source: source of its constants; None for the file.
 
     Raises:
         InputError: a key that the law does not have, a missing key, or a value out of range.
@@ -34,29 +45,11 @@ def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
     where = f"{place(path)}: medium"
     if isinstance(entry, str):
         return get_medium(_base(entry, path))
-    if not isinstance(entry, dict):
-        raise InputError(
-            f"{where} must be a mapping, such as {{base: quikrete_medium}} or {{density: 1500, "
-            "internal_friction: 0.6, surface_friction: 0.4}"
-        )
     base = None
-    if entry.get("base") is not None:
+    if isinstance(entry, dict) and entry.get("base") is not None:
         base = get_medium(_base(str(entry["base"]), path))
     kind = _law_class(law, base, where)
-    hints = get_type_hints(kind)
-    names = [f.name for f in fields(kind) if hints[f.name] in (float, int)]  # pyright: ignore
-    for key in entry:
-        if key not in (*_MEDIUM_KEYS, *names):
-            known = ", ".join(dict.fromkeys((*_MEDIUM_KEYS, *names)))
-            raise InputError(
-                f"{where} has no key {shown(key)}; with the law {kind.name!r} there are: {known}"
-            )
-    source = f"given in {path.name}"
-    given = {
-        key: Quantity(number(entry[key], f"{where}.{key}"), "", source)
-        for key in entry
-        if key in names or key in ("density", "grain")
-    }
+    given = _given(entry, kind, where, source or f"given in {path.name}")
     if base is None and "density" not in given:
         raise InputError(f"{where} needs the bulk density [kg/m^3]: density, or a base")
     constants = {} if base is None else {k: dict(v) for k, v in base.constants.items()}
@@ -65,10 +58,11 @@ def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
     assert density is not None
     key = _table(kind, constants)
     own = {} if base is None else _constants_of(kind, base)
-    own |= {k: q for k, q in given.items() if k in names}
-    if DENSITY in names:
-        own[DENSITY] = given.get(DENSITY) or own.get(DENSITY, density)
-    stated = set() if not isinstance(law, str) else law_in(law)[1].keys()
+    numbers = _numbers_of(kind)
+    own |= {k: q for k, q in given.items() if k in numbers}
+    if DENSITY in numbers:
+        own.setdefault(DENSITY, density)
+    stated = law_in(law)[1].keys() if isinstance(law, str) else ()
     for field in fields(kind):  # pyright: ignore[reportArgumentType]
         if field.default is MISSING and field.name not in own and field.name not in stated:
             raise InputError(
@@ -77,15 +71,34 @@ def known_medium(entry: Any, law: str | Law | None, path: Path) -> Medium:
             )
     try:
         return Medium(
-            name=str(entry.get("name") or path.stem),
-            title=str(entry.get("title") or f"the sand of {path.name}"),
-            density=replace(density, unit="kg/m^3"),
-            grain=None if grain is None else replace(grain, unit="m"),
+            name=str(entry.get("name") or name or path.stem),
+            title=str(entry.get("title") or title or f"the sand of {path.name}"),
+            density=density,
+            grain=grain,
             default_law=key,
             constants={**constants, key: own},
         )
     except InputError as error:
         raise InputError(f"{place(path)}: {error}") from None
+
+
+def check_mapping(
+    entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
+) -> None:
+    """Check that an entry of a file is a mapping with known keys.
+
+    Raises:
+        InputError: it is not, has another key, or lacks one that is needed.
+    """
+    known = ", ".join(keys)
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} must be a mapping with {known}, got {shown(entry)}")
+    for key in entry:
+        if key not in keys:
+            raise InputError(f"{where} has no key {shown(key)}; there are: {known}")
+    for key in needed:
+        if entry.get(key) is None:
+            raise InputError(f"{where} needs {key}")
 
 
 def number(value: Any, key: str) -> float:
@@ -99,8 +112,21 @@ def number(value: Any, key: str) -> float:
     except ValueError:
         found = math.nan
     if not math.isfinite(found):
-        raise InputError(f"{key} must be a number, without its unit, not {shown(value)}")
+        raise InputError(f"{key} must be a number, without its unit, got {shown(value)}")
     return found
+
+
+def _given(entry: dict[str, Any], kind: type[Law], where: str, source: str) -> dict[str, Quantity]:
+    """Return density, grain size and constants of a law that a mapping has."""
+    units = {"density": "kg/m^3", "grain": "m"}
+    names = [*units, *(name for name in _numbers_of(kind) if name not in units)]
+    keys = dict.fromkeys((*_MEDIUM_KEYS, *names))
+    check_mapping(entry, f"{where} with the law {kind.name!r}", keys)
+    return {
+        key: Quantity(number(entry[key], f"{where}.{key}"), units.get(key, ""), source)
+        for key in entry
+        if key in names
+    }
 
 
 def _base(name: str, path: Path) -> str | Path:
@@ -116,6 +142,13 @@ def _law_class(law: str | Law | None, base: Medium | None, where: str) -> type[L
     if base is None:
         raise InputError(f"{where} has no base whose law could be taken: name the law (--law)")
     return laws[base.default_law]
+
+
+def _numbers_of(kind: type[Law]) -> list[str]:
+    """Return the names of a law's numeric fields."""
+    hints = get_type_hints(kind)
+    every = fields(kind)  # pyright: ignore[reportArgumentType]
+    return [field.name for field in every if hints[field.name] in (float, int)]
 
 
 def _table(kind: type[Law], constants: Mapping[str, Mapping[str, Quantity]]) -> str:
@@ -157,8 +190,8 @@ def fitted_medium(
     Args:
         result: the fit.
         name: name of the medium.
-        source: describes what it was fitted to.
-        title: title; None for that of the initial medium.
+        source: what it was fitted to.
+        title: None for that of the initial medium.
     """
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
@@ -194,13 +227,13 @@ def _found(result: FitResult, constant: str, source: str) -> str:
         constant
     ):
         return f"{to}, as the strength {result.values[STRENGTH]:.4g}; {_interval(result, STRENGTH)}"
-    return "as the fit began with"
+    return "as at the start of the fit"
 
 
 def _interval(result: FitResult, name: str) -> str:
     low, high = ("open" if end is None else f"{end:.4g}" for end in result.intervals[name])
-    told = "" if result.identifiable[name] else "; these data do not tell it apart from the others"
-    return f"95 % interval {low} to {high}{told}"
+    doubt = "" if result.identifiable[name] else "; these data do not determine it"
+    return f"95 % interval {low} to {high}{doubt}"
 
 
 def medium_text(medium: Medium) -> str:

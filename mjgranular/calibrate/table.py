@@ -22,13 +22,29 @@ _NAMES = {
     "force": ("force", "f", "resistance"),
     "pitch": ("pitch", "angle"),
     "speed": ("speed", "velocity", "v"),
+    "lift": ("lift",),
+    "side": ("side force", "side"),
+    "angle": ("angle",),
+    "spin": ("spin",),
+    "rate": ("rate",),
 }
+"""Headings of each column, in lower case and without units."""
+
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+_FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3}
+_ANGLES = {"deg": 1.0, "degrees": 1.0, "rad": 180.0 / np.pi}
 _UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
-    "depth": {"m": 1.0, "mm": 1e-3, "cm": 1e-2},
-    "force": {"n": 1.0, "mn": 1e-3, "kn": 1e3},
-    "pitch": {"deg": 1.0, "degrees": 1.0, "rad": 180.0 / np.pi},
+    "time": _TIMES,
+    "depth": _LENGTHS,
+    "force": _FORCES,
+    "pitch": _ANGLES,
     "speed": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2},
+    "lift": _FORCES,
+    "side": _FORCES,
+    "angle": _ANGLES,
+    "spin": {"rad/s": 1.0},
+    "rate": {"hz": 1.0},
 }
 
 
@@ -41,11 +57,11 @@ def read_table(
     """Read columns of a CSV file, in SI units and degrees.
 
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
-    SI. Other columns are ignored.
+    SI. Other columns are ignored, as are lines that start with `#`.
 
     Args:
         path: path of the file.
-        needed: names of required columns, of `time`, `depth`, `force`, `pitch`, `speed`.
+        needed: names of required columns.
         optional: names of optional columns.
         columns: headings in the file of columns with other names, by column name.
 
@@ -53,34 +69,37 @@ def read_table(
         InputError: the file cannot be read, a column is missing, or a cell is not a number.
     """
     text = read_file(path, "the measurement", largest=LARGEST).decode("utf-8-sig", "replace")
-    rows = [row for row in csv.reader(io.StringIO(text)) if any(cell.strip() for cell in row)]
+    rows = [
+        (line, row)
+        for line, row in enumerate(csv.reader(io.StringIO(text)), 1)
+        if any(cell.strip() for cell in row) and not row[0].startswith("#")
+    ]
     name = place(path)
     if not rows:
         raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
-    headings = [cell.strip() for cell in rows[0]]
+    headings = [cell.strip() for cell in rows[0][1]]
     if all(_is_number(cell) for cell in headings):
         raise InputError(
             f"{name} begins with numbers: its first line has to name the columns, such as "
             "time,depth"
         )
+    if len(rows) == 1:
+        raise InputError(f"{name} has headings and no row of numbers")
     found = {}
     for column in (*needed, *optional):
         index = _find(headings, column, (columns or {}).get(column), name)
         if index is not None:
             found[column] = index
-    missing = [column for column in needed if column not in found]
-    if missing:
-        raise InputError(
-            f"{name} has no column {missing[0]!r}: it has {listed(headings)}; name the one that is "
-            f"meant with columns: {{{missing[0]}: HEADING}}"
-        )
-    values = {}
-    for column, index in found.items():
-        factor = _factor(headings[index], column, name)
-        values[column] = factor * np.array(
-            [_number(row, index, line, name) for line, row in enumerate(rows[1:], 2)]
-        )
-    return values
+        elif column in needed:
+            raise InputError(
+                f"{name} has no column {column!r}: it has {listed(headings)}; name the one that is "
+                f"meant with columns: {{{column}: HEADING}}"
+            )
+    return {
+        column: _factor(headings[index], column, name)
+        * np.array([_number(row, index, line, name) for line, row in rows[1:]])
+        for column, index in found.items()
+    }
 
 
 def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
@@ -90,10 +109,7 @@ def _find(headings: list[str], column: str, called: str | None, name: str) -> in
             raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
         return headings.index(called)
     plain = [_split(heading, column)[0] for heading in headings]
-    for known in _NAMES[column]:
-        if known in plain:
-            return plain.index(known)
-    return None
+    return next((plain.index(known) for known in _NAMES[column] if known in plain), None)
 
 
 def _split(heading: str, column: str) -> tuple[str, str | None]:

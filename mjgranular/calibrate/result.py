@@ -8,34 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.fit.constants import Material
-
-
-@dataclass(frozen=True)
-class RunErrors:
-    """Errors of a prediction; of depth and stopping time relative to the measured ones, with sign.
-
-    Attributes:
-        depth: error of the final depth.
-        stopping_time: error of the time from the touch until the lowest point stops.
-        trajectory: RMS error over all rows, in parts of the largest depth or force.
-        force: error of the mean force.
-        pitch: RMS error [degrees].
-        measured_depth: final depth [m].
-        predicted_depth: final depth [m].
-        measured_stopping_time: stopping time [s].
-        predicted_stopping_time: stopping time [s].
-    """
-
-    trajectory: float
-    depth: float | None = None
-    stopping_time: float | None = None
-    force: float | None = None
-    pitch: float | None = None
-    measured_depth: float | None = None
-    predicted_depth: float | None = None
-    measured_stopping_time: float | None = None
-    predicted_stopping_time: float | None = None
+from mjgranular.calibrate.material import Material
+from mjgranular.calibrate.motion import Errors
 
 
 @dataclass(frozen=True)
@@ -75,8 +49,8 @@ class FurtherTest:
 
 
 @dataclass(frozen=True)
-class Valley:
-    """Null direction: constants that trade off against each other; along it curves hardly change.
+class NullDirection:
+    """Constants that trade off against each other: along it curves hardly change.
 
     Attributes:
         change: relative changes of the constants along it; the largest is 1.
@@ -104,7 +78,7 @@ class FitResult:
         correlations: correlations of the estimates, by names.
         identifiable: whether the data determine the constant separately from the others.
         at_bound: names of the constants that ended on a bound of the law.
-        valleys: constants that trade off against each other.
+        valleys: null directions, in which constants trade off against each other.
         further: the most useful further tests, the best first; empty if all is identifiable.
         runs: errors of the fitted runs, by name.
         held_out: errors of the predicted runs, by name.
@@ -121,10 +95,10 @@ class FitResult:
     correlations: Mapping[str, Mapping[str, float]]
     identifiable: Mapping[str, bool]
     at_bound: tuple[str, ...]
-    valleys: tuple[Valley, ...]
+    valleys: tuple[NullDirection, ...]
     further: tuple[FurtherTest, ...]
-    runs: Mapping[str, RunErrors]
-    held_out: Mapping[str, RunErrors]
+    runs: Mapping[str, Errors]
+    held_out: Mapping[str, Errors]
     curves: Mapping[str, tuple[Curve, ...]] = field(repr=False)
     residual: float
     evaluations: int
@@ -139,7 +113,7 @@ class FitResult:
             "correlations": {name: dict(row) for name, row in self.correlations.items()},
             "identifiable": dict(self.identifiable),
             "at_bound": list(self.at_bound),
-            "valleys": [asdict(valley) for valley in self.valleys],
+            "valleys": [asdict(direction) for direction in self.valleys],
             "further_tests": [asdict(test) for test in self.further],
             "runs": {name: asdict(errors) for name, errors in self.runs.items()},
             "held_out": {name: asdict(errors) for name, errors in self.held_out.items()},

@@ -1,0 +1,219 @@
+"""Identifiability: which constants the data determine, and which further test would."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from mjgranular.calibrate.fall import GRAVITY, DropTrial, find_arrest
+from mjgranular.calibrate.intervals import SMALLEST
+from mjgranular.calibrate.material import Material
+from mjgranular.calibrate.problem import Problem
+from mjgranular.calibrate.result import FurtherTest, NullDirection
+from mjgranular.calibrate.runs import Body, Run
+from mjgranular.calibrate.trial import PushTrial, Trial
+from mjgranular.errors import GranularError
+
+COLLINEAR = 0.96
+"""Multiple correlation of a constant with the others above which it is not identifiable.
+
+Chosen: strength and inertia have 0.98 in drops of one sphere at any one speed, and 0.94 in drops at
+two speeds with a ratio of two.
+"""
+WIDE = 0.5
+"""Half width of an interval in parts of the value, above which it is not identifiable; chosen."""
+
+_OTHER_SPEED = 1.5  # least ratio of two different speeds; chosen
+_TAKES_PART = 0.15  # least part in a null direction, relative to its largest; chosen
+_FASTEST = 6.0  # a fall of 1.8 m [m/s]
+_OTHER = 3.0  # factor for faster, slower, heavier; chosen
+_SHOWN = 4
+_ROWS = 60  # rows of a planned record
+
+Plan = Callable[[], Trial]
+
+
+def trades_off(trials: Sequence[Trial], material: Material, names: Sequence[str]) -> bool:
+    """Return True if constants trade off because all runs have one speed.
+
+    Static and rate-dependent resistance are then separated only by the shape of one kind of curve,
+    which assumes an exact law. A comparison with discrete elements (docs/calibration.md): constants
+    that fit a sphere at 1 m/s within 0.3 % are 29 % wrong at 3 m/s.
+    """
+    speeds = [speed for trial in trials for speed in trial.speeds]
+    by_speed = [material.by_speed(name) for name in names]
+    one_speed = max(speeds) <= _OTHER_SPEED * min(speeds)
+    return one_speed and any(by_speed) and not all(by_speed)
+
+
+@dataclass(frozen=True)
+class Information:
+    """Information of runs about constants: derivatives for relative changes, touches eliminated."""
+
+    matrix: np.ndarray
+
+    @classmethod
+    def of(cls, jacobian: np.ndarray, scale: np.ndarray) -> Information:
+        """Return that of a problem's derivatives; the first columns are the constants."""
+        constants = jacobian[:, : len(scale)] * scale
+        touches = jacobian[:, len(scale) :]
+        touches = touches[:, np.abs(touches).max(axis=0, initial=0.0) > 0]
+        if touches.shape[1]:
+            Q, _ = np.linalg.qr(touches)
+            constants = constants - Q @ (Q.T @ constants)
+        return cls(constants.T @ constants)
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """The covariance of the constants up to a factor."""
+        values, vectors = np.linalg.eigh(self.matrix)
+        least = max(values.max(), 1e-300) * SMALLEST**2
+        return (vectors / np.maximum(values, least)) @ vectors.T
+
+    def collinear(self) -> np.ndarray:
+        """Return the multiple correlation of each constant with the others, shape (constants,)."""
+        own = np.diag(self.matrix)
+        square = 1 - 1 / np.maximum(own * np.diag(self.inverse), 1.0)
+        silent = own <= SMALLEST**2 * max(own.max(), 1e-300)
+        return np.where(silent, 1.0, np.sqrt(np.maximum(square, 0.0)))
+
+    def null_directions(self, names: Sequence[str], one_speed: bool) -> tuple[NullDirection, ...]:
+        """Return the flattest direction, and all others that are flat."""
+        values, vectors = np.linalg.eigh(self.matrix)
+        found = []
+        for k, value in enumerate(values):
+            if k > 0 and value > SMALLEST * values.max():
+                break
+            v = vectors[:, k] / vectors[np.argmax(np.abs(vectors[:, k])), k]
+            change = {n: float(c) for n, c in zip(names, v, strict=True) if abs(c) >= _TAKES_PART}
+            effect = 0.1 * float(np.sqrt(max(v @ self.matrix @ v, 0.0)))
+            found.append(NullDirection(change, effect, one_speed))
+        return tuple(found)
+
+
+def further_tests(
+    problem: Problem,
+    material: Material,
+    now: Information,
+    half: np.ndarray,
+    scale: np.ndarray,
+) -> tuple[FurtherTest, ...]:
+    """Propose further tests, simulated with the fitted law; the most useful first.
+
+    Args:
+        problem: the fit.
+        material: the material with the fitted constants.
+        now: information of the data.
+        half: half widths of the intervals, in parts of each value.
+        scale: size of each constant.
+    """
+    names = problem.free
+    before = np.sqrt(np.diag(now.inverse))
+    # From derivatives to intervals, as in the fit.
+    unit = float(np.median(np.where(np.isfinite(half), half, 0.1) / before))
+    found = []
+    for what, plan in _candidates(problem.trials, material):
+        try:
+            trial = plan()
+            planned = Problem([trial], material, names)
+            jacobian = planned.jacobian(planned.start())
+        except GranularError:
+            continue  # for example, the law has no elements for that body
+        # Strength is a factor on the fitted material.
+        added = Information.of(jacobian, np.where(scale != 0, scale, 1.0))
+        both = Information(now.matrix + added.matrix)
+        after = unit * np.sqrt(np.diag(both.inverse))
+        good = (
+            not trades_off((*problem.trials, trial), material, names)
+            and bool((both.collinear() < COLLINEAR).all())
+            and bool((after <= WIDE).all())
+        )
+        width = {name: float(w) for name, w in zip(names, after, strict=True)}
+        found.append((float(np.max(after)), FurtherTest(what, width, good)))
+    found.sort(key=lambda pair: (not pair[1].identifiable, pair[0]))
+    return tuple(test for _, test in found[:_SHOWN])
+
+
+def _candidates(trials: Sequence[Trial], material: Material) -> Iterator[tuple[str, Plan]]:
+    """Yield tests with the available bodies, with descriptions."""
+    drops = [t for t in trials if type(t) is DropTrial]
+    pushes = [t for t in trials if isinstance(t, PushTrial)]
+    bodies = [t.run.body for t in (*drops, *pushes) if t.run.body is not None]
+    if not bodies:
+        return
+    body = bodies[0]
+    yield from _drops(drops, body, material)
+    depths = [float(t.arrest.depth) for t in drops]
+    depths += [float(t.places.max()) if t.run.depth is None else t.run.depth for t in pushes]
+    depth = max(min(depths), 0.2 * body.diameter)
+    plain = replace(body, mass=None, density=None)
+    size = plain.describe()
+    if not any(t.axis == "depth" for t in pushes):
+        slow = "pushed down slowly, force against depth"
+        yield f"the {size} {slow}", partial(_planned_push, plain, depth, material)
+        if plain.shape != "plate":
+            side = plain.diameter if plain.length is None else plain.length / 2
+            plate = Body("plate", side / 5, side)
+            yield f"a {plate.describe()} {slow}", partial(_planned_push, plate, depth, material)
+    yield (
+        f"the {size} drawn along at a depth of {depth * 1e3:.2g} mm, force against speed to 1 m/s",
+        partial(_planned_drag, plain, depth, material),
+    )
+
+
+def _drops(
+    drops: Sequence[DropTrial], body: Body, material: Material
+) -> Iterator[tuple[str, Plan]]:
+    """Yield drops that are slower, faster or heavier than the measured ones."""
+    speeds = [t.run.speed or 0.0 for t in drops if t.run.body == body]
+    angle = drops[0].run.angle if drops else 0.0
+    duration = 3 * max([t.arrest.time or 0.05 for t in drops], default=0.1)
+    wanted = (min(speeds) / _OTHER, min(max(speeds) * _OTHER, _FASTEST)) if speeds else (1.0, 3.0)
+    for speed in wanted:
+        if all(not 1 / _OTHER_SPEED < speed / max(v, 1e-9) < _OTHER_SPEED for v in speeds):
+            what = f"a drop of the {body.describe()} at {speed:.2g} m/s"
+            yield what, partial(_planned_drop, body, speed, angle, duration, material)
+    if speeds:
+        heavy, speed = body.heavier(_OTHER), speeds[0]
+        what = f"a drop of a {heavy.describe()} at {speed:.2g} m/s"
+        yield what, partial(_planned_drop, heavy, speed, angle, duration, material)
+
+
+def _planned_drop(
+    body: Body, speed: float, angle: float, duration: float, material: Material
+) -> DropTrial:
+    """Return a drop, followed for a time [s] or until it rests.
+
+    Raises:
+        GranularError: the law does not support the body, or it does not reach the sand.
+    """
+    time = np.linspace(0.0, duration, 4)
+    free = {"time": time, "depth": speed * time + 0.1 * GRAVITY * time**2}
+    run = Run("planned", "drop", free, body=body, speed=speed, angle=angle)
+    fall = DropTrial(run).simulate(material)
+    assert fall.time is not None
+    arrest = find_arrest(fall.time, fall.depth)
+    time = np.linspace(0.0, min(1.3 * (arrest.time or duration), fall.time[-1]), _ROWS)
+    record = {"time": time, "depth": np.interp(time, fall.time, fall.depth)}
+    return DropTrial(replace(run, data=record))
+
+
+def _planned_push(body: Body, depth: float, material: Material) -> PushTrial:
+    """Return a slow push to a depth [m]."""
+    record = {"depth": np.linspace(depth / _ROWS, depth, _ROWS), "force": np.ones(_ROWS)}
+    return _simulated(Run("planned", "intrude", record, body=body), material)
+
+
+def _planned_drag(body: Body, depth: float, material: Material) -> PushTrial:
+    """Return a drag at a depth [m], at speeds up to 1 m/s."""
+    record = {"speed": np.linspace(0.01, 1.0, 15), "force": np.ones(15)}
+    return _simulated(Run("planned", "drag", record, body=body, depth=depth), material)
+
+
+def _simulated(run: Run, material: Material) -> PushTrial:
+    """Return a run with the forces of a material."""
+    force = PushTrial(run).simulate(material).force
+    return PushTrial(replace(run, data=run.measured() | {"force": force}))
