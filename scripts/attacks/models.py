@@ -5,10 +5,12 @@ A model depends only on a seed and a number.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from attacks.cases import ModelCase
 
 SHAPES = ("capsule", "sphere", "box", "cylinder", "ellipsoid", "mesh")
 RODS = ("capsule", "cylinder")
@@ -51,38 +53,38 @@ PROGRAMS = (
     ("rft3d", "plane memory", "explicit"),
 )
 """Laws, surfaces and schemes: each combination is compiled once on a machine."""
+SHORT = (
+    ("link_distributed", "plane", "implicit"),
+    ("rft3d", "plane", "implicit"),
+    ("rft3d", "height_field", "implicit"),
+    ("link", "bed", "implicit"),
+    ("rft3d_dynamic", "plane", "implicit"),
+    ("rft3d_dynamic", "plane memory", "implicit"),
+    ("link_distributed", "plane", "explicit"),
+    ("rft3d", "plane", "explicit"),
+)
+"""Some of them, for tests."""
 CELLS = (0.005, 0.01, 0.02)
 
 
-@dataclass
-class Drawn:
-    """A model and the sand in it.
-
-    Attributes:
-        xml: MJCF of the model without sand.
-        sand: arguments of `Sand`, as they would be written.
-        program: law, surface and scheme.
-    """
-
-    xml: str
-    sand: str
-    program: tuple[str, str, str]
+def programs(laws: Sequence[str] | None, *, short: bool) -> list[tuple[str, str, str]]:
+    """List combinations with these laws, or with all."""
+    return [each for each in (SHORT if short else PROGRAMS) if not laws or each[0] in laws]
 
 
-def draw(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
+def draw(rng: np.random.Generator, program: tuple[str, str, str], number: int = 0) -> ModelCase:
     """Draw a model that MuJoCo can compile, for a law, a surface and a scheme."""
     while True:
-        draft = Draft(rng, program)
-        drawn = draft.finish()
+        xml, sand = Draft(rng, program).finish()
         try:
-            model = mujoco.MjModel.from_xml_string(drawn.xml)
+            model = mujoco.MjModel.from_xml_string(xml)
         except ValueError:  # an impossible inertia or equality
             continue
         if model.nv and np.isfinite(model.body_mass).all():
-            return drawn
+            return ModelCase(xml, sand, program, number)
 
 
-def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
+def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str], number: int) -> ModelCase:
     """Draw free bodies that lie side by side in sand, optionally on a floor under it."""
     law, _, scheme = program
     draft = Draft(rng, program)
@@ -102,7 +104,7 @@ def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Dra
     floor = '<geom type="plane" size="9 9 0.1" pos="0 0 -0.08"/>' if draft.chance(0.5) else ""
     xml = f"<mujoco>{option}<worldbody>{floor}{''.join(draft.bodies)}</worldbody></mujoco>"
     sand = f"{LAWS[law][0]}, scheme='{scheme}'"
-    return Drawn(xml, sand, (law, "plane", scheme))
+    return ModelCase(xml, sand, (law, "plane", scheme), number)
 
 
 def draw_twin(
@@ -168,8 +170,8 @@ class Draft:
 
     # The whole model
 
-    def finish(self) -> Drawn:
-        """Draw all parts."""
+    def finish(self) -> tuple[str, str]:
+        """Draw all parts; return the model in MJCF and the arguments of `Sand`."""
         rng, (law, surface, scheme) = self.rng, self.program
         fine = scheme == "explicit" and self.chance(0.8)
         timestep = float(rng.choice(TIMESTEPS[:3] if fine else TIMESTEPS))
@@ -190,7 +192,7 @@ class Draft:
         if law.startswith("link") or self.chance(0.2):
             chosen = [name for name in self.geoms if self.chance(0.9)] or self.geoms[:1]
             sand += f", geoms={chosen}"
-        return Drawn(xml, sand, self.program)
+        return xml, sand
 
     def sand(self, place: str) -> str:
         """Return arguments of `Sand`."""

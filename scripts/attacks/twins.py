@@ -7,16 +7,19 @@ to rounding; with other facets or other time steps, nearly so.
 
 from __future__ import annotations
 
+import copy
 import math
+import warnings
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from attacks import models
-from attacks.draw import arguments
+from attacks import models, motions
+from attacks.cases import ModelCase, Result, arguments
 
 from mjgranular import Plane, Sand
 
@@ -193,8 +196,8 @@ def enlarge(scale: float) -> Callable[[mujoco.MjSpec], None]:
             body.inertia[:] *= scale**5
         for mesh in spec.meshes:
             mesh.uservert = np.multiply(mesh.uservert, scale)
-        for field in spec.hfields:
-            field.size[:] *= scale
+        for heights in spec.hfields:
+            heights.size[:] *= scale
 
     return change
 
@@ -234,30 +237,53 @@ def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iter
         yield Question("Froude number", enlarge(scale), there, scale=scale)
 
 
-def ask(seed: int, number: int, program: tuple[str, str, str]) -> Iterator[tuple[str, float, bool]]:
-    """Ask all questions; yield name, difference of the twins, and whether it failed."""
+@dataclass
+class TwinCase(ModelCase):
+    """A model and the random numbers of its twins."""
+
+    rng: np.random.Generator = field(default_factory=np.random.default_rng)
+
+
+def draw(seed: int, number: int, options: Namespace) -> TwinCase | None:
+    """Draw a model under the implicit scheme; None if the number has another."""
+    programs = models.programs(options.laws, short=options.short)
+    case = motions.draw(seed, number, options.steps, programs, options.kind)
+    if case.program[2] != "implicit" or case.kind == "rest":
+        return None
     rng = np.random.default_rng([seed, number, 2])
-    law = program[0]
-    spec, text = models.draw_twin(rng, program)
-    given = arguments(text)
+    spec, sand = models.draw_twin(rng, case.program)
+    return TwinCase(spec.to_xml(), sand, case.program, number, rng=rng)
 
-    def differ(question: Question, **than: Any) -> float:
-        return apart(spec, given, question, number, Question("itself", **than))
 
-    # Where an equation of a step has several solutions, rounding decides between them.
-    rounding = max(differ(Question("", nudge=10.0**-k)) for k in (11, 12, 13))
-    # Sand with memory is pressed and flows in the order of bodies and cells.
-    least = max(10.0 * rounding, CUT if "memory" in given else 0.0)
-    for question in questions(law, given, rng):
-        fine = {name: value for name, value in question.sand.items() if name == "resolution"}
-        off = differ(question, sand=fine)
-        yield question.name, off, off > max(question.tolerance, least)
-    yield "rounding alone", rounding, False
-    coarse, fine = differ(Question("", refine=2)), differ(Question("", refine=4), refine=2)
-    yield "half the time step", fine, fine > max(0.75 * coarse, HALF)
-    if not law.startswith("link"):
-        spec, text = models.draw_twin(rng, program, shape="box")
-        given = {**arguments(text), "resolution": FINE}
-        for count in (2, 4):
-            off = differ(Question("", cut(count)))
-            yield f"a box in {count} pieces", off, off > CUT
+def run(case: TwinCase) -> Result:
+    """Ask all questions of a model."""
+    result, number, rng = Result(), case.number, copy.deepcopy(case.rng)
+    spec, given = mujoco.MjSpec.from_string(case.xml), arguments(case.sand)
+    itself = Question("itself")
+
+    def check(name: str, off: float, most: float) -> None:
+        result.counts[name] += 1
+        if off > most:
+            result.fail(name, f"{off:.3g} of the speed apart", off)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # Where an equation of a step has several solutions, rounding decides between them.
+        nudges = [Question("", nudge=10.0**-k) for k in (11, 12, 13)]
+        rounding = max(apart(spec, given, nudge, number, itself) for nudge in nudges)
+        # Sand with memory is pressed and flows in the order of bodies and cells.
+        least = max(10.0 * rounding, CUT if "memory" in given else 0.0)
+        for question in questions(case.program[0], given, rng):
+            fine = {name: value for name, value in question.sand.items() if name == "resolution"}
+            off = apart(spec, given, question, number, itself._replace(sand=fine))
+            check(question.name, off, max(question.tolerance, least))
+        one, half, quarter = (Question("", refine=k) for k in (1, 2, 4))
+        coarse = apart(spec, given, half, number, one)
+        check("half step", apart(spec, given, quarter, number, half), max(0.75 * coarse, HALF))
+        if not case.program[0].startswith("link"):
+            spec, box_sand = models.draw_twin(rng, case.program, shape="box")
+            given = {**arguments(box_sand), "resolution": FINE}
+            for count in (2, 4):
+                off = apart(spec, given, Question("", cut(count)), number, itself)
+                check(f"cut in {count}", off, CUT)
+    return result

@@ -6,10 +6,13 @@ generator), so that a list of events can be read, repeated and pasted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import mujoco
 import numpy as np
+from attacks import models
+from attacks.cases import ModelCase
 
 FLAGS = len(mujoco.mjtDisableBit.__members__) - 1
 ENABLES = len(mujoco.mjtEnableBit.__members__) - 1
@@ -138,77 +141,75 @@ CALM_FLAGS = tuple(
 """Flags that change nothing for bodies that touch nothing but sand."""
 
 _MASS = "mujoco.mj_mulM(model, data, data.qfrc_applied"
-KINDS = ("plain", "options", "hostile", "rest")
-"""Only controls; legal changes in motion; illegal ones too; changes at rest."""
+PUSHES = (
+    ("data.ctrl = random.normal(scale=2, size=model.nu)", 0.5),
+    ("data.qfrc_applied = random.normal(scale=0.5, size=model.nv)", 0.1),
+    ("data.xfrc_applied = random.normal(scale=0.5, size=(model.nbody, 6))", 0.1),
+    # An impact, a brake stronger than the sand, a withdrawal.
+    (f"{_MASS}, random.normal(scale=20, size=model.nv) / 0.02)", 0.1),
+    (f"{_MASS}, -data.qvel / 0.005)", 0.1),
+    ("data.xfrc_applied[:, 2] = 20 * model.body_mass / 0.1", 0.05),
+    ("data.qfrc_applied = 0", 0.1),
+    ("data.mocap_pos += random.normal(scale=0.01, size=data.mocap_pos.shape)", 0.3),
+    ("data.eq_active = random.integers(0, 2, model.neq)", 0.1),
+    ("report", 0.05),
+)
+"""Controls, external forces, a moving mocap body, a switched equality, with their probabilities."""
+
+KINDS = {"plain": 0.4, "options": 0.3, "hostile": 0.2, "rest": 0.1}
+"""Only controls; legal changes in motion; illegal ones too; changes at rest. With their shares."""
+
+RESTING = ("link_distributed", "rft2d", "rft3d", *models.MOVING)
+"""Laws under which everything comes to rest."""
 
 
-@dataclass
-class Plan:
-    """Events and their times.
+def draw(
+    seed: int,
+    number: int,
+    steps: int,
+    programs: Sequence[tuple[str, str, str]] = models.PROGRAMS,
+    kind: str | None = None,
+) -> ModelCase:
+    """Draw a model, its sand, and what happens to it."""
+    rng = np.random.default_rng([seed, number])
+    chosen = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    program = programs[int(rng.integers(len(programs)))]
+    kind = kind or chosen
+    if kind != "rest":
+        case = models.draw(rng, program, number)
+        case.events = list(_events(rng, kind, steps))
+    else:
+        still = [p for p in programs if p[0] in RESTING and p[1:] == ("plane", "implicit")]
+        still = still or [("link_distributed", "plane", "implicit")]
+        case = models.draw_at_rest(rng, still[int(rng.integers(len(still)))], number)
+        case.settled = (3 * steps) // 4
+        at = rng.integers(case.settled, steps, 3)
+        case.events = [(int(step), str(rng.choice(OPTIONS + CALM_FLAGS))) for step in at]
+    case.events.sort(key=lambda event: event[0])
+    case.kind, case.steps = kind, steps
+    return case
 
-    Attributes:
-        events: lines of Python, by the step before which they run.
-        settled: step from which everything must be at rest; None for no such step.
-    """
 
-    events: dict[int, list[str]]
-    settled: int | None = None
-
-    def add(self, step: int, line: str) -> None:
-        self.events.setdefault(step, []).append(line)
-
-
-def plan(rng: np.random.Generator, kind: str, steps: int) -> Plan:
-    """Draw events for a simulation."""
-    made = Plan({})
-    if kind == "rest":
-        made.settled = (3 * steps) // 4
-        at = rng.integers(made.settled, steps, 3)
-        for step in at:
-            made.add(int(step), str(rng.choice(OPTIONS + CALM_FLAGS)))
-        return made
-    begin(rng, made)
+def _events(rng: np.random.Generator, kind: str, steps: int) -> Iterator[tuple[int, str]]:
+    """Draw the events of a body in motion, which starts away from the pose of the model."""
+    speed = rng.choice([0, 0.1, 1, 1, 5, 30])
+    yield 0, seeded(rng, f"data.qvel = random.normal(scale={speed}, size=model.nv)")
+    if rng.random() < 0.6:
+        turned = "random.normal(scale=0.2, size=model.nv)"
+        yield 0, seeded(rng, f"mujoco.mj_integratePos(model, data.qpos, {turned}, 1)")
     for step in range(0, steps, 8):
-        push(rng, made, step)
+        for line, chance in PUSHES:
+            if rng.random() < chance:
+                yield step, seeded(rng, line)
     if kind == "plain":
-        return made
+        return
     lines: tuple[str, ...] = OPTIONS + OPTIONS + RARE_OPTIONS + FIELDS
     for step in rng.integers(1, steps, rng.integers(2, 9)):
-        made.add(int(step), seeded(rng, str(rng.choice(lines))))
+        yield int(step), seeded(rng, str(rng.choice(lines)))
     if kind == "hostile":
         lines = BAD_OPTIONS + BAD_FIELDS + BAD_STATES + BAD_STATES
         for step in rng.integers(1, steps, rng.integers(1, 5)):
-            made.add(int(step), str(rng.choice(lines)))
-    return made
-
-
-def begin(rng: np.random.Generator, made: Plan) -> None:
-    """Start in motion, away from the pose of the model."""
-    speed = rng.choice([0, 0.1, 1, 1, 5, 30])
-    made.add(0, seeded(rng, f"data.qvel = random.normal(scale={speed}, size=model.nv)"))
-    if rng.random() < 0.6:
-        turned = "random.normal(scale=0.2, size=model.nv)"
-        made.add(0, seeded(rng, f"mujoco.mj_integratePos(model, data.qpos, {turned}, 1)"))
-
-
-def push(rng: np.random.Generator, made: Plan, step: int) -> None:
-    """Add controls, external forces, a moving mocap body, a switched equality."""
-    lines = (
-        ("data.ctrl = random.normal(scale=2, size=model.nu)", 0.5),
-        ("data.qfrc_applied = random.normal(scale=0.5, size=model.nv)", 0.1),
-        ("data.xfrc_applied = random.normal(scale=0.5, size=(model.nbody, 6))", 0.1),
-        # An impact, a brake stronger than the sand, a withdrawal.
-        (f"{_MASS}, random.normal(scale=20, size=model.nv) / 0.02)", 0.1),
-        (f"{_MASS}, -data.qvel / 0.005)", 0.1),
-        ("data.xfrc_applied[:, 2] = 20 * model.body_mass / 0.1", 0.05),
-        ("data.qfrc_applied = 0", 0.1),
-        ("data.mocap_pos += random.normal(scale=0.01, size=data.mocap_pos.shape)", 0.3),
-        ("data.eq_active = random.integers(0, 2, model.neq)", 0.1),
-        ("report", 0.05),
-    )
-    for line, chance in lines:
-        if rng.random() < chance:
-            made.add(step, seeded(rng, line))
+            yield int(step), str(rng.choice(lines))
 
 
 def seeded(rng: np.random.Generator, line: str) -> str:
@@ -218,7 +219,5 @@ def seeded(rng: np.random.Generator, line: str) -> str:
 
 def run(line: str, model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Run an event, unless the model lacks what it needs."""
-    try:
+    with suppress(IndexError, ValueError, TypeError):
         exec(line, {"model": model, "data": data, "mujoco": mujoco, "np": np})
-    except (IndexError, ValueError, TypeError):
-        return
