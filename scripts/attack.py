@@ -5,7 +5,7 @@
     python scripts/attack.py --only steps --seed 7 --case 123 --shrink   # find a smaller model
 
 `steps` checks each step of both interfaces, `twins` that equivalent descriptions of a model move
-alike, `warp` the work of sand in MuJoCo Warp.
+alike.
 Cases run in blocks, each in a process that may crash or hang. Each case is a line of JSON in the
 file `--out`, written when it ends. The last output is a table of all checks, with the command that
 repeats each failure. The exit status is 1 after a failure.
@@ -38,7 +38,7 @@ sys.path.append(str(HERE.parent))  # for a checkout that is not installed
 
 from attacks.cases import Result  # noqa: E402
 
-ATTACKS = ("steps", "twins", "warp")
+ATTACKS = ("steps", "twins")
 BLOCK = 20  # cases of one process: MuJoCo does not free an `mjData` whose plugin raises an error
 STEPS = 155  # of each model
 
@@ -221,7 +221,7 @@ def parse() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--only", nargs="+", choices=ATTACKS, default=["steps", "twins"])
+    add("--only", nargs="+", choices=ATTACKS, default=ATTACKS)
     add("--models", type=int, default=1000, help="number of models")
     add("--seed", type=int, default=0)
     add("--first", type=int, default=0, help="number of the first case")

@@ -5,7 +5,6 @@ A model depends only on a seed and a number.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -54,22 +53,13 @@ PROGRAMS = (
 )
 """Laws, surfaces and schemes: each combination is compiled once on a machine."""
 SHORT = (
-    ("link_distributed", "plane", "implicit"),
-    ("rft3d", "plane", "implicit"),
+    *((law, "plane", scheme) for law in ("link_distributed", "rft3d") for scheme in SCHEMES),
+    *(("rft3d_dynamic", surface, "implicit") for surface in ("plane", "plane memory")),
     ("rft3d", "height_field", "implicit"),
     ("link", "bed", "implicit"),
-    ("rft3d_dynamic", "plane", "implicit"),
-    ("rft3d_dynamic", "plane memory", "implicit"),
-    ("link_distributed", "plane", "explicit"),
-    ("rft3d", "plane", "explicit"),
 )
 """Some of them, for tests."""
 CELLS = (0.005, 0.01, 0.02)
-
-
-def programs(laws: Sequence[str] | None, *, short: bool) -> list[tuple[str, str, str]]:
-    """List combinations with these laws, or with all."""
-    return [each for each in (SHORT if short else PROGRAMS) if not laws or each[0] in laws]
 
 
 def draw(rng: np.random.Generator, program: tuple[str, str, str], number: int = 0) -> ModelCase:
@@ -89,12 +79,12 @@ def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str], number
     law, _, scheme = program
     draft = Draft(rng, program)
     timestep = rng.choice(TIMESTEPS[4:7])
-    for number in range(rng.integers(1, 13)):
+    for row in range(rng.integers(1, 13)):
         shape = rng.choice(RODS if law.startswith("link") else SHAPES[:5])
-        draft.geoms.append(f"g{number}")
+        draft.geoms.append(f"g{row}")
         draft.bodies.append(
-            f'<body pos="{0.3 * number:g} 0 -0.02" quat="{draft.turn()}"><freejoint/>'
-            f'<geom name="g{number}" type="{shape}" size="{draft.numbers(0.04, 0.09, 3)}" '
+            f'<body pos="{0.3 * row:g} 0 -0.02" quat="{draft.turn()}"><freejoint/>'
+            f'<geom name="g{row}" type="{shape}" size="{draft.numbers(0.04, 0.09, 3)}" '
             f'density="{rng.uniform(300, 2500):.4g}"/></body>'
         )
     option = (
@@ -162,11 +152,8 @@ class Draft:
             return ""
         return f' {name}="{10 ** self.rng.uniform(low, high):.3g}"'
 
-    def turn(self) -> str:
-        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=4))
-
-    def arrow(self) -> str:
-        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=3))
+    def turn(self, count: int = 4) -> str:
+        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=count))
 
     # The whole model
 
@@ -214,28 +201,30 @@ class Draft:
             f'solver="{rng.choice(["PGS", "CG", "Newton"], p=(0.2, 0.2, 0.6))}"',
             f'jacobian="{rng.choice(["dense", "sparse", "auto"])}"',
         ]
-        if self.chance(0.08):
-            words.append(f'iterations="{rng.choice([1, 2, 10])}"')
-        if self.chance(0.1):
-            words.append(f'tolerance="{rng.choice(["0", "1e-4", "1e-12"])}"')
-        if self.chance(0.06):
-            words.append(f'noslip_iterations="{rng.integers(1, 6)}"')
+        for chance, name, values in (
+            (0.08, "iterations", [1, 2, 10]),
+            (0.1, "tolerance", ["0", "1e-4", "1e-12"]),
+            (0.06, "noslip_iterations", [1, 2, 3, 4, 5]),
+        ):
+            if self.chance(chance):
+                words.append(f'{name}="{rng.choice(values)}"')
         if self.chance(0.15):
             words.append(f'density="{rng.choice([1.2, 1000])}" viscosity="{rng.choice([0, 1e-3])}"')
             words.append(f'wind="{self.numbers(-3, 3, 3)}"')
         if self.chance(0.1):
             words.append(f'impratio="{rng.choice([0.1, 10, 100])}"')
-        flags = []
-        if self.chance(0.2):
-            flags.append('eulerdamp="disable"')
-        if self.chance(0.1):
-            flags.append('sleep="enable"')
-        for name in ("warmstart", "refsafe", "island", "autoreset", "filterparent", "midphase"):
-            if self.chance(0.05):
-                flags.append(f'{name}="disable"')
-        for name in ("energy", "fwdinv", "invdiscrete"):
-            if self.chance(0.04):
-                flags.append(f'{name}="enable"')
+        flags = [
+            f'{name}="{value}"'
+            for chance, value, names in (
+                (0.2, "disable", ["eulerdamp"]),
+                (0.1, "enable", ["sleep"]),
+                (0.05, "disable", ["warmstart", "refsafe", "island"]),
+                (0.05, "disable", ["autoreset", "filterparent", "midphase"]),
+                (0.04, "enable", ["energy", "fwdinv", "invdiscrete"]),
+            )
+            for name in names
+            if self.chance(chance)
+        ]
         return f"<option {' '.join(words)}><flag {' '.join(flags)}/></option>"
 
     def assets(self, sand_geom: str) -> str:
@@ -377,7 +366,7 @@ class Draft:
         self.joints.append((name, kind))
         words = [f'name="{name}" type="{kind}" pos="{self.numbers(-0.04, 0.04, 3)}"']
         if kind != "ball":
-            words.append(f'axis="{self.arrow()}"')
+            words.append(f'axis="{self.turn(3)}"')
         if self.chance(0.35):
             reach = {"ball": "0 50", "hinge": "-40 40", "slide": "-0.1 0.1"}[kind]
             words.append(f'limited="true" range="{reach}" margin="{rng.choice([0, 0.01])}"')

@@ -6,7 +6,8 @@ generator), so that a list of events can be read, repeated and pasted.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from contextlib import suppress
 
 import mujoco
@@ -29,7 +30,7 @@ OPTIONS = (
     *(f"model.opt.cone = {value}" for value in (0, 1)),
     *(f"model.opt.tolerance = {value}" for value in ("0", "1e-4", "1e-12")),
     *(f"model.opt.timestep = {value}" for value in (1e-5, 1e-3, 4e-3, 1e-2)),
-)
+)  # fmt: skip
 """After any of these bodies at rest stay at rest."""
 
 RARE_OPTIONS = (
@@ -39,73 +40,45 @@ RARE_OPTIONS = (
     *(f"model.opt.noslip_iterations = {value}" for value in (0, 3)),
     *(f"model.opt.impratio = {value}" for value in (0.01, 1, 100)),
     *(f"model.opt.density = {value}" for value in (0, 1000)),
-    *(f"model.opt.viscosity = {value}" for value in (0, 1, 1e6)),
-    "model.opt.wind = [3, -20, 5]",
-    "model.opt.gravity = [0, 0, 0]",
-    "model.opt.gravity = [4, 5, 6]",
-    "model.opt.gravity = [0, 0, -1e5]",
-    *(_OFF.format(bit) for bit in range(FLAGS)),
+    *(f"model.opt.viscosity = {value}" for value in (0, 1, 1e6)), "model.opt.wind = [3, -20, 5]",
+    "model.opt.gravity = [0, 0, 0]", "model.opt.gravity = [4, 5, 6]",
+    "model.opt.gravity = [0, 0, -1e5]", *(_OFF.format(bit) for bit in range(FLAGS)),
     *(_ON.format(bit) for bit in range(ENABLES)),
-)
+)  # fmt: skip
 """All legal, not all without effect."""
 
 BAD_OPTIONS = (
     *(f"model.opt.timestep = {value}" for value in ("0", "-1e-3", "np.nan", "np.inf", "1e-30")),
     *(f"model.opt.timestep = {value}" for value in ("1.0", "1e10", "1e-9")),
-    "model.opt.gravity = [0, np.nan, -9.81]",
-    "model.opt.gravity = [np.inf, 0, 0]",
-    "model.opt.tolerance = np.nan",
-    "model.opt.impratio = np.nan",
-    "model.opt.impratio = 0",
-    "model.opt.density = np.nan",
-    "model.opt.viscosity = np.inf",
-    "model.opt.integrator = 77",
-    "model.opt.solver = -3",
-    "model.opt.jacobian = 9",
-    "model.opt.cone = 5",
-)
+    "model.opt.gravity = [0, np.nan, -9.81]", "model.opt.gravity = [np.inf, 0, 0]",
+    "model.opt.tolerance = np.nan", "model.opt.impratio = np.nan", "model.opt.impratio = 0",
+    "model.opt.density = np.nan", "model.opt.viscosity = np.inf", "model.opt.integrator = 77",
+    "model.opt.solver = -3", "model.opt.jacobian = 9", "model.opt.cone = 5",
+)  # fmt: skip
 """Numbers that no option should have."""
 
 FIELDS = (
     *(f"model.dof_damping = {value}" for value in (0, 0.01, 1, 100)),
     *(f"model.dof_armature = {value}" for value in (0, 0.1)),
     *(f"model.dof_frictionloss = {value}" for value in (0, 0.5)),
-    *(f"model.jnt_stiffness = {value}" for value in (0, 30)),
-    "model.body_mass *= 3",
+    *(f"model.jnt_stiffness = {value}" for value in (0, 30)), "model.body_mass *= 3",
     "model.body_inertia *= 0.2",
     "model.body_ipos += random.normal(scale=0.05, size=model.body_ipos.shape)",
-    "model.geom_size *= 2",
-    "model.geom_pos += 0.02",
-    "model.geom_friction *= 0.1",
-    "model.hfield_data = random.uniform(size=model.hfield_data.size)",
-    "model.hfield_data = 0",
-    "model.eq_data *= 0.5",
-    "model.tendon_damping = 1",
-    "model.tendon_stiffness = 20",
-    "model.actuator_gainprm *= -1",
-    "model.actuator_biasprm *= 5",
-)
+    "model.geom_size *= 2", "model.geom_pos += 0.02", "model.geom_friction *= 0.1",
+    "model.hfield_data = random.uniform(size=model.hfield_data.size)", "model.hfield_data = 0",
+    "model.eq_data *= 0.5", "model.tendon_damping = 1", "model.tendon_stiffness = 20",
+    "model.actuator_gainprm *= -1", "model.actuator_biasprm *= 5",
+)  # fmt: skip
 """Changes of the model that are legal while it runs."""
 
 BAD_FIELDS = (
-    "model.hfield_data = np.nan",
-    "model.hfield_data[::3] = np.inf",
-    "model.hfield_data = -1e30",
-    "model.body_mass = 0",
-    "model.body_mass *= -1",
-    "model.body_mass *= 1e12",
-    "model.body_inertia = 0",
-    "model.dof_damping = np.nan",
-    "model.dof_damping = -100",
-    "model.dof_armature = -1e3",
-    "model.body_pos[1:] = np.nan",
-    "model.body_ipos[1:] = np.inf",
-    "model.geom_size = 0",
-    "model.geom_size = -1",
-    "model.geom_size = np.nan",
-    "model.jnt_stiffness = 1e12",
-    "model.actuator_gainprm = np.nan",
-)
+    "model.hfield_data = np.nan", "model.hfield_data[::3] = np.inf", "model.hfield_data = -1e30",
+    "model.body_mass = 0", "model.body_mass *= -1", "model.body_mass *= 1e12",
+    "model.body_inertia = 0", "model.dof_damping = np.nan", "model.dof_damping = -100",
+    "model.dof_armature = -1e3", "model.body_pos[1:] = np.nan", "model.body_ipos[1:] = np.inf",
+    "model.geom_size = 0", "model.geom_size = -1", "model.geom_size = np.nan",
+    "model.jnt_stiffness = 1e12", "model.actuator_gainprm = np.nan",
+)  # fmt: skip
 """Changes that no model should have."""
 
 BAD_STATES = (
@@ -115,10 +88,7 @@ BAD_STATES = (
     *(f"data.qvel *= {value}" for value in ("1e3", "1e8", "1e150", "1e308")),
     *(f"data.qvel = {value}" for value in ("1e4", "1e9", "-1e200")),
     *(f"data.qpos[{where}] = {value}" for where in ("0", ":", "-1") for value in ("np.nan", "1e9")),
-    "data.qpos = np.inf",
-    "data.qpos[2] = -1e5",
-    "data.qpos = 0",
-    "data.qacc_warmstart = np.nan",
+    "data.qpos = np.inf", "data.qpos[2] = -1e5", "data.qpos = 0", "data.qacc_warmstart = np.nan",
     "data.qacc_warmstart = 1e300",
     *(f"data.xfrc_applied = {value}" for value in ("np.nan", "1e12", "-np.inf")),
     *(f"data.xfrc_applied[-1] = {value}" for value in ("np.nan", "1e300")),
@@ -126,7 +96,7 @@ BAD_STATES = (
     *(f"data.mocap_pos = {value}" for value in ("np.nan", "np.inf", "1e300", "1e6")),
     *(f"data.mocap_quat = {value}" for value in ("np.nan", "0", "1e200")),
     *(f"data.time = {value}" for value in ("np.nan", "1e300")),
-)
+)  # fmt: skip
 """Bad or extreme states and controls."""
 
 CALM_FLAGS = tuple(
@@ -163,18 +133,14 @@ RESTING = ("link_distributed", "rft2d", "rft3d", *models.MOVING)
 """Laws under which everything comes to rest."""
 
 
-def draw(
-    seed: int,
-    number: int,
-    steps: int,
-    programs: Sequence[tuple[str, str, str]] = models.PROGRAMS,
-    kind: str | None = None,
-) -> ModelCase:
+def draw(seed: int, number: int, options: Namespace) -> ModelCase:
     """Draw a model, its sand, and what happens to it."""
     rng = np.random.default_rng([seed, number])
+    programs = models.SHORT if options.short else models.PROGRAMS
+    programs = [each for each in programs if not options.laws or each[0] in options.laws]
     chosen = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     program = programs[int(rng.integers(len(programs)))]
-    kind = kind or chosen
+    kind, steps = options.kind or chosen, options.steps
     if kind != "rest":
         case = models.draw(rng, program, number)
         case.events = list(_events(rng, kind, steps))

@@ -24,23 +24,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from attacks import models, motions
+from attacks import measure, motions
 from attacks.cases import ModelCase, Result, arguments
-from attacks.measure import (
-    JOULES,
-    STATE,
-    clear_warnings,
-    counters,
-    interfaces_may_differ,
-    is_excluded,
-    is_finite,
-    kinetic_energy,
-    sand_force,
-    sand_force_inside,
-    sensitivity,
-    state_of,
-    vanishes_if_solved,
-)
+from attacks.measure import JOULES, STATE
 
 from mjgranular import Bed, GranularError, Sand, UnstableError
 from mjgranular.engine import add_sand
@@ -62,8 +48,7 @@ _PGS, _IPC = int(mujoco.mjtSolver.mjSOL_PGS), int(mujoco.mjtEnableBit.mjENBL_IPC
 
 def draw(seed: int, number: int, options: Namespace) -> ModelCase:
     """Draw a model and its events, with the requested laws and kind of events."""
-    programs = models.programs(options.laws, short=options.short)
-    case = motions.draw(seed, number, options.steps, programs, options.kind)
+    case = motions.draw(seed, number, options)
     case.bare = options.bare
     return case
 
@@ -98,7 +83,7 @@ class Walk:
         self.still = False
         self.model = mujoco.MjModel.from_xml_string(case.xml)
         self.data = mujoco.MjData(self.model)
-        self.start = state_of(self.model, self.data)
+        self.start = measure.state_of(self.model, self.data)
         self.sand: Sand | None = None
         self.inside: mujoco.MjModel | None = None
         if not case.bare:
@@ -163,7 +148,7 @@ class Walk:
         if self.case.bare:
             mujoco.mj_step(self.model, self.data)
             return
-        before, speed = state_of(self.model, self.data), self.data.qvel.copy()
+        before, speed = measure.state_of(self.model, self.data), self.data.qvel.copy()
         outcome = None
         if self.inside is not None:
             mujoco.mj_setState(self.inside, self.inner, before, STATE)
@@ -176,7 +161,9 @@ class Walk:
             if outcome is None and lost:  # the plugin is the only interface: it leads
                 self.recover()
             elif outcome is None:
-                mujoco.mj_setState(self.model, self.data, state_of(self.inside, self.inner), STATE)
+                mujoco.mj_setState(
+                    self.model, self.data, measure.state_of(self.inside, self.inner), STATE
+                )
         if outcome in ("trouble", "error"):
             self.recover()
 
@@ -185,8 +172,8 @@ class Walk:
         data = self.data
         impossible = self.impossible(self.model, inside=False)
         self.heard.clear()
-        clear_warnings(data)
-        counted, applied = counters(sand, data), data.xfrc_applied.copy()
+        measure.clear_warnings(data)
+        counted, applied = measure.counters(sand, data), data.xfrc_applied.copy()
         self.result.counts.update(("finite", "errors", "user's forces"))
         pending, self.pending = self.pending, False
         try:
@@ -206,17 +193,19 @@ class Walk:
             return "error"
         if data.xfrc_applied.tobytes() != applied.tobytes():
             self.fail("user's forces", "xfrc_applied is not what it was before the step")
-        more = zip(counters(sand, data), counted or 9 * (0,), strict=False)
+        more = zip(measure.counters(sand, data), counted or 9 * (0,), strict=False)
         announced = bool(self.heard) or bool(data.warning.number.any())
         announced = announced or any(now > then for now, then in more)
         if pending and not announced:
             self.fail("finite", "neither a step nor the one after reports it")
             return "trouble"
-        if not is_finite(data):
+        if not measure.is_finite(data):
             self.pending = not announced
             return "announced"
         if self.implicit:
-            work = self.weigh(self.model, data, sand_force(sand, data), speed, before, announced)
+            work = self.weigh(
+                self.model, data, measure.sand_force(sand, data), speed, before, announced
+            )
             self.sum_work(work, speed)
         self.watch_rest()
         return "announced" if announced else "fine"
@@ -234,9 +223,9 @@ class Walk:
         """
         data = self.inner
         impossible = self.impossible(model, inside=True)
-        may_differ = interfaces_may_differ(self.model)
+        may_differ = measure.interfaces_may_differ(self.model)
         self.heard.clear()
-        clear_warnings(data)
+        measure.clear_warnings(data)
         self.result.counts.update(("finite", "errors", "interfaces"))
         try:
             mujoco.mj_step(model, data)
@@ -251,7 +240,7 @@ class Walk:
         if impossible and not announced:
             self.fail("errors", f"mj_step makes a step that cannot be made: {impossible}")
             return True
-        if not is_finite(data) and not announced:
+        if not measure.is_finite(data) and not announced:
             mujoco.mj_step(model, data)  # MuJoCo checks at the beginning of a step
             if not data.warning.number.any():
                 self.fail("finite", "neither mj_step nor the one after reports it")
@@ -268,7 +257,7 @@ class Walk:
                 )
         elif outcome == "fine" and not announced:
             if self.implicit:
-                self.weigh(model, data, sand_force_inside(data), speed, before, False)
+                self.weigh(model, data, measure.sand_force_inside(data), speed, before, False)
             if not may_differ:
                 self.compare(model, speed, before)
         return outcome is None and bad
@@ -285,7 +274,7 @@ class Walk:
         scale = max(np.abs(speed).max(), np.abs(data.qvel).max(), gained)
         if apart <= 1e-13 or apart <= ALIKE * scale:
             return
-        if apart > 10.0 * sensitivity(model, self.inner, before, scale / max(h, 1e-12)):
+        if apart > 10.0 * measure.sensitivity(model, self.inner, before, scale / max(h, 1e-12)):
             self.fail("interfaces", f"apart by {apart:.3g} of {scale:.3g}", apart / scale)
 
     def weigh(
@@ -303,15 +292,15 @@ class Walk:
             return 0.0
         work = h * float(force @ data.qvel)
         self.result.counts["energy"] += 1
-        if work <= JOULES or announced or is_excluded(model):
+        if work <= JOULES or announced or measure.is_excluded(model):
             return work
-        kinetic = max(kinetic_energy(model, data, v) for v in (speed, data.qvel))
+        kinetic = max(measure.kinetic_energy(model, data, v) for v in (speed, data.qvel))
         impulse = 0.5 * h * h * float((force * force / np.maximum(model.dof_M0, 1e-9)).sum())
         if work <= OF_KINETIC * kinetic + JOULES + OF_IMPULSE * impulse:
             return work
         if work <= OF_EARLY_END * kinetic and self.solved < SOLVED:
             self.solved += 1
-            if vanishes_if_solved(self.model, self.case.sand, before):
+            if measure.vanishes_if_solved(self.model, self.case.sand, before):
                 return work
         text = f"{work:.3g} J in a step, of {kinetic:.3g} J"
         self.fail("energy", text, work / max(kinetic, JOULES))
@@ -319,9 +308,9 @@ class Walk:
 
     def sum_work(self, work: float, speed: np.ndarray) -> None:
         """Check the work since the start, including counted and reported steps."""
-        self.energy = max(self.energy, kinetic_energy(self.model, self.data, speed))
+        self.energy = max(self.energy, measure.kinetic_energy(self.model, self.data, speed))
         self.given += work
-        if self.case.kind == "hostile" or is_excluded(self.model):
+        if self.case.kind == "hostile" or measure.is_excluded(self.model):
             return
         self.result.counts["energy, summed"] += 1
         if self.given > OF_KINETIC * self.energy + self.step * JOULES:

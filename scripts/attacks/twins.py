@@ -1,18 +1,17 @@
 """Metamorphic tests: a drawn model and its twin, from one MjSpec, must move alike.
 
 If only the description differs (order of geoms, welded pieces, position and orientation of the
-world, its mirror image), or all lengths, times and masses by Froude scaling, motions are equal up
-to rounding; with other facets or other time steps, nearly so.
+world, its mirror image), motions are equal up to rounding; with other facets or other time steps,
+nearly so. `Question` also scales all lengths, times and masses, for tests of Froude similarity.
 """
 
 from __future__ import annotations
 
-import copy
 import math
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -182,30 +181,10 @@ def mirror(spec: mujoco.MjSpec) -> None:
         mesh.uservert = (np.reshape(mesh.uservert, (-1, 3)) * [-1, 1, 1]).ravel()
 
 
-def enlarge(scale: float) -> Callable[[mujoco.MjSpec], None]:
-    """Scale lengths; densities stay, so masses go with the cube."""
-
-    def change(spec: mujoco.MjSpec) -> None:
-        for thing in [*spec.bodies[1:], *spec.geoms, *spec.joints]:
-            thing.pos[:] *= scale
-        for geom in spec.geoms:
-            geom.size[:] *= scale
-        for body in spec.bodies[1:]:
-            body.ipos[:] *= scale
-            body.mass *= scale**3
-            body.inertia[:] *= scale**5
-        for mesh in spec.meshes:
-            mesh.uservert = np.multiply(mesh.uservert, scale)
-        for heights in spec.hfields:
-            heights.size[:] *= scale
-
-    return change
-
-
 # Questions
 
 
-def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iterator[Question]:
+def questions(given: dict[str, Any], rng: np.random.Generator) -> Iterator[Question]:
     """Yield the questions with a definite answer for a sand."""
     plane = given["surface"] or Plane()
     flat, grid = isinstance(plane, Plane), "memory" in given
@@ -231,33 +210,20 @@ def questions(law: str, given: dict[str, Any], rng: np.random.Generator) -> Iter
         # Patches of round geoms and of hulls are not mirrored.
         fine = {"resolution": FINE} if "resolution" in given else {}
         yield Question("mirror", mirror, there | fine, mirrored, tolerance=CUT)
-    if law.startswith("rft") and not grid:  # for media without a grain size
-        scale = float(rng.choice([0.5, 2.0]))
-        there = {"surface": replace(plane, height=scale * plane.height)} if flat else {}
-        yield Question("Froude number", enlarge(scale), there, scale=scale)
 
 
-@dataclass
-class TwinCase(ModelCase):
-    """A model and the random numbers of its twins."""
-
-    rng: np.random.Generator = field(default_factory=np.random.default_rng)
-
-
-def draw(seed: int, number: int, options: Namespace) -> TwinCase | None:
+def draw(seed: int, number: int, options: Namespace) -> ModelCase | None:
     """Draw a model under the implicit scheme; None if the number has another."""
-    programs = models.programs(options.laws, short=options.short)
-    case = motions.draw(seed, number, options.steps, programs, options.kind)
+    case = motions.draw(seed, number, options)
     if case.program[2] != "implicit" or case.kind == "rest":
         return None
-    rng = np.random.default_rng([seed, number, 2])
-    spec, sand = models.draw_twin(rng, case.program)
-    return TwinCase(spec.to_xml(), sand, case.program, number, rng=rng)
+    spec, sand = models.draw_twin(np.random.default_rng([seed, number, 2]), case.program)
+    return replace(case, xml=spec.to_xml(), sand=sand, events=[])
 
 
-def run(case: TwinCase) -> Result:
+def run(case: ModelCase) -> Result:
     """Ask all questions of a model."""
-    result, number, rng = Result(), case.number, copy.deepcopy(case.rng)
+    result, number, rng = Result(), case.number, np.random.default_rng(case.number)
     spec, given = mujoco.MjSpec.from_string(case.xml), arguments(case.sand)
     itself = Question("itself")
 
@@ -273,7 +239,7 @@ def run(case: TwinCase) -> Result:
         rounding = max(apart(spec, given, nudge, number, itself) for nudge in nudges)
         # Sand with memory is pressed and flows in the order of bodies and cells.
         least = max(10.0 * rounding, CUT if "memory" in given else 0.0)
-        for question in questions(case.program[0], given, rng):
+        for question in questions(given, rng):
             fine = {name: value for name, value in question.sand.items() if name == "resolution"}
             off = apart(spec, given, question, number, itself._replace(sand=fine))
             check(question.name, off, max(question.tolerance, least))

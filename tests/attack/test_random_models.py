@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from argparse import Namespace
 from collections import Counter
 from pathlib import Path
 
@@ -117,7 +118,8 @@ def test_every_event_has_a_meaning():
     for name in (*lists, "CALM_FLAGS"):
         for line in getattr(motions, name):
             exec(motions.seeded(rng, line), names)
-    assert motions.draw(0, 1, 10) == motions.draw(0, 1, 10)
+    options = Namespace(short=False, laws=None, kind=None, steps=10)
+    assert motions.draw(0, 1, options) == motions.draw(0, 1, options)
 
 
 def test_models_of_all_kinds_are_drawn():
