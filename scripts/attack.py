@@ -228,7 +228,7 @@ def parse() -> argparse.Namespace:
     add("--case", type=int, help="run this one in this process")
     add("--shrink", action="store_true", help="with --case: find a smaller model that fails")
     add("--jobs", type=int, default=os.cpu_count(), help="number of processes")
-    add("--limit", type=float, default=600.0, help="seconds of a case; it may have to compile")
+    add("--limit", type=float, default=1800.0, help="seconds of a case, which may compile")
     add("--steps", type=int, default=STEPS, help="of each model")
     add("--kind", choices=("plain", "options", "hostile", "rest"), help="of events; default: all")
     add("--laws", nargs="+", help="default: all")

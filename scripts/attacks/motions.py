@@ -148,8 +148,8 @@ def draw(seed: int, number: int, options: Namespace) -> ModelCase:
         still = [p for p in programs if p[0] in RESTING and p[1:] == ("plane", "implicit")]
         still = still or [("link_distributed", "plane", "implicit")]
         case = models.draw_at_rest(rng, still[int(rng.integers(len(still)))], number)
-        case.settled = (3 * steps) // 4
-        at = rng.integers(case.settled, steps, 3)
+        case.settled = settled = (3 * steps) // 4
+        at = rng.integers(settled, steps, 3)
         case.events = [(int(step), str(rng.choice(OPTIONS + CALM_FLAGS))) for step in at]
     case.events.sort(key=lambda event: event[0])
     case.kind, case.steps = kind, steps

@@ -14,14 +14,10 @@ from dataclasses import replace
 import hypothesis
 from attacks.cases import ModelCase
 from hypothesis import strategies as st
+from hypothesis.errors import NoSuchExample
 
 _SECTIONS = ("worldbody", "equality", "tendon", "actuator", "asset")
-_SETTINGS = hypothesis.settings(
-    max_examples=100,
-    database=None,
-    deadline=None,
-    suppress_health_check=list(hypothesis.HealthCheck),
-)
+_SETTINGS = hypothesis.settings(max_examples=100, database=None, deadline=None)
 
 
 def smaller(case: ModelCase, fails: Callable[[ModelCase], bool]) -> ModelCase:
@@ -30,7 +26,7 @@ def smaller(case: ModelCase, fails: Callable[[ModelCase], bool]) -> ModelCase:
     parts = st.lists(st.integers().map(bool), min_size=count, max_size=count)
     try:
         kept = hypothesis.find(parts, lambda kept: fails(part_of(case, kept)), settings=_SETTINGS)
-    except hypothesis.errors.NoSuchExample:
+    except NoSuchExample:
         return case
     return part_of(case, kept)
 

@@ -46,6 +46,16 @@ def models(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
 
 
+@pytest.mark.slow
+def test_the_scripts_for_stable_baselines3(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="the extra train is not installed")
+    env = "mjgranular/ChainCrawl-v0"
+    run(ROOT / "scripts" / "train.py", env, "2048", "policy", cwd=tmp_path)
+    assert (tmp_path / "policy" / "normalizer.pkl").exists()
+    printed = run(ROOT / "scripts" / "evaluate.py", env, "policy", cwd=tmp_path)
+    assert re.fullmatch(rf"{env}: \S+, standard deviation \S+\n", printed)
+
+
 TUNE = ("Pendulum-v1", "--total-steps", "64", "--trials", "2")
 TUNE += ("--set", "num_envs=1", "n_steps=64", "batch_size=64", "environment.max_episode_steps=20")
 
