@@ -1,138 +1,256 @@
-"""Attack the package: random models through both interfaces, damaged files, kills, media, MJCF.
+"""Attack the package with random models: all laws, surfaces, schemes, and memory.
 
-    python scripts/attack.py                                # 3,000 models and all other attacks
-    python scripts/attack.py --only models --seed 7 --models 200 --laws rft3d rft2d
-    python scripts/attack.py --only models --seed 7 --case 123     # one case, in this process
+    python scripts/attack.py --models 1000 --seed 0 --jobs 16
+    python scripts/attack.py --only steps --seed 7 --case 123            # repeat one case
+    python scripts/attack.py --only steps --seed 7 --case 123 --shrink   # find a smaller model
 
-Other cases run in worker processes, which may crash or hang. Each finding is printed with the
-command that repeats its case; the file `--out` gets a line of JSON for each case. The exit status
-is 1 after a failure.
+`steps` checks each step of both interfaces, `twins` that equivalent descriptions of a model move
+alike.
+Cases run in blocks, each in a process that may crash or hang. Each case is a line of JSON in the
+file `--out`, written when it ends. The last output is a table of all checks, with the command that
+repeats each failure. The exit status is 1 after a failure.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import faulthandler
 import importlib
 import json
 import os
+import signal
+import subprocess
 import sys
 import tempfile
+import threading
+import time
+import traceback
 from collections import Counter, defaultdict
-from dataclasses import asdict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+sys.path.append(str(HERE.parent))  # for a checkout that is not installed
 
-from attacks import changes, models, worker
-from rich.console import Console
-from rich.progress import track
+from attacks.cases import Result  # noqa: E402
 
-STEPS = 155  # per model: with those that end early, 3,000 models make 400,000
-MODELS = 3000
-COUNTS = {"files": 200, "kills": 16, "workers": 8, "media": 200, "mjcf": 200}
-"""Attacks besides models, and their default number of cases."""
-
-
-def load(name: str) -> Any:
-    """Import an attack."""
-    return importlib.import_module(f"attacks.{'walk' if name == 'models' else name}")
+ATTACKS = ("steps", "twins")
+BLOCK = 20  # cases of one process: MuJoCo does not free an `mjData` whose plugin raises an error
+STEPS = 155  # of each model
 
 
-def again(name: str, number: int, options: argparse.Namespace) -> str:
-    """Return the command that repeats one case."""
-    words = ["python scripts/attack.py --only", name, "--seed", options.seed, "--case", number]
-    words += ["--steps", options.steps] if options.steps != STEPS else []
-    words += ["--kind", options.kind] if options.kind else []
+def arguments_of(name: str, options: argparse.Namespace) -> list[str]:
+    """Return the arguments that select an attack, apart from the numbers of its cases."""
+    words = ["--only", name, "--seed", options.seed, "--steps", options.steps]
     words += ["--laws", *options.laws] if options.laws else []
-    words += ["--commands", *options.commands] if options.commands else []
-    return " ".join(map(str, words))
+    words += ["--kind", options.kind] if options.kind else []
+    words += ["--short"] if options.short else []
+    return [*map(str, words)]
 
 
-def run_all(name: str, options: argparse.Namespace, console: Console) -> bool:
-    """Run one attack in workers and print findings; return whether one breaks a promise."""
-    attack = load(name)
-    count = options.models if name == "models" else options.count or COUNTS[name]
-    cases = attack.cases(options, range(options.first, options.first + count))
-    counts: Counter[str] = Counter()
-    kinds: dict[str, list[worker.Finding]] = defaultdict(list)
-    megabytes = 0.0
-    results = worker.run(attack.__name__, cases, options.jobs)
-    with options.out.open("a", encoding="utf-8") as out:
-        for index, result in track(results, name, len(cases), console=console):
-            number = options.first + index
-            row = {"attack": name, "seed": options.seed, "case": number, **asdict(result)}
-            print(json.dumps(row), file=out, flush=True)
-            counts.update(result.counts)
-            megabytes = max(megabytes, result.megabytes)
-            for found in result.findings:
-                kinds[f"{found.kind}{'' if found.failed else ' (no failure)'}"].append(found)
-            failures = [found for found in result.findings if found.failed]
-            for found in failures:
-                place = f"{name} {number} {found.where}".strip()
-                text = f"FOUND {place}: {found.kind}: {found.text}"
-                console.print(text, markup=False, soft_wrap=True)
-            if failures:
-                console.print(f"  again: {again(name, number, options)}", soft_wrap=True)
-    for what, total in sorted(counts.items()):
-        console.print(f"  {what}: {total:,}", markup=False)
-    for kind, found in sorted(kinds.items()):
-        worst = max(found, key=lambda each: each.value)
-        console.print(f"  {kind}: {len(found)} cases, worst {worst.text[:200]}", markup=False)
-    console.print(f"{name}: {len(cases)} cases, at most {megabytes:.0f} MB in a process")
-    return any(found.failed for each in kinds.values() for found in each)
+# In the process of a case
 
 
-def run_one(name: str, options: argparse.Namespace, console: Console) -> bool:
-    """Run one case in this process, and print all about it."""
-    attack = load(name)
-    (case,) = attack.cases(options, range(options.case, options.case + 1))
-    describe = getattr(attack, "describe", json.dumps)
-    console.print(describe(case), markup=False, highlight=False, soft_wrap=True)
+def attempt(name: str, options: argparse.Namespace, number: int) -> dict[str, Any]:
+    """Run one case in this process, and return its row of the report."""
+    attack, began = importlib.import_module(f"attacks.{name}"), time.perf_counter()
+    result = Result()
+    try:
+        case = attack.draw(options.seed, number, options)
+        if case is not None:
+            result = attack.run(case)
+    except Exception:
+        result.counts["errors"] += 1
+        result.fail("errors", traceback.format_exc(limit=-3))
+    return {
+        "attack": name,
+        "seed": options.seed,
+        "case": number,
+        "counts": result.counts,
+        "failures": result.failures,
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+
+
+def work(options: argparse.Namespace) -> None:
+    """Run the cases of a block, and print a row before and after each."""
+    rows = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what others print goes to the log
     faulthandler.enable()
-    with tempfile.TemporaryDirectory(prefix="attack-") as folder:
-        os.chdir(folder)
-        if hasattr(attack, "prepare"):
-            attack.prepare()
-        result = worker.attempt_here(attack, case, lambda _text: None)
-    console.print_json(data=asdict(result))
-    return any(found.failed for found in result.findings)
+    for number in range(options.first, options.first + options.models):
+        print(json.dumps({"begun": number}), file=rows, flush=True)
+        faulthandler.dump_traceback_later(options.limit, exit=True)
+        print(json.dumps(attempt(options.only[0], options, number)), file=rows, flush=True)
+        faulthandler.cancel_dump_traceback_later()
+
+
+def repeat(options: argparse.Namespace) -> bool:
+    """Run one case and print all about it; return whether it passes."""
+    name, number = options.only[0], options.case
+    attack = importlib.import_module(f"attacks.{name}")
+    case = attack.draw(options.seed, number, options)
+    if case is None:
+        print("nothing to check in this case")
+        return True
+    faulthandler.enable()
+    row = attempt(name, options, number)
+    if options.shrink and row["failures"]:
+        from attacks.shrink import smaller
+
+        check = next(iter(row["failures"]))
+
+        def fails(part: Any) -> bool:
+            with contextlib.suppress(Exception):  # mostly a model that MuJoCo cannot compile
+                return check in attack.run(part).failures
+            return False
+
+        case = smaller(case, fails)
+    print(case.describe())
+    print(json.dumps(row, indent=2))
+    return not row["failures"]
+
+
+# In the main process
+
+
+class Run:
+    """Processes that run cases, and the report of all.
+
+    Args:
+        options: the command line.
+    """
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options, self.lock = options, threading.Lock()
+        self.children: set[subprocess.Popen[str]] = set()
+        self.stopped = False
+        self.cases: Counter[str] = Counter()
+        self.checks = 0
+        self.failures: dict[str, list[tuple[str, str]]] = defaultdict(list)
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+
+    def block(self, name: str, numbers: range) -> None:
+        """Run cases in a process; one that ends it is a failure, and the others need a new one."""
+        while numbers and not self.stopped:
+            with tempfile.TemporaryFile("w+", errors="replace") as log:
+                for row in self.rows_of(name, numbers, log):
+                    if "begun" not in row:
+                        self.keep(row)
+                        numbers = numbers[1:]
+                if numbers and not self.stopped:
+                    log.seek(0)
+                    self.keep(self.death(name, numbers[0], log.read()[-2000:]))
+                    numbers = numbers[1:]
+
+    def rows_of(self, name: str, numbers: range, log: Any, *more: str) -> Iterator[dict[str, Any]]:
+        """Run cases in a process, and yield its rows until it ends."""
+        block = ["--first", numbers[0], "--models", len(numbers), "--limit", self.options.limit]
+        words = [*arguments_of(name, self.options), *map(str, block), *more]
+        command = [sys.executable, __file__, "--worker", *words]
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=log, text=True, start_new_session=True
+        ) as child:
+            self.children.add(child)
+            assert child.stdout is not None
+            for line in child.stdout:
+                yield json.loads(line)
+        self.children.discard(child)
+
+    def death(self, name: str, number: int, log: str) -> dict[str, Any]:
+        """Return the row of a case that ended its process, unless MuJoCo alone does so too."""
+        row = {"attack": name, "seed": self.options.seed, "case": number, "counts": {}}
+        if name == "steps":
+            numbers = range(number, number + 1)
+            rows = [*self.rows_of(name, numbers, subprocess.DEVNULL, "--bare")]
+            if "begun" in rows[-1]:
+                return {**row, "failures": {}, "note": f"MuJoCo alone crashes: {log}"}
+        return {**row, "failures": {"survives": log or "the process ended without a message"}}
+
+    def keep(self, row: dict[str, Any]) -> None:
+        """Append a case to the file and to the table, and print its failures."""
+        name, number = row["attack"], row["case"]
+        words = [*arguments_of(name, self.options), "--case", str(number)]
+        command = " ".join(["python scripts/attack.py", *words])
+        with self.lock, self.options.out.open("a", encoding="utf-8") as file:
+            print(json.dumps(row), file=file, flush=True)
+            self.checks += sum(row["counts"].values())
+            self.cases.update(f"{name}: {check}" for check in row["counts"] | row["failures"])
+            for check, text in row["failures"].items():
+                self.failures[f"{name}: {check}"].append((command, text))
+                print(f"FAILED {name} {number}, {check}: {text}\n  {command}", flush=True)
+
+    def print_table(self) -> None:
+        """Print the number of cases and of failures of each check, and the commands."""
+        print(f"\n{'check':36}{'cases':>8}{'failures':>10}")
+        for check, count in sorted(self.cases.items()):
+            print(f"{check:36}{count:8,}{len(self.failures.get(check, ())):10,}")
+        for check, found in sorted(self.failures.items()):
+            print(f"\n{check}")
+            for command, text in found:
+                print(f"  {command}\n    {text.strip().splitlines()[-1][:200]}")
+        print(f"\n{self.checks:,} checks; report: {self.options.out}")
+
+    def all(self) -> int:
+        """Run all requested cases; return the exit status."""
+        last = self.options.first + self.options.models
+        executor = ThreadPoolExecutor(self.options.jobs)
+        try:
+            futures = [
+                executor.submit(self.block, name, range(first, min(first + BLOCK, last)))
+                for first in range(self.options.first, last, BLOCK)
+                for name in self.options.only
+            ]
+            for future in futures:
+                future.result()
+        finally:
+            self.stopped = True
+            for child in [*self.children]:
+                child.kill()
+            executor.shutdown(cancel_futures=True)
+            self.print_table()
+        return int(bool(self.failures))
 
 
 def parse() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    everything = ["models", *COUNTS]
-    parser.add_argument("--only", nargs="+", choices=everything, default=everything)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--models", type=int, default=MODELS, help="number of models")
-    parser.add_argument("--count", type=int, help="number of files, kills, media, MJCF each")
-    parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--case", type=int, help="run this one in this process")
-    parser.add_argument("--steps", type=int, default=STEPS, help="of each model")
-    parser.add_argument("--kind", choices=changes.KINDS, help="of events; default: all kinds")
-    parser.add_argument("--laws", nargs="+", choices=list(models.LAWS), help="default: all laws")
-    parser.add_argument("--commands", nargs="+", help="commands to kill; default: all")
-    parser.add_argument("--jobs", type=int, default=2, help="worker processes")
-    parser.add_argument("--out", type=Path, default=Path("runs/attack.jsonl"))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--only", nargs="+", choices=ATTACKS, default=ATTACKS)
+    add("--models", type=int, default=1000, help="number of models")
+    add("--seed", type=int, default=0)
+    add("--first", type=int, default=0, help="number of the first case")
+    add("--case", type=int, help="run this one in this process")
+    add("--shrink", action="store_true", help="with --case: find a smaller model that fails")
+    add("--jobs", type=int, default=os.cpu_count(), help="number of processes")
+    add("--limit", type=float, default=1800.0, help="seconds of a case, which may compile")
+    add("--steps", type=int, default=STEPS, help="of each model")
+    add("--kind", choices=("plain", "options", "hostile", "rest"), help="of events; default: all")
+    add("--laws", nargs="+", help="default: all")
+    add("--short", action="store_true", help="only some combinations of laws and surfaces")
+    add("--out", type=Path, default=Path("runs/attack.jsonl"))
+    add("--bare", action="store_true", help=argparse.SUPPRESS)
+    add("--worker", action="store_true", help=argparse.SUPPRESS)
     return parser.parse_args()
 
 
 def main() -> int:
-    """Run the requested attacks."""
-    options, console = parse(), Console()
-    options.out = options.out.resolve()
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    run, failed = run_all if options.case is None else run_one, False
-    try:
-        for name in options.only:
-            failed |= run(name, options, console)
-    except KeyboardInterrupt:
-        console.print("interrupted")
-        return 130
-    console.print(f"results: {options.out}")
-    return int(failed)
+    """Run all cases, or one."""
+    options = parse()
+    if options.worker:
+        work(options)
+        return 0
+    if options.case is not None:
+        return int(not repeat(options))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    with contextlib.suppress(KeyboardInterrupt):
+        return Run(options).all()
+    return 130
 
 
 if __name__ == "__main__":

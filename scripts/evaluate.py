@@ -13,7 +13,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-import mjgranular  # noqa: F401  registers its environments
+import mjgranular.envs  # noqa: F401  registers its environments
 
 
 def main(env_id: str, folder: Path) -> None:

@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import VecNormalize
 
-import mjgranular  # noqa: F401  registers its environments
+import mjgranular.envs  # noqa: F401  registers its environments
 
 
 def main(env_id: str, steps: int, out: Path) -> None:

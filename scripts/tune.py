@@ -1,4 +1,4 @@
-"""Tunes the settings of a training with Optuna; each trial is a training run in a folder.
+"""Tune the settings of a training with Optuna; each trial is a training run in a folder.
 
 python scripts/tune.py mjgranular/ChainCrawl-v0 --trials 16 --total-steps 100000 --out tuned
 

@@ -1,4 +1,4 @@
-"""Measure a step: work of the sand, sensitivity to rounding, documented exceptions."""
+"""Measure a step: state, work of the sand, sensitivity to rounding, known exceptions."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import copy
 
 import mujoco
 import numpy as np
-from attacks.draw import arguments
+from attacks.cases import arguments
 
 from mjgranular import GranularError, Sand
 
 JOULES = 1e-12
-SOLVER_ENDS = ", not if the engine's solver goes to its end"
 # The memory of sand inside `mj_step` is copied separately.
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION) & ~int(mujoco.mjtState.mjSTATE_PLUGIN)
 _NO_PASSIVE = int(mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER)
 _SLEEP = int(getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", 0))
+_NEWTON = int(mujoco.mjtSolver.mjSOL_NEWTON)
+_WARMSTART = int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
 
 
 def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -23,6 +24,25 @@ def state_of(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     state = np.empty(mujoco.mj_stateSize(model, STATE))
     mujoco.mj_getState(model, data, state, STATE)
     return state
+
+
+def is_finite(data: mujoco.MjData) -> bool:
+    """Return True if positions, velocities and accelerations are finite."""
+    fields = (data.qpos, data.qvel, data.qacc, data.qacc_warmstart)
+    return all(np.isfinite(each).all() for each in fields)
+
+
+def clear_warnings(data: mujoco.MjData) -> None:
+    """Clear MuJoCo's warnings: a reset would set the counts to 0 and hide one."""
+    for kind in range(len(data.warning.number)):
+        data.warning[kind].number = 0
+
+
+def kinetic_energy(model: mujoco.MjModel, data: mujoco.MjData, speed: np.ndarray) -> float:
+    """Return the kinetic energy at a velocity, at least 0 [J]."""
+    product = np.zeros(model.nv)
+    mujoco.mj_mulM(model, data, product, np.ascontiguousarray(speed))
+    return max(0.0, 0.5 * float(speed @ product))
 
 
 def sand_force(sand: Sand, data: mujoco.MjData) -> np.ndarray:
@@ -35,53 +55,47 @@ def sand_force(sand: Sand, data: mujoco.MjData) -> np.ndarray:
     return total
 
 
-def work_of_new_sand(model: mujoco.MjModel, given: str, before: np.ndarray) -> float:
-    """Return the work of one step from a state [J]; infinite where it fails."""
+def sand_force_inside(data: mujoco.MjData) -> np.ndarray:
+    """Return what `qfrc_passive` holds besides MuJoCo's own parts."""
+    return data.qfrc_passive - (
+        data.qfrc_spring + data.qfrc_damper + data.qfrc_gravcomp + data.qfrc_fluid
+    )
+
+
+def counters(sand: Sand, data: mujoco.MjData) -> tuple[int, ...]:
+    """Return the scheme's counts of unfinished and damped steps."""
+    binding = sand._bindings.get(data)
+    if binding is None or binding.workspace.statistics is None:
+        return ()
+    account = binding.workspace.statistics[0]
+    skipped = ("steps", "evaluations", "most")
+    integers = [name for name in account.dtype.names if account.dtype[name] == np.int64]
+    return tuple(int(account[name]) for name in integers if name not in skipped)
+
+
+def vanishes_if_solved(model: mujoco.MjModel, sand: str, before: np.ndarray) -> bool:
+    """Return True if the sand does no work once MuJoCo's solver runs to its end."""
+    if model.opt.integrator not in (0, 2, 3):
+        return False
+    model = copy.copy(model)
+    opt = model.opt
+    opt.solver, opt.iterations, opt.ls_iterations = _NEWTON, 500, 100
+    opt.tolerance = opt.ls_tolerance = 0.0
+    opt.disableflags &= ~_WARMSTART
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, before, STATE)
     try:
-        sand = Sand(model, **arguments(given))
-        sand.step(data)
+        made = Sand(model, **arguments(sand))
+        made.step(data)
     except (GranularError, mujoco.FatalError):
-        return np.inf
-    return float(model.opt.timestep * sand_force(sand, data) @ data.qvel)
+        return False
+    return float(opt.timestep * sand_force(made, data) @ data.qvel) <= JOULES
 
 
-def clear_warnings(data: mujoco.MjData) -> None:
-    """Clear MuJoCo's warnings: a reset would set the counts to 0 and hide one."""
-    for kind in range(len(data.warning.number)):
-        data.warning[kind].number = 0
-
-
-def sand_force_inside(data: mujoco.MjData) -> np.ndarray:
-    """Return what `qfrc_passive` holds besides MuJoCo's own parts."""
-    own = data.qfrc_spring + data.qfrc_damper + data.qfrc_gravcomp + data.qfrc_fluid
-    return data.qfrc_passive - own
-
-
-def without_which(model: mujoco.MjModel, given: str, before: np.ndarray) -> str:
-    """Return what removes the work: a new Sand, or a solver that converges."""
-    if model.opt.integrator not in (0, 2, 3):
-        return ""
-    model = copy.copy(model)
-    if work_of_new_sand(model, given, before) <= JOULES:
-        return ", not of a new Sand"
-    opt = model.opt
-    opt.solver, opt.iterations, opt.ls_iterations = 2, 500, 100
-    opt.tolerance = opt.ls_tolerance = 0.0
-    opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_WARMSTART)
-    if work_of_new_sand(model, given, before) <= JOULES:
-        return SOLVER_ENDS
-    return ""
-
-
-def documented(model: mujoco.MjModel) -> str:
-    """Return why docs/scheme.md excludes this step from the balance; empty if it does not."""
-    opt = model.opt
-    if opt.noslip_iterations > 0:
-        return "noslip"
+def is_excluded(model: mujoco.MjModel) -> bool:
+    """Return True if docs/scheme.md excludes this model from the energy balance."""
     least = min(model.body_mass.min(), model.dof_damping.min(), model.dof_armature.min())
-    return "negative mass, damping or armature" if least < 0.0 else ""
+    return model.opt.noslip_iterations > 0 or least < 0.0
 
 
 def sensitivity(
@@ -106,9 +120,3 @@ def interfaces_may_differ(model: mujoco.MjModel) -> bool:
     """Return True if the interfaces are known to differ here (docs/plugin.md)."""
     opt = model.opt
     return opt.disableflags & _NO_PASSIVE == _NO_PASSIVE or bool(opt.enableflags & _SLEEP)
-
-
-def all_finite(data: mujoco.MjData) -> bool:
-    """Return True if positions, velocities and accelerations are finite."""
-    fields = (data.qpos, data.qvel, data.qacc, data.qacc_warmstart)
-    return all(np.isfinite(each).all() for each in fields)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from attacks.cases import ModelCase
 
 SHAPES = ("capsule", "sphere", "box", "cylinder", "ellipsoid", "mesh")
 RODS = ("capsule", "cylinder")
@@ -51,48 +52,39 @@ PROGRAMS = (
     ("rft3d", "plane memory", "explicit"),
 )
 """Laws, surfaces and schemes: each combination is compiled once on a machine."""
+SHORT = (
+    *((law, "plane", scheme) for law in ("link_distributed", "rft3d") for scheme in SCHEMES),
+    *(("rft3d_dynamic", surface, "implicit") for surface in ("plane", "plane memory")),
+    ("rft3d", "height_field", "implicit"),
+    ("link", "bed", "implicit"),
+)
+"""Some of them, for tests."""
 CELLS = (0.005, 0.01, 0.02)
 
 
-@dataclass
-class Drawn:
-    """A model and the sand in it.
-
-    Attributes:
-        xml: MJCF of the model without sand.
-        sand: arguments of `Sand`, as they would be written.
-        program: law, surface and scheme.
-    """
-
-    xml: str
-    sand: str
-    program: tuple[str, str, str]
-
-
-def draw(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
+def draw(rng: np.random.Generator, program: tuple[str, str, str], number: int = 0) -> ModelCase:
     """Draw a model that MuJoCo can compile, for a law, a surface and a scheme."""
     while True:
-        draft = Draft(rng, program)
-        drawn = draft.finish()
+        xml, sand = Draft(rng, program).finish()
         try:
-            model = mujoco.MjModel.from_xml_string(drawn.xml)
+            model = mujoco.MjModel.from_xml_string(xml)
         except ValueError:  # an impossible inertia or equality
             continue
         if model.nv and np.isfinite(model.body_mass).all():
-            return drawn
+            return ModelCase(xml, sand, program, number)
 
 
-def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Drawn:
+def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str], number: int) -> ModelCase:
     """Draw free bodies that lie side by side in sand, optionally on a floor under it."""
     law, _, scheme = program
     draft = Draft(rng, program)
     timestep = rng.choice(TIMESTEPS[4:7])
-    for number in range(rng.integers(1, 13)):
+    for row in range(rng.integers(1, 13)):
         shape = rng.choice(RODS if law.startswith("link") else SHAPES[:5])
-        draft.geoms.append(f"g{number}")
+        draft.geoms.append(f"g{row}")
         draft.bodies.append(
-            f'<body pos="{0.3 * number:g} 0 -0.02" quat="{draft.turn()}"><freejoint/>'
-            f'<geom name="g{number}" type="{shape}" size="{draft.numbers(0.04, 0.09, 3)}" '
+            f'<body pos="{0.3 * row:g} 0 -0.02" quat="{draft.turn()}"><freejoint/>'
+            f'<geom name="g{row}" type="{shape}" size="{draft.numbers(0.04, 0.09, 3)}" '
             f'density="{rng.uniform(300, 2500):.4g}"/></body>'
         )
     option = (
@@ -102,7 +94,7 @@ def draw_at_rest(rng: np.random.Generator, program: tuple[str, str, str]) -> Dra
     floor = '<geom type="plane" size="9 9 0.1" pos="0 0 -0.08"/>' if draft.chance(0.5) else ""
     xml = f"<mujoco>{option}<worldbody>{floor}{''.join(draft.bodies)}</worldbody></mujoco>"
     sand = f"{LAWS[law][0]}, scheme='{scheme}'"
-    return Drawn(xml, sand, (law, "plane", scheme))
+    return ModelCase(xml, sand, (law, "plane", scheme), number)
 
 
 def draw_twin(
@@ -160,16 +152,13 @@ class Draft:
             return ""
         return f' {name}="{10 ** self.rng.uniform(low, high):.3g}"'
 
-    def turn(self) -> str:
-        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=4))
-
-    def arrow(self) -> str:
-        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=3))
+    def turn(self, count: int = 4) -> str:
+        return " ".join(f"{x:.4g}" for x in self.rng.normal(size=count))
 
     # The whole model
 
-    def finish(self) -> Drawn:
-        """Draw all parts."""
+    def finish(self) -> tuple[str, str]:
+        """Draw all parts; return the model in MJCF and the arguments of `Sand`."""
         rng, (law, surface, scheme) = self.rng, self.program
         fine = scheme == "explicit" and self.chance(0.8)
         timestep = float(rng.choice(TIMESTEPS[:3] if fine else TIMESTEPS))
@@ -190,7 +179,7 @@ class Draft:
         if law.startswith("link") or self.chance(0.2):
             chosen = [name for name in self.geoms if self.chance(0.9)] or self.geoms[:1]
             sand += f", geoms={chosen}"
-        return Drawn(xml, sand, self.program)
+        return xml, sand
 
     def sand(self, place: str) -> str:
         """Return arguments of `Sand`."""
@@ -212,28 +201,30 @@ class Draft:
             f'solver="{rng.choice(["PGS", "CG", "Newton"], p=(0.2, 0.2, 0.6))}"',
             f'jacobian="{rng.choice(["dense", "sparse", "auto"])}"',
         ]
-        if self.chance(0.08):
-            words.append(f'iterations="{rng.choice([1, 2, 10])}"')
-        if self.chance(0.1):
-            words.append(f'tolerance="{rng.choice(["0", "1e-4", "1e-12"])}"')
-        if self.chance(0.06):
-            words.append(f'noslip_iterations="{rng.integers(1, 6)}"')
+        for chance, name, values in (
+            (0.08, "iterations", [1, 2, 10]),
+            (0.1, "tolerance", ["0", "1e-4", "1e-12"]),
+            (0.06, "noslip_iterations", [1, 2, 3, 4, 5]),
+        ):
+            if self.chance(chance):
+                words.append(f'{name}="{rng.choice(values)}"')
         if self.chance(0.15):
             words.append(f'density="{rng.choice([1.2, 1000])}" viscosity="{rng.choice([0, 1e-3])}"')
             words.append(f'wind="{self.numbers(-3, 3, 3)}"')
         if self.chance(0.1):
             words.append(f'impratio="{rng.choice([0.1, 10, 100])}"')
-        flags = []
-        if self.chance(0.2):
-            flags.append('eulerdamp="disable"')
-        if self.chance(0.1):
-            flags.append('sleep="enable"')
-        for name in ("warmstart", "refsafe", "island", "autoreset", "filterparent", "midphase"):
-            if self.chance(0.05):
-                flags.append(f'{name}="disable"')
-        for name in ("energy", "fwdinv", "invdiscrete"):
-            if self.chance(0.04):
-                flags.append(f'{name}="enable"')
+        flags = [
+            f'{name}="{value}"'
+            for chance, value, names in (
+                (0.2, "disable", ["eulerdamp"]),
+                (0.1, "enable", ["sleep"]),
+                (0.05, "disable", ["warmstart", "refsafe", "island"]),
+                (0.05, "disable", ["autoreset", "filterparent", "midphase"]),
+                (0.04, "enable", ["energy", "fwdinv", "invdiscrete"]),
+            )
+            for name in names
+            if self.chance(chance)
+        ]
         return f"<option {' '.join(words)}><flag {' '.join(flags)}/></option>"
 
     def assets(self, sand_geom: str) -> str:
@@ -375,7 +366,7 @@ class Draft:
         self.joints.append((name, kind))
         words = [f'name="{name}" type="{kind}" pos="{self.numbers(-0.04, 0.04, 3)}"']
         if kind != "ball":
-            words.append(f'axis="{self.arrow()}"')
+            words.append(f'axis="{self.turn(3)}"')
         if self.chance(0.35):
             reach = {"ball": "0 50", "hinge": "-40 40", "slide": "-0.1 0.1"}[kind]
             words.append(f'limited="true" range="{reach}" margin="{rng.choice([0, 0.01])}"')

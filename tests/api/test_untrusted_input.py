@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
-import importlib
 import os
-import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,44 +19,7 @@ from mjgranular.errors import listed, one_line, shown
 from mjgranular.medium import read_medium
 from mjgranular.medium.file import EXAMPLE, LARGEST
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 STRANGE = "[/red]\x1b[31m :smile: \u202e"
-
-
-@pytest.fixture
-def attacks(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Imports a module of `scripts/attacks`."""
-    monkeypatch.setattr(sys, "path", [str(SCRIPTS), *sys.path])
-    return lambda name: importlib.import_module(f"attacks.{name}")
-
-
-# The short form of `scripts/attacks`
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "count"), [("media", 80), ("mjcf", 120)])
-def test_mutated_texts_are_refused_in_one_sentence(attacks: Any, name: str, count: int) -> None:
-    cases = attacks(name).cases(argparse.Namespace(seed=1), range(count))
-    results = [result for _, result in attacks("worker").run(f"attacks.{name}", cases)]
-    assert len(results) == count
-    assert [found for result in results for found in result.findings] == []
-
-
-@pytest.mark.parametrize(
-    ("answer", "wrong"),
-    [
-        ({"kind": "raised", "said": "KeyError('x')"}, "not an error"),
-        ({"kind": "refused", "said": "a\nb"}, "more than one line"),
-        ({"kind": "refused", "said": "x" * 3000}, "3000 characters"),
-        ({"kind": "taken", "said": "", "seconds": 6.0}, "6.0 s"),
-        ({"kind": "taken", "said": "", "megabytes": 501.0}, "501 MB"),
-        ({"kind": "taken", "said": "", "wrong": ["executed os.system"]}, "executed"),
-    ],
-)
-def test_the_attack_sees_what_is_wrong(attacks: Any, answer: dict[str, Any], wrong: str) -> None:
-    untrusted = attacks("untrusted")
-    assert not untrusted.judge(untrusted.Answer(kind="taken", said="x"))
-    assert wrong in untrusted.judge(untrusted.Answer(**answer))
 
 
 # Media

@@ -1,92 +1,128 @@
-"""The short form of `scripts/attack.py`: random models through both doors."""
+"""The short form of `scripts/attack.py`: random models through both interfaces."""
 
 import importlib
+import json
+import os
 import signal
+import subprocess
+import sys
+from argparse import Namespace
 from collections import Counter
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-MODELS, STEPS = 96, 60
-# Each is compiled once on a machine; the long form has all laws on all surfaces.
-PROGRAMS = (
-    ("link_distributed", "plane", "implicit"),
-    ("rft3d", "plane", "implicit"),
-    ("rft3d", "height_field", "implicit"),
-    ("link", "bed", "implicit"),
-    ("rft3d_dynamic", "plane", "implicit"),
-    ("rft3d_dynamic", "plane memory", "implicit"),
-    ("link_distributed", "plane", "explicit"),
-    ("rft3d", "plane", "explicit"),
-)
+ATTACK = Path(__file__).resolve().parents[2] / "scripts" / "attack.py"
+MODELS, STEPS = 24, 60
+
+
+def attack(folder, *options, **more):
+    command = [sys.executable, ATTACK, "--out", folder / "rows.jsonl", "--jobs", 2, *options]
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, **more)
+    rows = [json.loads(line) for line in (folder / "rows.jsonl").read_text().splitlines()]
+    return done, rows
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "options", "hostile", "rest"])
-def test_random_models(kind):
-    common = {"seed": 0, "steps": STEPS, "programs": PROGRAMS, "kind": kind, "bare": False}
-    cases = [{**common, "number": number} for number in range(MODELS // 4)]
-    failures, steps, walked = [], 0, 0
-    for number, result in importlib.import_module("attacks.worker").run("attacks.walk", cases, 2):
-        steps, walked = steps + result.counts.get("steps", 0), walked + 1
-        failures += [f"seed 0, {number}: {found}" for found in result.findings if found.failed]
-    assert walked == len(cases)
-    assert steps > 0.4 * MODELS // 4 * STEPS
-    assert not failures, "\n".join(failures)
+def test_random_models(kind, tmp_path):
+    some = ("--only", "steps", "--short", "--models", MODELS, "--steps", STEPS)
+    done, rows = attack(tmp_path, *some, "--kind", kind)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert sorted(row["case"] for row in rows) == [*range(MODELS)]
+    assert sum(row["counts"]["errors"] for row in rows) > 0.8 * MODELS * STEPS
 
 
+# An attack of which some cases end their process: a file `deaths.py` next to the others.
 DEATHS = """
 import ctypes, os, signal, time
-from attacks.worker import Result
-PATIENCE = 3.0
+from types import SimpleNamespace
+from attacks.cases import Result
 
-def attempt(case, note):
-    note(f"at {case['how']}")
-    exec(case["how"])
-    return Result(counts={"fine": 1})
+DEATHS = ("pass", "os.kill(os.getpid(), signal.SIGKILL)", "ctypes.string_at(0)", "os._exit(3)",
+          "time.sleep(60)", "raise KeyError", "pass")
+
+def draw(seed, number, options):
+    return DEATHS[number]
+
+def run(case):
+    exec(case)
+    return Result()
+"""
+RUN = """
+import sys
+sys.path.insert(0, {scripts!r})
+import attack
+import attacks
+attacks.__path__.append({folder!r})
+attack.ATTACKS += ("deaths",)
+attack.__file__ = __file__
+sys.exit(attack.main())
 """
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal")
-def test_a_worker_that_dies_or_hangs_is_a_finding_and_the_rest_goes_on(tmp_path, monkeypatch):
+@pytest.fixture
+def deaths(tmp_path):
+    """A program that attacks with the cases above."""
     (tmp_path / "deaths.py").write_text(DEATHS)
-    monkeypatch.syspath_prepend(tmp_path)
-    deaths = {
-        "os.kill(os.getpid(), signal.SIGKILL)": "SIGKILL",
-        "ctypes.string_at(0)": "SIGSEGV",
-        "os._exit(3)": "exit code 3",
-        "time.sleep(60)": "hangs",
-        "raise KeyError": "the attack itself",
-    }
-    lines = ["pass", *(line for death in deaths for line in (death, "pass"))]
-    run = importlib.import_module("attacks.worker").run
-    found = {}
-    for index, result in run("deaths", [{"how": line} for line in lines], 2):
-        assert result.counts == ({"fine": 1} if lines[index] == "pass" else {})
-        for finding in result.findings:
-            assert finding.failed
-            assert finding.where in ("", f"at {lines[index]}")
-            found[lines[index]] = finding.kind
-    assert found == deaths
+    program = RUN.format(scripts=str(ATTACK.parent), folder=str(tmp_path))
+    (tmp_path / "run.py").write_text(program)
+    return [sys.executable, tmp_path / "run.py", "--only", "deaths", "--out", tmp_path / "rows"]
 
 
-def test_every_event_can_happen():
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal")
+def test_a_case_that_dies_or_hangs_is_a_failure_and_the_others_run(deaths, tmp_path):
+    command = [*map(str, deaths), "--models", "7", "--limit", "3", "--jobs", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    rows = [json.loads(line) for line in (tmp_path / "rows").read_text().splitlines()]
+    assert done.returncode == 1, done.stderr
+    assert [row["case"] for row in rows] == [*range(7)]
+    failures = [row["failures"] for row in rows]
+    assert failures[0] == failures[6] == {}
+    assert "KeyError" in failures[5]["errors"]
+    for number, words in ((1, "without a message"), (2, "Segmentation fault"), (4, "Timeout")):
+        assert words in failures[number]["survives"]
+    assert "deaths: survives                           4         4" in done.stdout
+    assert "--only deaths --seed 0 --steps 155 --case 4" in done.stdout
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal")
+def test_a_run_that_is_ended_keeps_its_report_and_prints_its_table(deaths, tmp_path):
+    command = [*map(str, deaths), "--first", "4", "--models", "3", "--jobs", "1"]
+    with subprocess.Popen(
+        [*command, "--first", "0", "--models", "7", "--limit", "60"],
+        stdout=subprocess.PIPE, text=True,
+    ) as run:  # fmt: skip
+        assert run.stdout is not None
+        for line in run.stdout:
+            if " 3, survives" in line:
+                break
+        os.kill(run.pid, signal.SIGTERM)
+        rest = run.stdout.read()
+    assert run.returncode == 143
+    assert "deaths: survives" in rest
+    rows = [json.loads(line) for line in (tmp_path / "rows").read_text().splitlines()]
+    assert [row["case"] for row in rows] == [0, 1, 2, 3]
+
+
+def test_every_event_has_a_meaning():
     """No line of Python in the lists of events is one that can never be run."""
-    changes = importlib.import_module("attacks.changes")
-    draw = importlib.import_module("attacks.draw").draw
+    motions = importlib.import_module("attacks.motions")
     lists = ("OPTIONS", "RARE_OPTIONS", "BAD_OPTIONS", "FIELDS", "BAD_FIELDS", "BAD_STATES")
     model = mujoco.MjModel.from_xml_string(EVERYTHING)
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)
     names = {"model": model, "data": data, "mujoco": mujoco, "np": np}
     for name in (*lists, "CALM_FLAGS"):
-        for line in getattr(changes, name):
-            exec(changes.seeded(rng, line), names)
-    assert draw(0, 1, 10) == draw(0, 1, 10)
+        for line in getattr(motions, name):
+            exec(motions.seeded(rng, line), names)
+    options = Namespace(short=False, laws=None, kind=None, steps=10)
+    assert motions.draw(0, 1, options) == motions.draw(0, 1, options)
 
 
-def test_what_is_drawn_is_of_all_kinds():
+def test_models_of_all_kinds_are_drawn():
     models = importlib.import_module("attacks.models")
     seen = Counter()
     for number in range(60):
@@ -107,6 +143,35 @@ def test_what_is_drawn_is_of_all_kinds():
     assert all(seen[name] for name in ("tendons", "actuators", "activations", "mocap"))
 
 
+def test_a_failing_model_shrinks_to_what_fails():
+    cases, shrink = (importlib.import_module(f"attacks.{name}") for name in ("cases", "shrink"))
+    sand = "law='link', geoms=['one', 'two']"
+    events = [(0, "data.ctrl = 1"), (3, "data.qvel = 1")]
+    case = cases.ModelCase(SEVERAL, sand, ("link", "plane", "implicit"), 0, events=events)
+
+    def fails(part):
+        try:
+            model = mujoco.MjModel.from_xml_string(part.xml)
+        except ValueError:  # the motor has lost its joint
+            return False
+        return bool((model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).any()) and bool(part.events)
+
+    small = shrink.smaller(case, fails)
+    model = mujoco.MjModel.from_xml_string(small.xml)
+    assert (model.nbody, model.ngeom, model.nu) == (2, 1, 0)
+    assert small.sand == "law='link', geoms=['two']"
+    assert len(small.events) == 1
+
+
+SEVERAL = """
+<mujoco>
+  <worldbody>
+    <body name="a"><freejoint/><geom name="one" size="0.1"/></body>
+    <body name="b"><joint name="j"/><geom name="two" type="box" size="0.1 0.1 0.1"/></body>
+  </worldbody>
+  <actuator><motor joint="j"/></actuator>
+</mujoco>
+"""
 EVERYTHING = """
 <mujoco>
   <asset><hfield name="h" nrow="3" ncol="3" size="1 1 0.1 0.1"/></asset>

@@ -320,11 +320,30 @@ def spec_of(name, quat="0.9 0.3 0.2 0.1"):
     )
 
 
+def enlarge(scale):
+    """Scale lengths; densities stay, so masses go with the cube."""
+
+    def change(spec):
+        for thing in [*spec.bodies[1:], *spec.geoms, *spec.joints]:
+            thing.pos[:] *= scale
+        for geom in spec.geoms:
+            geom.size[:] *= scale
+        for body in spec.bodies[1:]:
+            body.ipos[:] *= scale
+            body.mass *= scale**3
+            body.inertia[:] *= scale**5
+
+    return change
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TWINS)
 def test_motion_is_that_of_the_thing_and_not_of_its_description(twins, name):
     given = {"surface": Plane(0.01, 0.1, 0.5), "resolution": 5}
-    for question in twins.questions("rft3d_dynamic", given, np.random.default_rng(3)):
+    froude = twins.Question(
+        "Froude number", enlarge(2.0), {"surface": Plane(0.02, 0.1, 0.5)}, scale=2.0
+    )
+    for question in [*twins.questions(given, np.random.default_rng(3)), froude]:
         off = twins.apart(spec_of(name), given, question, 1, twins.Question("itself"))
         assert off <= question.tolerance, question.name
 
