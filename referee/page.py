@@ -48,7 +48,8 @@ largest force. Spheres, feet and rods are dropped. Pushes and drags are slow to 
 
 `rft2d` and `rft3d` with `inertia` or `added` switched on ([Faster
 motion](laws/rft.md#faster-motion)) are in the files below. Constants that you choose or fit
-yourself have errors of their own.
+yourself have other errors. `depth_velocity` has constants for one sphere only, which it was
+compared with.
 
 ## Errors in reports
 
