@@ -3,7 +3,7 @@
     python benchmarks/run.py                                   all, about a quarter of an hour
     python benchmarks/run.py --only interfaces elements --quick  two families, to see that they work
     python benchmarks/run.py --save now.json --compare then.json
-    python benchmarks/run.py --report docs/benchmarks.md
+    python benchmarks/run.py --report benchmarks/figures.md
 
 Cases of a group take turns after one turn that is not counted; what is quoted is the median over
 the turns, with its quartiles, and the ratio to the first case of the group. Close what else runs.

@@ -64,17 +64,6 @@ def drops():
 
 
 @pytest.mark.slow
-def test_the_table_of_the_readme(drops):
-    row = r"^\| ([\d.]+) m/s, (\d+) deg \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$"
-    rows = re.findall(row, (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert len(rows) == len(drops) == 6
-    for speed, angle, *shown in rows:
-        ours, paper = drops[float(speed), float(angle)]
-        found = [ours[0], paper[0], ours[1], paper[1]]
-        assert [f"{1e3 * value:.3f}" for value in found] == shown
-
-
-@pytest.mark.slow
 def test_the_table_of_the_link_law(drops):
     row = r"^\| ([\d.]+) \| (\d+)° \| ([\d.]+) \| ([\d.]+) \| [\d.]+ \| ([\d.]+) \| ([\d.]+) \|"
     rows = re.findall(row, (ROOT / "docs" / "laws" / "link.md").read_text(), re.MULTILINE)
@@ -83,3 +72,9 @@ def test_the_table_of_the_link_law(drops):
         ours, paper = drops[float(speed), float(angle)]
         found = [paper[0], ours[0], paper[1], ours[1]]
         assert [f"{value:.6f}" for value in found] == shown
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/questions.md"])
+def test_the_bibtex_entry_has_the_version_of_the_citation_file(page):
+    version = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1]
+    assert f"version = {{{version}}}" in snippet(page, "bibtex")

@@ -41,7 +41,7 @@ def run(folder: Path, *arguments: object) -> str:
 @pytest.mark.slow
 def test_a_family_is_measured_saved_compared_and_reported(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text((FOLDER.parent / "docs" / "benchmarks.md").read_text())
+    page.write_text((FOLDER / "figures.md").read_text())
     before = page.read_text()
     options = ("--only", "interfaces", "--quick")
     run(tmp_path, *options, "--save", "figures.json", "--report", page)

@@ -12,7 +12,6 @@ from mjgranular.cli import main
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "command-line.md").read_text()
 QUOTED = re.findall(r"<!-- mjgranular (.+?) -->\n```text\n(.+?)```", PAGE, re.DOTALL)
 MODEL = re.search(r"With `block.xml` as\n\n```xml\n(.+?)```", PAGE, re.DOTALL)[1]
-BODIES = re.findall(r"^\| `(\w+)`.*? \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", PAGE, re.MULTILINE)
 
 
 @pytest.fixture
@@ -38,17 +37,6 @@ def test_quoted_outputs_are_what_is_printed(printed, command, quoted):
     out, err = printed(command)
     told = "\n".join(line for line in err.splitlines() if "outside the validity" in line)
     assert words(out + told) == words(quoted)
-
-
-@pytest.mark.parametrize("row", BODIES, ids=[row[0] for row in BODIES])
-def test_the_table_of_bodies(printed, row):
-    body, *numbers = row
-    options = re.search(r"mjgranular impact --body box (.+)", PAGE)[1]
-    if body == "sphere":
-        options = options.replace("--length 0.06", "")
-    result = json.loads(printed(f"impact --body {body} {options} --json")[0])
-    found = (1e3 * result["stopping_time"], 1e3 * result["depth"], result["greatest_force"])
-    assert [f"{number:.1f}" for number in found] == numbers
 
 
 def last_row(command, printed):
