@@ -67,8 +67,8 @@ class Go1Velocity(Task):
     Parts of the robot do not collide with each other.
 
     ## Action Space
-    `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets from
-    the stance in units of 0.75 rad.
+    `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets
+    from the stance in units of 0.75 rad.
 
     | index | name | unit | range |
     |---|---|---|---|
@@ -93,16 +93,16 @@ class Go1Velocity(Task):
     ## Rewards
     The sum of these, each times the duration of a step, 0.02 s:
 
-    | name | value | option |
+    | name | value | weight |
     |---|---|---|
-    | `reward_linear` | exp(-e^2 / 0.25 m^2/s^2), e from the commanded velocity | `linear_weight=2` |
-    | `reward_angular` | exp(-e^2 / 0.5 rad^2/s^2), from the commanded yaw rate | `angular_weight=2` |
-    | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt to the surface | `upright_weight=1` |
-    | `reward_pose` | exp of minus the mean square deviation from the stance | `pose_weight=1` |
-    | `reward_rate` | minus the square of the change of the action | `rate_weight=0.5` |
-    | `reward_torque` | minus the square of the torques [N^2 m^2] | `torque_weight=2e-4` |
-    | `reward_slip` | minus the square of the feet's speed in the sand [m^2/s^2] | `slip_weight=0.1` |
-    | `reward_clearance` | minus speed times distance from a height of 0.1 m, of feet [m^2/s] | `clearance_weight=2` |
+    | `reward_linear` | exp(-e^2 / 0.25), e from the commanded velocity [m/s] | 2 |
+    | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 2 |
+    | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt to the surface | 1 |
+    | `reward_pose` | exp of minus the mean square deviation from the stance | 1 |
+    | `reward_rate` | square of the change of the action | -0.5 |
+    | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
+    | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
+    | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -2 |
 
     Deviations from the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the
     command is to stand.
@@ -122,8 +122,9 @@ class Go1Velocity(Task):
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same names of joints;
     `command_x=(-1, 1)`, `command_y=(-0.5, 0.5)`, `command_yaw=(-1, 1)`, `push_scale=1`,
-    `reset_noise_scale=0.05`, the weights above, `frame_skip=4` substeps of 5 ms, and those of
-    `Task`: the medium, randomised sand and so on. The default resolution is 2.
+    `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=2`,
+    `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
+    default resolution is 2.
 
     ## Version History
     v0: first.
@@ -271,7 +272,7 @@ class Go1Velocity(Task):
             state.qvel[row, :6] += pushes[row, push, 1:]
 
     def command(self, state: State) -> np.ndarray:
-        """Return the commands: velocity ahead, to the left [m/s], yaw rate [rad/s]; shape (n, 3)."""
+        """Return commands: velocity ahead, to the left [m/s], yaw rate [rad/s]; shape (n, 3)."""
         return self.once(state, "command", self._command)
 
     def _command(self, state: State) -> np.ndarray:
