@@ -99,10 +99,10 @@ class Go1Velocity(Task):
     | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 2 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt to the surface | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 1 |
-    | `reward_rate` | square of the change of the action | -0.5 |
+    | `reward_rate` | square of the change of the action | -0.2 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
-    | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -2 |
+    | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -1 |
 
     Deviations from the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the
     command is to stand.
@@ -152,10 +152,10 @@ class Go1Velocity(Task):
     angular_weight: float = 2.0
     upright_weight: float = 1.0
     pose_weight: float = 1.0
-    rate_weight: float = 0.5
+    rate_weight: float = 0.2
     torque_weight: float = 2e-4
     slip_weight: float = 0.1
-    clearance_weight: float = 2.0
+    clearance_weight: float = 1.0
 
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
