@@ -53,8 +53,8 @@ class Go1Velocity(Task):
 
     ## Description
     A Unitree Go1, 12.7 kg, walks on Quikrete medium sand as it is told: ahead, sideways and
-    turning. Commands, motors and rewards are those of mjlab's velocity task, which has a hard
-    floor. The robot's files are not in this package: `mjgranular.models.robot_path` finds them.
+    turning. Commands, pushes and motors are those of mjlab's velocity task, which has a hard floor;
+    rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in this package: `mjgranular.models.robot_path` finds them.
 
     The sand meets the lower legs, with the geoms that the robot collides with:
 
@@ -68,14 +68,14 @@ class Go1Velocity(Task):
 
     ## Action Space
     `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets
-    from the stance in units of 0.75 rad.
+    from the stance.
 
     | index | name | unit | range |
     |---|---|---|---|
-    | 0, 1, 2 | hip, thigh and calf of the front right leg | 0.75 rad | -1 to 1 |
-    | 3 to 5 | front left | 0.75 rad | -1 to 1 |
-    | 6 to 8 | rear right | 0.75 rad | -1 to 1 |
-    | 9 to 11 | rear left | 0.75 rad | -1 to 1 |
+    | 0, 1, 2 | hip, thigh and calf of the front right leg | rad | -1 to 1 |
+    | 3 to 5 | front left | rad | -1 to 1 |
+    | 6 to 8 | rear right | rad | -1 to 1 |
+    | 9 to 11 | rear left | rad | -1 to 1 |
 
     ## Observation Space
     `Box(-inf, inf, (45,), float64)`: what the robot can measure; order of joints as above.
@@ -86,7 +86,7 @@ class Go1Velocity(Task):
     | 3 to 5 | angular velocity of the trunk, in its frame | rad/s | any |
     | 6 to 17 | joint angles from the stance | rad | limits of the joints |
     | 18 to 29 | joint velocities | rad/s | any |
-    | 30 to 41 | last action | 0.75 rad | -1 to 1 |
+    | 30 to 41 | last action | rad | -1 to 1 |
     | 42, 43 | commanded velocity ahead and to the left | m/s | `command_x`, `command_y` |
     | 44 | commanded yaw rate, to the left | rad/s | `command_yaw` |
 
@@ -95,10 +95,11 @@ class Go1Velocity(Task):
 
     | name | value | weight |
     |---|---|---|
-    | `reward_linear` | exp(-e^2 / 0.25), e from the commanded velocity [m/s] | 2 |
-    | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 2 |
+    | `reward_linear` | exp(-e^2 / 0.25), e from the commanded velocity [m/s], 0 along z | 3 |
+    | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt to the surface | 1 |
-    | `reward_pose` | exp of minus the mean square deviation from the stance | 1 |
+    | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
+    | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
     | `reward_rate` | square of the change of the action | -0.2 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
@@ -121,8 +122,8 @@ class Go1Velocity(Task):
 
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same names of joints;
-    `command_x=(-1, 1)`, `command_y=(-0.5, 0.5)`, `command_yaw=(-1, 1)`, `push_scale=1`,
-    `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=2`,
+    `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
+    `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=3`,
     `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
     default resolution is 2.
 
@@ -135,23 +136,22 @@ class Go1Velocity(Task):
     camera: ClassVar[dict[str, Any]] = {
         "trackbodyid": 1, "distance": 1.6, "azimuth": 125.0, "elevation": -15.0,
     }  # fmt: skip
-    reach: ClassVar[float] = 0.75
-    """Offset from the stance for an action of 1 [rad]."""
     timestep: ClassVar[float] = 0.005
 
     robot_file: str | Path = "unitree_go1"
     bodies: Choice = tuple(f"{leg}_calf" for leg in LEGS)
     resolution: int | None = 2
     frame_skip: int = 4
-    command_x: tuple[float, float] = (-1.0, 1.0)
-    command_y: tuple[float, float] = (-0.5, 0.5)
+    command_x: tuple[float, float] = (-0.8, 0.8)
+    command_y: tuple[float, float] = (-0.4, 0.4)
     command_yaw: tuple[float, float] = (-1.0, 1.0)
     push_scale: float = 1.0
     reset_noise_scale: float = 0.05
-    linear_weight: float = 2.0
-    angular_weight: float = 2.0
+    linear_weight: float = 3.0
+    angular_weight: float = 1.5
     upright_weight: float = 1.0
-    pose_weight: float = 1.0
+    pose_weight: float = 0.5
+    wobble_weight: float = 0.05
     rate_weight: float = 0.2
     torque_weight: float = 2e-4
     slip_weight: float = 0.1
@@ -264,7 +264,7 @@ class Go1Velocity(Task):
         state.userdata[:, _ACTION] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
-        return self._stance + self.reach * applied
+        return self._stance + applied
 
     def _push(self, state: State) -> None:
         pushes = state.userdata[:, _PUSH].reshape(-1, _PUSHES, 7)
@@ -308,12 +308,13 @@ class Go1Velocity(Task):
         change = state.userdata[:, _ACTION] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
         linear = _with_xy(command[:, :2]) - velocity
-        angular = np.stack([turning[:, 0], turning[:, 1], turning[:, 2] - command[:, 2]], axis=1)
+        yaw = turning[:, 2] - command[:, 2]
         terms = {
             "linear": self.linear_weight * _exp(-np.square(linear).sum(axis=1) / 0.25),
-            "angular": self.angular_weight * _exp(-np.square(angular).sum(axis=1) / 0.5),
+            "angular": self.angular_weight * _exp(-np.square(yaw) / 0.5),
             "upright": self.upright_weight * _exp(-tilt / 0.2),
             "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / 12),
+            "wobble": -self.wobble_weight * np.square(turning[:, :2]).sum(axis=1),
             "rate": -self.rate_weight * np.square(change).sum(axis=1),
             "torque": -self.torque_weight * np.square(state.actuator_force).sum(axis=1),
             "slip": -self.slip_weight * slip.sum(axis=1),
