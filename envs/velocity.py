@@ -54,7 +54,8 @@ class Go1Velocity(Task):
     ## Description
     A Unitree Go1, 12.7 kg, walks on Quikrete medium sand as it is told: ahead, sideways and
     turning. Commands, pushes and motors are those of mjlab's velocity task, which has a hard floor;
-    rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in this package: `mjgranular.models.robot_path` finds them.
+    rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in this package:
+    `mjgranular.models.robot_path` finds them.
 
     The sand meets the lower legs, with the geoms that the robot collides with:
 
