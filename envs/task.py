@@ -33,10 +33,10 @@ from mjgranular.envs.ranges import (
     Choice,
     Sample,
     SandRanges,
-    check_drawing,
     draw,
     lay,
     next_ranges,
+    ranges_of,
     sands_of,
     told,
 )
@@ -77,7 +77,8 @@ class Task(SandSpec, ABC):
     the floor; `instead_of` names other geoms.
 
     Attributes:
-        randomise: ranges of the sand of each episode; None for a fixed sand.
+        randomise: ranges of the sand of each episode, or a table of them, {"strength": (0.5, 2)};
+            None for a fixed sand.
         curriculum: returns the ranges for the next episode, given the number of episodes that this
             simulation has begun; must be within `randomise`.
         observe_sand: append the sampled sand to the observation: strength, density, slope, and a
@@ -115,7 +116,7 @@ class Task(SandSpec, ABC):
         for option in fields(self):
             if option.name not in SAND_FIELDS:
                 check_option(option.name, getattr(self, option.name), option.default)
-        check_drawing(self.randomise, self.curriculum)
+        object.__setattr__(self, "randomise", ranges_of(self.randomise, self.curriculum))
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
 
