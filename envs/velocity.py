@@ -52,10 +52,10 @@ class Go1Velocity(Task):
     """Follow commands of velocity on four legs.
 
     ## Description
-    A Unitree Go1, 12.7 kg, walks on Quikrete medium sand as it is told: ahead, sideways and
-    turning. Commands, pushes and motors are those of mjlab's velocity task, which has a hard floor;
-    rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in this package:
-    `mjgranular.models.robot_path` finds them.
+    A Unitree Go1, 12.7 kg, walks on Quikrete medium sand at commanded velocities: ahead,
+    sideways and in yaw. Commands, pushes and motors are those of mjlab's velocity task, which has
+    a hard floor; rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in
+    this package: `mjgranular.models.robot_path` finds them.
 
     The sand meets the lower legs, with the geoms that the robot collides with:
 
