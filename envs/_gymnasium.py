@@ -1,7 +1,7 @@
 """Error on import, with the install line, if Gymnasium or its MuJoCo dependency is missing."""
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 
-need("gymnasium", extra="envs", purpose="mjgranular.envs")
-need("gymnasium.envs.mujoco.mujoco_env", extra="envs", purpose="mjgranular.envs")
-need("imageio", extra="envs", purpose="mjgranular.envs")
+require("gymnasium", extra="envs", purpose="mjgranular.envs")
+require("gymnasium.envs.mujoco.mujoco_env", extra="envs", purpose="mjgranular.envs")
+require("imageio", extra="envs", purpose="mjgranular.envs")

@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.envs.known import find_spec
 
 
@@ -32,7 +32,7 @@ def register_env(env_id: str) -> str:
         MissingExtraError: Ray is not installed.
     """
     find_spec(env_id)
-    tune = need("ray.tune.registry", extra="ray", purpose="Training with RLlib")
+    tune = require("ray.tune.registry", extra="ray", purpose="Training with RLlib")
     tune.register_env(env_id, partial(_make, env_id))
     return env_id
 

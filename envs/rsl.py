@@ -8,11 +8,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from mjgranular._util.checks import kind_of
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
 
-need("rsl_rl", extra="warp", purpose="mjgranular.envs.rsl")
+require("rsl_rl", extra="warp", purpose="mjgranular.envs.rsl")
 
 import torch  # noqa: E402 - after the check with the install line
 from rsl_rl.env import VecEnv  # noqa: E402

@@ -11,12 +11,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from mjgranular._util.checks import check_count, check_switch
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.envs.known import find_spec
 from mjgranular.envs.vector import SandVectorEnv
 from mjgranular.errors import InputError
 
-need("stable_baselines3", extra="train", purpose="mjgranular.envs.sb3")
+require("stable_baselines3", extra="train", purpose="mjgranular.envs.sb3")
 
 from stable_baselines3.common.vec_env import VecEnv  # noqa: E402 - after the check with its install line
 
@@ -189,7 +189,7 @@ def make_vec_env(
             "stable_baselines3.common.env_util.make_vec_env takes any environment"
         )
     if warp is not None:
-        need("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
+        require("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
         spec = copy.deepcopy(spec)
         spec.vector_entry_point = "mjgranular.envs:WarpVectorEnv"
         options["device"] = None if warp == "auto" else warp

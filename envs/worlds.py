@@ -7,14 +7,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.engine.instances import instance_of
 from mjgranular.engine.tuning import DENSITY, HEIGHT, INITIAL, STRENGTH
 from mjgranular.envs.ground import place, quiet
 from mjgranular.envs.task import Task
 from mjgranular.errors import InputError
 
-need("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
+require("mujoco_warp", extra="warp", purpose="An environment on MuJoCo Warp")
 
 import mujoco_warp as mjw  # noqa: E402 - after the check with its install line
 import warp as wp  # noqa: E402

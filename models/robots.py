@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
 
 ROOT = "MENAGERIE_ROOT"
@@ -35,7 +35,7 @@ def robot_path(robot: str | Path) -> Path:
     if root and (Path(root) / file).is_file():
         return Path(root) / file
     try:
-        menagerie = need(
+        menagerie = require(
             "mujoco_menagerie", extra="robots", purpose=f"Downloading the robot {name}"
         )
     except MissingExtraError as error:

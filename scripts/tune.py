@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import GranularError, UnstableError
 from mjgranular.learn import change, find_settings
 from mjgranular.learn.evaluate import evaluate
@@ -59,7 +59,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("tuned"))
     options = parser.parse_args()
     try:
-        optuna = need("optuna", extra="tune", purpose="Tuning")
+        optuna = require("optuna", extra="tune", purpose="Tuning")
         options.out.mkdir(parents=True, exist_ok=True)
         study = optuna.create_study(
             storage=f"sqlite:///{options.out / 'study.db'}",

@@ -8,7 +8,7 @@ from typing import Any
 from mjgranular.errors import MissingExtraError
 
 
-def need(package: str, *, extra: str, purpose: str) -> Any:
+def require(package: str, *, extra: str, purpose: str) -> Any:
     """Import a module of an optional dependency.
 
     Args:

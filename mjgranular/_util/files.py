@@ -24,7 +24,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
-from mjgranular._util.saved import is_plain_name, read_json
+from mjgranular._util.io import is_plain_name, read_json
 from mjgranular.errors import GranularError, OutputError, warn_user
 
 if os.name == "nt":
@@ -73,7 +73,7 @@ def write_bytes(file: Path, content: bytes) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    with whole(file) as part:
+    with atomic_write(file) as part:
         part.write_bytes(content)
 
 

@@ -18,7 +18,7 @@ from typing import Any, Literal, Union
 
 import numpy as np
 
-from mjgranular._util.reading import NotRegularError, beginning
+from mjgranular._util.io import NotRegularError, beginning
 from mjgranular.errors import OutputError
 
 # Far larger than what the package writes; chosen, not measured.

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES
@@ -40,7 +40,7 @@ def find_actor(
         try:
             policy = load_policy(what)
             # Networks of this size are quicker on one thread; the cores step environments.
-            need("torch", extra="train", purpose="Running a policy").set_num_threads(1)
+            require("torch", extra="train", purpose="Running a policy").set_num_threads(1)
             return _policy(what, policy, environment, trust)
         except UnknownNameError as error:
             if not is_environment(what):

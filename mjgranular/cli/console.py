@@ -20,7 +20,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import GranularWarning, one_line
 
 
@@ -121,7 +121,7 @@ def show_compilation() -> None:
 
 def show_warp_compilation() -> None:
     """Says in a line what MuJoCo Warp says in one for each of its modules."""
-    wp = need("warp", extra="warp", purpose="Training in MuJoCo Warp")
+    wp = require("warp", extra="warp", purpose="Training in MuJoCo Warp")
     wp.config.log_level = wp.LOG_ERROR
     err.print("MuJoCo Warp compiles its kernels: once on a machine, some minutes", style="dim")
 

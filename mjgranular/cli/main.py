@@ -12,7 +12,7 @@ from typing import Annotated, Any, Union
 
 import tyro
 
-from mjgranular._util.reading import place
+from mjgranular._util.io import place
 from mjgranular._util.signals import signal_of, stopped_by_signals
 from mjgranular._version import __version__
 from mjgranular.cli.console import show_compilation, show_error, show_warning

@@ -58,7 +58,7 @@ def lay_wrenches(header):
         body = bodies[slot]
         row = row_of(header.xfrc, body.body, 6)
         for k in range(6):
-            body.own[k] = row[k]
+            body.user_wrench[k] = row[k]
         if states[body.body] != ASLEEP:
             for k in range(6):
                 some = some or body.wrench[k] != 0.0
@@ -75,7 +75,7 @@ def lift_wrenches(header):
         body = bodies[slot]
         row = row_of(header.xfrc, body.body, 6)
         for k in range(6):
-            row[k] = body.own[k]
+            row[k] = body.user_wrench[k]
 
 
 @cache

@@ -17,7 +17,7 @@ from typing import Any
 
 import mujoco
 
-from mjgranular._util.reading import read_file
+from mjgranular._util.io import read_file
 from mjgranular._util.user_modules import import_own
 from mjgranular.errors import InputError
 from mjgranular.experiment.drop import loading

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import is_finite, kind_of
-from mjgranular._util.reading import check_regular, place
-from mjgranular._util.saved import checked_fields, is_text
+from mjgranular._util.io import check_regular, place
+from mjgranular._util.io import checked_fields, is_text
 from mjgranular.engine import show_prints
 from mjgranular.errors import (
     FloorWarning,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.saved import (
+from mjgranular._util.io import (
     checked_fields,
     is_plain_name,
     is_text,
@@ -116,7 +116,7 @@ class ResultFolder:
             keep: names of files to keep although they are not written again.
         """
         stale = [name for name in (*self._names, *self._names_before()) if name not in keep]
-        with files.published(self.path, instead_of=stale) as waiting:
+        with files.replace_directory(self.path, instead_of=stale) as waiting:
             self._waiting = waiting
             try:
                 yield
@@ -138,7 +138,7 @@ class ResultFolder:
             fill: writes the path it is given.
         """
         path = (self._waiting or self.path) / name
-        with files.whole(path) as part:
+        with files.atomic_write(path) as part:
             fill(part)
         return self.path / name
 
@@ -220,7 +220,7 @@ def saved_command(path: Path) -> str:
         OutputError: it holds none.
     """
     try:
-        command = read_json(files.current(path, CONFIG)).get("command")
+        command = read_json(files.latest_path(path, CONFIG)).get("command")
     except OutputError as error:
         raise OutputError(
             f"{path} holds no saved run ({error}); make one with mjgranular impact --out {path}"
@@ -238,15 +238,15 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
     """
 
     def read() -> tuple[Drop, dict[str, np.ndarray]]:
-        config = read_json(files.current(path, CONFIG)).get("config")
-        drop, file = Drop.from_config(config), files.current(path, _NPZ)
+        config = read_json(files.latest_path(path, CONFIG)).get("config")
+        drop, file = Drop.from_config(config), files.latest_path(path, _NPZ)
         names = _DROP_ARRAYS
         if drop.sand.memory is not None and Prints.are_in(file):
             names += Prints.names()
         return drop, read_arrays(file, names)
 
     try:
-        drop, arrays = files.consistently(path, CONFIG, read)
+        drop, arrays = files.read_consistent(path, CONFIG, read)
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved drop ({error})") from None
     try:
@@ -290,20 +290,20 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
     """
 
     def read() -> tuple[Impact, dict[str, Any], Trajectory]:
-        config = read_json(files.current(path, CONFIG))
+        config = read_json(files.latest_path(path, CONFIG))
         if config.get("command") != "impact":
             raise OutputError(
                 f"{path} holds the result of {str(config.get('command'))[:40]!r}: a video can be "
                 "made of an impact, mjgranular impact --out DIR"
             )
-        summary = read_json(files.current(path, SUMMARY))
+        summary = read_json(files.latest_path(path, SUMMARY))
         impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
-        trajectory = Trajectory.read_npz(files.current(path, _NPZ))
+        trajectory = Trajectory.read_npz(files.latest_path(path, _NPZ))
         _check_summary(summary, float(trajectory.t[-1]), path / SUMMARY)
         return impact, summary, trajectory
 
     try:
-        return files.consistently(path, CONFIG, read)
+        return files.read_consistent(path, CONFIG, read)
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(
             f"{path} holds no saved impact ({error}); make one with mjgranular impact --out {path}"
@@ -317,7 +317,7 @@ def read_prints(path: Path) -> Prints | None:
         OutputError: they are damaged.
     """
     try:
-        file = files.current(path, _NPZ)
+        file = files.latest_path(path, _NPZ)
         return prints_of(read_arrays(file, Prints.names())) if Prints.are_in(file) else None
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved impact ({_NPZ} is damaged: {error})") from None

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from mjgranular._util.checks import check_count, is_finite, kind_of
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import Drop
 from mjgranular.experiment.impact import Impact
@@ -159,7 +159,7 @@ class Study:
     def _points(self) -> np.ndarray:
         """What was drawn, in the unit cube, shape (sample, fields)."""
         assert self.sample is not None
-        qmc = need("scipy.stats.qmc", extra="sample", purpose="Drawing a sample")
+        qmc = require("scipy.stats.qmc", extra="sample", purpose="Drawing a sample")
         kind = qmc.LatinHypercube if self.method == "latin" else qmc.Sobol
         drawn = kind(len(self.vary), seed=np.random.default_rng(self.seed))
         with warnings.catch_warnings():

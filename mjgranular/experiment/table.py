@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 
 Rows = Callable[[], Iterator[dict[str, Any]]]
 """Gives the rows from the first, each time that it is called."""
@@ -36,7 +36,7 @@ def need_parquet() -> Any:
     Raises:
         MissingExtraError: it is not installed.
     """
-    return need("pyarrow.parquet", extra="parquet", purpose="A table as Parquet")
+    return require("pyarrow.parquet", extra="parquet", purpose="A table as Parquet")
 
 
 def write_parquet(path: Path, columns: Sequence[str], rows: Rows) -> None:
@@ -48,7 +48,7 @@ def write_parquet(path: Path, columns: Sequence[str], rows: Rows) -> None:
         rows: the rows.
     """
     parquet = need_parquet()
-    arrow = need("pyarrow", extra="parquet", purpose="A table as Parquet")
+    arrow = require("pyarrow", extra="parquet", purpose="A table as Parquet")
     found: dict[str, set[type]] = {name: set() for name in columns}
     for row in rows():
         for name, value in row.items():

@@ -11,8 +11,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from mjgranular._util.files import whole
-from mjgranular._util.saved import read_arrays
+from mjgranular._util.files import atomic_write
+from mjgranular._util.io import read_arrays
 from mjgranular.errors import OutputError
 from mjgranular.models import Link
 from mjgranular.prints import Prints
@@ -163,7 +163,7 @@ class Trajectory:
 
     def write_csv(self, path: Path) -> None:
         """Writes the samples with a line of names that carry their units."""
-        with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f"{f.name} [{UNITS[f.name]}]" for f in fields(self)])
             writer.writerows([[repr(float(v)) for v in row] for row in self.table()])
@@ -172,7 +172,7 @@ class Trajectory:
         """Writes the samples as arrays by name, and prints beside them."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
         arrays |= {} if prints is None else prints.arrays()
-        with whole(path) as part, part.open("wb") as file:
+        with atomic_write(path) as part, part.open("wb") as file:
             np.savez_compressed(file, **arrays)
 
     @classmethod

@@ -179,7 +179,7 @@ class Bench:
         assert self._binding is not None
         data.qpos[:], data.qvel[:] = qpos, qvel
         data.xfrc_applied[:] = 0.0
-        self._binding.bodies["written"] = np.nan
+        self._binding.bodies["last_wrench"] = np.nan
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         self._act(0.0)

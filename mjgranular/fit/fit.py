@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import check_kind
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, UnknownNameError, UnstableError, shown
 from mjgranular.fit.constants import STRENGTH, Material
 from mjgranular.fit.drop import DropTrial, ModelTrial
@@ -115,8 +115,8 @@ def run_fit(fit: Fit, *, progress: Progress | None = None) -> FitResult:
         MissingExtraError: SciPy is not installed.
     """
     check_kind(fit, Fit, "run_fit", "read_fit('runs.yaml', free=[...])")
-    optimize = need("scipy.optimize", extra="fit", purpose="Fitting")
-    special = need("scipy.special", extra="fit", purpose="Fitting")
+    optimize = require("scipy.optimize", extra="fit", purpose="Fitting")
+    special = require("scipy.special", extra="fit", purpose="Fitting")
     trials = {run.name: _TRIALS[run.kind](run) for run in fit.runs}
     fitted = [trial for name, trial in trials.items() if name not in fit.hold_out]
     _check_enough(fitted, fit.free)

@@ -8,7 +8,7 @@ from dataclasses import MISSING, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from mjgranular._util.reading import place
+from mjgranular._util.io import place
 from mjgranular.errors import GranularError, InputError, shown
 from mjgranular.fit.constants import DENSITY, STRENGTH
 from mjgranular.fit.result import FitResult

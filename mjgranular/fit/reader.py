@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.reading import place
+from mjgranular._util.io import place
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.fit.body import Body
 from mjgranular.fit.fit import Fit

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mjgranular._util.reading import place, read_file
+from mjgranular._util.io import place, read_file
 from mjgranular.errors import InputError, listed, shown
 
 LARGEST = 50_000_000

@@ -14,8 +14,8 @@ BODY_DTYPE = np.dtype(
         ("end", np.int64),  # one past its last element: elements come body by body
         ("wrench", np.float64, (6,)),  # force [N], moment about the center of mass [N m], world
         ("change", np.float64, (6,)),  # of its spatial velocity within a scheme's lead
-        ("own", np.float64, (6,)),  # the user's row of xfrc_applied
-        ("written", np.float64, (6,)),  # that row as last written by the sand
+        ("user_wrench", np.float64, (6,)),  # the user's row of xfrc_applied
+        ("last_wrench", np.float64, (6,)),  # that row as last written by the sand
     ]
 )
 # Above the sand only the depth is written.

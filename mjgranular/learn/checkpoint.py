@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.saved import read_arrays
+from mjgranular._util.io import read_arrays
 from mjgranular.errors import OutputError
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn.run import (
@@ -167,7 +167,7 @@ def check_spaces(weights: Weights, env: Any, folder: Path, run: Run) -> None:
 
 def write_policy(run: Run, checkpoint: Path) -> None:
     """Copy what evaluation needs from a checkpoint to the run's folder, atomically."""
-    with files.published(run.path) as waiting:
+    with files.replace_directory(run.path) as waiting:
         for name in _OF_THE_END:
             (waiting / name).write_bytes((checkpoint / name).read_bytes())
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mjgranular._util.checks import check_count
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import GranularError, GranularWarning, InputError, RenderError
 
 T = TypeVar("T")
@@ -28,13 +28,13 @@ def find_spec(env_id: str) -> Any:
         InputError: that module cannot be imported.
         MissingExtraError: Gymnasium is not installed.
     """
-    need("gymnasium", extra="train", purpose=_PURPOSE)
+    require("gymnasium", extra="train", purpose=_PURPOSE)
     return importlib.import_module("mjgranular.envs.known").find_spec(env_id)
 
 
 def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     """Return one environment, a `gymnasium.Env`."""
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     find_spec(env_id)
     return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
 
@@ -47,7 +47,7 @@ def several(
     Those that have a vector form run in it, on `threads` threads (None: one per core); others run
     one after another.
     """
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
     more = {"threads": threads} if mode != "sync" and threads is not None else {}
     return _made(
@@ -82,7 +82,7 @@ def for_training(
         InputError: the environment does not take the arguments, `processes` is set for environments
             that step in one batch, or `warp` for others.
     """
-    need("stable_baselines3", extra="train", purpose="Training a policy")
+    require("stable_baselines3", extra="train", purpose="Training a policy")
     if warp is not None and (processes or not _has_vector_form(env_id)):
         raise InputError(
             f"MuJoCo Warp steps environments of mjgranular's own, such as mjgranular/Hopper-v0, in "
@@ -199,7 +199,7 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
     multiplies their number between two actions by it: a policy that behaves differently then has
     learned the time step and not the robot.
     """
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     given = _resolved(arguments)
     times = given.pop("refine", 1)
     check_count("refine", times)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import check_count, kind_of
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError
 from mjgranular.learn.agents import Agent
 from mjgranular.learn.episodes import Episodes, run_episodes
@@ -43,7 +43,7 @@ class Mean:
 
 def mean_of(values: Sequence[float] | np.ndarray) -> Mean:
     """Return the mean of at least two values and its 95 % confidence interval."""
-    stats = need("scipy.stats", extra="train", purpose="Evaluating policies")
+    stats = require("scipy.stats", extra="train", purpose="Evaluating policies")
     array = np.asarray(values, dtype=float)
     if array.size < LEAST_SEEDS:
         raise InputError(f"an interval needs at least {LEAST_SEEDS} seeds, not {array.size}")

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.files import whole
+from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.errors import GranularError, InputError, RenderError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
@@ -52,8 +52,8 @@ def film_episode(
     """
     if path.suffix not in ENDINGS:
         raise InputError(f"a film is written as .mp4 or .gif, not {path.suffix or path.name!r}")
-    mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
-    ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
+    mediapy = require("mediapy", extra="video", purpose=_PURPOSE)
+    ffmpeg = require("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     env = environments.for_filming(
         env_id, arguments, width=film.width, height=film.height, camera=camera
@@ -78,13 +78,13 @@ def film_episode(
     finally:
         env.close()
     codec = {"codec": "gif"} if path.suffix == ".gif" else {"codec": "h264", "crf": 20}
-    with whole(path) as part:
+    with atomic_write(path) as part:
         mediapy.write_video(part, pictures, fps=rate / every, **codec)
     return total
 
 
 def _picture(env: Any) -> np.ndarray:
-    gym = need("gymnasium", extra="train", purpose=_PURPOSE)
+    gym = require("gymnasium", extra="train", purpose=_PURPOSE)
     try:
         picture = env.render()
     except GranularError:

@@ -97,7 +97,7 @@ def load_policy(where: Path | str) -> Policy:
         holder = newest or folder
         tries -= 1
         try:
-            policy = files.consistently(holder, POLICY, lambda run=run, at=holder: _load(run, at))
+            policy = files.read_consistent(holder, POLICY, lambda run=run, at=holder: _load(run, at))
         except OutputError:
             # A running training may have removed the checkpoint for a newer one.
             if not tries or newest is None or newest.exists():
@@ -109,7 +109,7 @@ def load_policy(where: Path | str) -> Policy:
 
 def _load(run: Run, holder: Path) -> Policy:
     """Return the policy in the folder of a run or of one of its checkpoints."""
-    file = files.current(holder, POLICY)
+    file = files.latest_path(holder, POLICY)
     if not file.exists():
         raise OutputError(
             f"{run.path} has no policy yet: its training has written no checkpoint; go on with "
@@ -121,7 +121,7 @@ def _load(run: Run, holder: Path) -> Policy:
         weights = read_weights(file)
         model = build_policy(run.settings, weights, file)
         normalizer = read_normalizer(
-            files.current(holder, NORMALIZER),
+            files.latest_path(holder, NORMALIZER),
             normalized=run.settings.normalize_observations,
             shape=model.observation_space.shape,
         )

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from mjgranular._util import files
-from mjgranular._util.saved import is_text, number, read_json, read_text
+from mjgranular._util.io import is_text, number, read_json, read_text
 from mjgranular.errors import (
     GranularError,
     InputError,
@@ -105,7 +105,7 @@ class Run:
     def newest_checkpoint(self) -> Path | None:
         """Return the newest complete checkpoint; a damaged one is skipped with a warning."""
         for folder in self.checkpoints():
-            wrong = files.fault(folder, _IN_A_CHECKPOINT)
+            wrong = files.find_corruption(folder, _IN_A_CHECKPOINT)
             if wrong is None:
                 return folder
             if folder.exists():  # else a running training has removed it: there is a newer one
@@ -126,7 +126,7 @@ class Run:
         for folder in self.checkpoints():
             if whole == _KEPT:
                 files.remove_folder(folder)
-            elif folder == written or files.fault(folder, _IN_A_CHECKPOINT) is None:
+            elif folder == written or files.find_corruption(folder, _IN_A_CHECKPOINT) is None:
                 whole += 1
 
     def extended(self, total_steps: int) -> Run:

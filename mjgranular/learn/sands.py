@@ -16,7 +16,7 @@ from typing import Any
 
 import mujoco
 
-from mjgranular._util.saved import is_text
+from mjgranular._util.io import is_text
 from mjgranular.engine.config import write_config
 from mjgranular.engine.instances import material_in, sands_in
 from mjgranular.errors import GranularError, GranularWarning, InputError, OutputError

@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.extras import need
-from mjgranular._util.reading import place, read_file
-from mjgranular._util.saved import fits
+from mjgranular._util.extras import require
+from mjgranular._util.io import place, read_file
+from mjgranular._util.io import fits
 from mjgranular.errors import InputError, UnknownNameError, shown
 
 ALGORITHMS = ("ppo", "sac", "td3")
@@ -261,7 +261,7 @@ def algorithm_class(name: str) -> Any:
     Raises:
         MissingExtraError: Stable-Baselines3 is not installed.
     """
-    module = need("stable_baselines3", extra="train", purpose="Training a policy")
+    module = require("stable_baselines3", extra="train", purpose="Training a policy")
     return getattr(module, name.upper())
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, OutputError, UnstableError, warn_user
 from mjgranular.experiment.folder import CONFIG
 from mjgranular.learn import environments
@@ -89,8 +89,8 @@ def train(
             those before it are intact.
         UnstableError: the policy's weights are not finite any more.
     """
-    torch = need("torch", extra="train", purpose="Training a policy")
-    need("tensorboard", extra="train", purpose="Training a policy")
+    torch = require("torch", extra="train", purpose="Training a policy")
+    require("tensorboard", extra="train", purpose="Training a policy")
     # Networks of this size are faster on one thread; the other cores step environments.
     torch.set_num_threads(1)
     run.check_environment()
@@ -123,7 +123,7 @@ def train(
 
 def begin_episodes(model: Any, seed: int) -> None:
     """Begin new episodes, with random numbers that follow from the seed and the steps done."""
-    torch = need("torch", extra="train", purpose="Training a policy")
+    torch = require("torch", extra="train", purpose="Training a policy")
     word = int(np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)[0]) % 2**31
     random.seed(word)
     np.random.seed(word)  # noqa: NPY002  Stable-Baselines3 draws from it
@@ -345,7 +345,7 @@ def _keeper(run: Run, progress: Progress, report: Report | None, received: Seque
 
 def _check_finite(model: Any, run: Run) -> None:
     """Raise `UnstableError` if a weight of the policy is not finite."""
-    torch = need("torch", extra="train", purpose="Training a policy")
+    torch = require("torch", extra="train", purpose="Training a policy")
     if not all(bool(torch.isfinite(p).all()) for p in model.policy.parameters()):
         raise UnstableError(
             f"{run.name}: the policy's numbers are not finite after {model.num_timesteps} steps; "

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.saved import number, parse_json, read_json
+from mjgranular._util.extras import require
+from mjgranular._util.io import number, parse_json, read_json
 from mjgranular.errors import OutputError
 from mjgranular.learn.settings import Settings
 
@@ -107,7 +107,7 @@ def add_spaces(file: Path, observation_space: Any, action_space: Any) -> None:
 
 def policy_arguments(settings: Settings) -> dict[str, Any]:
     """Return the arguments of a policy's class in Stable-Baselines3."""
-    nn = need("torch", extra="train", purpose="Training a policy").nn
+    nn = require("torch", extra="train", purpose="Training a policy").nn
     activation = {"tanh": nn.Tanh, "relu": nn.ReLU, "elu": nn.ELU}[settings.activation]
     return {"net_arch": list(settings.net), "activation_fn": activation, **settings.policy}
 
@@ -124,7 +124,7 @@ def build_policy(settings: Settings, weights: Weights, file: Path) -> Any:
         OutputError: weights and settings do not match.
     """
     check_size(settings, weights, file)
-    sb3 = need("stable_baselines3", extra="train", purpose=_PURPOSE)
+    sb3 = require("stable_baselines3", extra="train", purpose=_PURPOSE)
     try:
         arguments = policy_arguments(settings)
         if settings.algorithm != "td3":
@@ -170,7 +170,7 @@ def _entry(archive: zipfile.ZipFile, name: str, file: Path) -> bytes:
 
 def _tensors(content: bytes) -> Any:
     """Read a file of PyTorch, if it has only tensors and plain values."""
-    torch = need("torch", extra="train", purpose=_PURPOSE)
+    torch = require("torch", extra="train", purpose=_PURPOSE)
     # Its older kinds of files are not zips, and were not safe to read in older versions.
     if not content.startswith(b"PK"):
         raise pickle.UnpicklingError
@@ -181,7 +181,7 @@ def _tensors(content: bytes) -> Any:
 
 def _state(state: object, file: Path) -> dict[str, Any]:
     """Return a policy's weights after checking that they are finite numbers by name."""
-    torch = need("torch", extra="train", purpose=_PURPOSE)
+    torch = require("torch", extra="train", purpose=_PURPOSE)
     if not isinstance(state, dict) or not state:
         raise OutputError(f"{file} is damaged: it holds no weights of a policy")
     for name, value in state.items():
@@ -223,7 +223,7 @@ def _as_json(space: Any) -> dict[str, Any]:
 
 def _space(described: Mapping[str, Any], most: int) -> Any:
     """Return a Gymnasium space; one of more than `most` numbers cannot be that of a policy."""
-    spaces = need("gymnasium.spaces", extra="train", purpose=_PURPOSE)
+    spaces = require("gymnasium.spaces", extra="train", purpose=_PURPOSE)
     kind = described["type"]
     if kind == "Discrete":
         n, start = int(described["n"]), int(described["start"])

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mjgranular._util.checks import kind_of
-from mjgranular._util.reading import place
+from mjgranular._util.io import place
 from mjgranular.errors import InputError, shown
 from mjgranular.medium.medium import Medium, Quantity
 from mjgranular.medium.outline import read_outline_file

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mjgranular._util.extras import need
-from mjgranular._util.reading import place, read_file
+from mjgranular._util.extras import require
+from mjgranular._util.io import place, read_file
 from mjgranular.errors import InputError, shown
 
 # Chosen: a medium needs a depth of 4, and its longest string is a citation.
@@ -42,7 +42,7 @@ def read_outline_file(
         InputError: the file cannot be read, is too large, or is not such YAML; says which.
         MissingExtraError: PyYAML is not installed.
     """
-    yaml = need("yaml", extra=extra, purpose=purpose)
+    yaml = require("yaml", extra=extra, purpose=purpose)
     content = read_file(path, what, largest=largest)
     try:
         return read_outline(content.decode("utf-8"), yaml)

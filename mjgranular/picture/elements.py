@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.files import whole
+from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError
 from mjgranular.picture.outlines import AROUND, area_vectors, frames_of, padded, polygons_of
 from mjgranular.picture.plain import plain
@@ -98,8 +98,8 @@ def draw_elements(
     """
     if file is not None:
         check_file(Path(file))
-    matplotlib = need("matplotlib", extra="figures", purpose="Drawing elements")
-    need("matplotlib.figure", extra="figures", purpose="Drawing elements")
+    matplotlib = require("matplotlib", extra="figures", purpose="Drawing elements")
+    require("matplotlib.figure", extra="figures", purpose="Drawing elements")
     data = mujoco.MjData(sand.model)
     _set_state(data.qpos, qpos, "qpos")
     _set_state(data.qvel, qvel, "qvel")
@@ -132,13 +132,13 @@ def _set_state(target: np.ndarray, values: Sequence[float] | np.ndarray | None, 
 
 
 def _save(figure: Figure, file: Path) -> None:
-    with whole(file) as part:
+    with atomic_write(file) as part:
         figure.savefig(part, dpi=150, facecolor="white", bbox_inches="tight", pad_inches=0.15)
 
 
 def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: bool) -> None:
     """Draw the elements, the sand and a legend into an empty figure."""
-    art = need("mpl_toolkits.mplot3d.art3d", extra="figures", purpose="Drawing elements")
+    art = require("mpl_toolkits.mplot3d.art3d", extra="figures", purpose="Drawing elements")
     axes = figure.add_axes((0.0, 0.06, 0.88, 0.86), projection="3d", computed_zorder=False)
     polygons, owners = polygons_of(shown)
     tails, tips = shown.normals() if normals else (np.zeros((0, 3)),) * 2
@@ -235,7 +235,7 @@ def _cut_box(plane: Plane, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
-    patches = need("matplotlib.patches", extra="figures", purpose="Drawing elements")
+    patches = require("matplotlib.patches", extra="figures", purpose="Drawing elements")
     if len(names) < 2:
         return
     first = list(names.items())[:_MOST_NAMED]
@@ -247,8 +247,8 @@ def _draw_legend(figure: Any, names: dict[str, np.ndarray]) -> None:
 
 def _draw_scale(figure: Any, depth: np.ndarray) -> None:
     """Draw the scale of the colors of depth."""
-    cm = need("matplotlib.cm", extra="figures", purpose="Drawing elements")
-    colors = need("matplotlib.colors", extra="figures", purpose="Drawing elements")
+    cm = require("matplotlib.cm", extra="figures", purpose="Drawing elements")
+    colors = require("matplotlib.colors", extra="figures", purpose="Drawing elements")
     low, high = float(depth.min()), float(depth.max())
     scale = cm.ScalarMappable(
         colors.Normalize(low, high), colors.LinearSegmentedColormap.from_list("depth", DEPTHS)

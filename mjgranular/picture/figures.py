@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.files import whole
+from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.picture.plain import plain
 
@@ -31,8 +31,8 @@ _STYLE = {
 
 def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
     """Return an empty figure of a size in inches, made without pyplot's global state."""
-    matplotlib = need("matplotlib", extra="figures", purpose="Drawing figures")
-    need("matplotlib.figure", extra="figures", purpose="Drawing figures")
+    matplotlib = require("matplotlib", extra="figures", purpose="Drawing figures")
+    require("matplotlib.figure", extra="figures", purpose="Drawing figures")
     context = matplotlib.rc_context(_STYLE)
     context.__enter__()
     return matplotlib.figure.Figure(figsize=(width, height)), context
@@ -41,7 +41,7 @@ def figure_of_size(width: float, height: float) -> tuple[Any, Any]:
 def save_figure(figure: Any, context: Any, path: Path) -> None:
     """Write a figure of `figure_of_size`."""
     try:
-        with whole(path) as part:
+        with atomic_write(path) as part:
             figure.savefig(part)
     finally:
         context.__exit__(None, None, None)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util.checks import kind_of
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import InputError, UnknownNameError
 from mjgranular.experiment.drop import DropResult, load, memory_of, surface_drawn
 from mjgranular.experiment.impact import ImpactResult
@@ -20,8 +20,8 @@ def play(film: Any, *, fps: int, seconds: float, camera: str | None) -> None:
     """Play a film; see `mjgranular.show`."""
     if not isinstance(fps, int) or not 1 <= fps <= 240:
         raise InputError(f"a film has 1 to 240 frames a second, a whole number, not {kind_of(fps)}")
-    mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
-    ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
+    mediapy = require("mediapy", extra="video", purpose=_PURPOSE)
+    ffmpeg = require("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     mediapy.show_video(_pictures(film, fps, seconds, camera), fps=fps)
 

@@ -11,8 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjgranular._util.extras import need
-from mjgranular._util.files import whole
+from mjgranular._util.extras import require
+from mjgranular._util.files import atomic_write
 from mjgranular.errors import InputError, RenderError, UnknownNameError
 from mjgranular.experiment.scenery import add_cut_prints
 from mjgranular.experiment.trajectory import Trajectory
@@ -434,9 +434,9 @@ class _Captions:
     """Writes time, depth and slow motion into a corner of each picture."""
 
     def __init__(self, film: Film) -> None:
-        self._image = need("PIL.Image", extra="video", purpose=_PURPOSE)
-        self._draw = need("PIL.ImageDraw", extra="video", purpose=_PURPOSE)
-        font = need("PIL.ImageFont", extra="video", purpose=_PURPOSE)
+        self._image = require("PIL.Image", extra="video", purpose=_PURPOSE)
+        self._draw = require("PIL.ImageDraw", extra="video", purpose=_PURPOSE)
+        font = require("PIL.ImageFont", extra="video", purpose=_PURPOSE)
         self._size = max(10, film.height // 30)
         self._font = font.load_default(size=self._size)
 
@@ -492,8 +492,8 @@ def write_video(
         MissingExtraError: a package for video is not installed; gives the install line.
         RenderError: MuJoCo cannot render on this machine.
     """
-    mediapy = need("mediapy", extra="video", purpose=_PURPOSE)
-    ffmpeg = need("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
+    mediapy = require("mediapy", extra="video", purpose=_PURPOSE)
+    ffmpeg = require("imageio_ffmpeg", extra="video", purpose=_PURPOSE)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     first = next(pictures)  # fails on a machine that cannot render, before a file is opened
     shape = (film.height, film.width)

@@ -12,8 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from mjgranular._util.reading import NotRegularError, check_regular
-from mjgranular._util.saved import parse_json
+from mjgranular._util.io import NotRegularError, check_regular
+from mjgranular._util.io import parse_json
 from mjgranular.errors import OutputError
 from mjgranular.pool.versions import versions
 

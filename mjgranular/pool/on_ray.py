@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.errors import GranularError, InputError
 from mjgranular.pool.chunk import Function, run_chunk
 from mjgranular.pool.versions import mismatch, versions
@@ -44,7 +44,7 @@ def begin_ray(workers: Workers) -> tuple[Any, bool]:
         MissingExtraError: Ray is not installed.
         InputError: no cluster answers at the address, or it is one of another version of Ray.
     """
-    ray = need("ray", extra="ray", purpose="The engine ray")
+    ray = require("ray", extra="ray", purpose="The engine ray")
     if ray.is_initialized():
         return ray, False
     common: dict[str, Any] = {"logging_level": "ERROR", "log_to_driver": False}

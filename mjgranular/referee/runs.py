@@ -37,8 +37,8 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import is_finite
-from mjgranular._util.extras import need
-from mjgranular._util.reading import place, read_file
+from mjgranular._util.extras import require
+from mjgranular._util.io import place, read_file
 from mjgranular.errors import InputError, UnknownNameError, listed, shown
 from mjgranular.medium import Medium, Quantity, get_medium
 from mjgranular.medium.outline import OutlineError, read_outline
@@ -229,7 +229,7 @@ def read_runs(folder: str | Path) -> RunSet:
         UnknownNameError: no such kind, shape, mark or medium.
     """
     folder = Path(folder)
-    yaml = need("yaml", extra="media", purpose="Reading a set of runs")
+    yaml = require("yaml", extra="media", purpose="Reading a set of runs")
     file = folder / "runs.yaml"
     text = read_file(file, "the set of runs", largest=_LARGEST).decode("utf-8", "replace")
     try:

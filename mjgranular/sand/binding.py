@@ -66,7 +66,7 @@ def bind(
         row["body"], row["end"] = body, end
         row["root"] = model.body_rootid[body]
         row["last_dof"] = last_dof(model, int(body))
-    bodies["written"] = np.nan  # NaN equals nothing: the first rows found are the user's
+    bodies["last_wrench"] = np.nan  # NaN equals nothing: the first rows found are the user's
     contacts = np.zeros(len(elements), CONTACT_DTYPE)
     snapshot = Snapshot.of(model, data)
     # As passive forces, they are computed at any stage of the integrator.

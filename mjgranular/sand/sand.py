@@ -346,7 +346,7 @@ class Sand:
             mujoco.mj_copyState(model, data, probe, _POSTURE)
         mujoco.mj_fwdPosition(model, probe)
         mujoco.mj_fwdVelocity(model, probe)
-        binding.bodies["written"] = np.nan  # what is there now is the user's
+        binding.bodies["last_wrench"] = np.nan  # what is there now is the user's
         bound = self._bindings.get(data)
         binding.state[:] = 0.0 if bound is None else bound.state
         failed = self._guarded(self._program, binding.address, lead)
@@ -409,8 +409,8 @@ class Sand:
         binding = self._bindings.get(data)
         if binding is not None:
             for row in binding.bodies:
-                if (applied[row["body"]] == row["written"]).all():
-                    applied[row["body"]] = row["own"]
+                if (applied[row["body"]] == row["last_wrench"]).all():
+                    applied[row["body"]] = row["user_wrench"]
         return applied
 
     def table_of(self, data: mujoco.MjData) -> int:

@@ -111,12 +111,12 @@ def write_wrenches(table):
         row = xfrc[6 * body.body : 6 * body.body + 6]
         untouched = True
         for k in range(6):
-            untouched = untouched and row[k] == body.written[k]
+            untouched = untouched and row[k] == body.last_wrench[k]
         for k in range(6):
             if not untouched:
-                body.own[k] = row[k]
-            row[k] = body.own[k] + body.wrench[k]
-            body.written[k] = row[k]
+                body.user_wrench[k] = row[k]
+            row[k] = body.user_wrench[k] + body.wrench[k]
+            body.last_wrench[k] = row[k]
     return -1
 
 
@@ -129,8 +129,8 @@ def take_back_wrenches(address):
     for slot in range(len(bodies)):
         body = bodies[slot]
         for k in range(6):
-            xfrc[6 * body.body + k] = body.own[k]
-            body.written[k] = body.own[k]
+            xfrc[6 * body.body + k] = body.user_wrench[k]
+            body.last_wrench[k] = body.user_wrench[k]
 
 
 _BAD = tuple(
@@ -166,8 +166,8 @@ def withdraw_wrenches(table):
         row = xfrc[6 * body.body : 6 * body.body + 6]
         untouched = True
         for k in range(6):
-            untouched = untouched and row[k] == body.written[k]
+            untouched = untouched and row[k] == body.last_wrench[k]
         if untouched:
             for k in range(6):
-                row[k] = body.own[k]
-                body.written[k] = body.own[k]
+                row[k] = body.user_wrench[k]
+                body.last_wrench[k] = body.user_wrench[k]

@@ -1,8 +1,8 @@
 """Sand in thousands of worlds at once with MuJoCo Warp, on GPUs and CPUs."""
 
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 
-need("mujoco_warp", extra="warp", purpose="Sand for MuJoCo Warp")
+require("mujoco_warp", extra="warp", purpose="Sand for MuJoCo Warp")
 
 from mjgranular.warp.fit import coupled as coupled  # noqa: E402
 from mjgranular.warp.sand import WarpSand as WarpSand  # noqa: E402

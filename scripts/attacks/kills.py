@@ -31,7 +31,7 @@ import numpy as np
 from attacks.worker import Case, Finding, Note, Result
 
 import mjgranular  # noqa: F401  before mujoco: it chooses how to draw without a screen
-from mjgranular._util.extras import need
+from mjgranular._util.extras import require
 from mjgranular.cli.main import main
 from mjgranular.errors import GranularError
 from mjgranular.experiment.folder import CONFIG, read_impact
@@ -80,7 +80,7 @@ def cases(options: Namespace, numbers: range) -> list[Case]:
 
 def prepare() -> None:
     """Check that everything is available."""
-    need("matplotlib.figure", extra="figures", purpose="Drawing")
+    require("matplotlib.figure", extra="figures", purpose="Drawing")
 
 
 def attempt(case: Case, note: Note) -> Result:

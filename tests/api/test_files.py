@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from mjgranular._util import files
-from mjgranular._util.saved import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
+from mjgranular._util.io import checked_fields, is_plain_name, read_arrays, read_bytes, read_json
 from mjgranular._util.signals import Stopped, stopped_by_signals
 from mjgranular.cli import main
 from mjgranular.errors import OutputError
@@ -41,7 +41,7 @@ def test_a_file_is_written_whole_or_left_as_it_was(tmp_path):
     files.write_text(file, "old")
 
     def half(error: BaseException) -> None:
-        with files.whole(file) as part:
+        with files.atomic_write(file) as part:
             assert part.suffix == ".txt"  # writers choose the format by it
             part.write_text("half")
             raise error
@@ -52,7 +52,7 @@ def test_a_file_is_written_whole_or_left_as_it_was(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         half(KeyboardInterrupt())
     assert file.read_text() == "old"
-    with files.whole(file) as part:
+    with files.atomic_write(file) as part:
         part.write_text("new")
     assert file.read_text() == "new"
     assert list(tmp_path.iterdir()) == [file]
@@ -74,12 +74,12 @@ def test_files_that_belong_together_are_never_mixed(at, tmp_path, monkeypatch):
     names = ("a", "b", "c")
 
     def publish(what: str, some: tuple[str, ...]) -> None:
-        with files.published(tmp_path, instead_of=names) as waiting:
+        with files.replace_directory(tmp_path, instead_of=names) as waiting:
             for name in some:
                 (waiting / name).write_text(what)
 
     def read() -> dict[str, str]:
-        there = {name: files.current(tmp_path, name) for name in names}
+        there = {name: files.latest_path(tmp_path, name) for name in names}
         return {name: path.read_text() for name, path in there.items() if path.exists()}
 
     publish("old", names)
@@ -147,12 +147,12 @@ def test_damage_of_a_folder_is_found_out(tmp_path):
         (at / "a").write_text("a")
 
     files.write_folder(folder, fill)
-    assert files.fault(folder, ["a"]) is None
-    assert files.fault(folder, ["b"]) == "manifest.json lacks b"
+    assert files.find_corruption(folder, ["a"]) is None
+    assert files.find_corruption(folder, ["b"]) == "manifest.json lacks b"
     (folder / files.MANIFEST).write_text("{}")  # says nothing of what is there
-    assert files.fault(folder, ["a"]) is not None
+    assert files.find_corruption(folder, ["a"]) is not None
     (folder / files.MANIFEST).write_text('{"../step-1/a": {}}')
-    assert files.fault(folder) is not None
+    assert files.find_corruption(folder) is not None
 
 
 def test_the_old_folder_comes_back_if_the_new_one_was_not_in_its_place_yet(tmp_path):

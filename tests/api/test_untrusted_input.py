@@ -16,7 +16,7 @@ import pytest
 
 import mjgranular as mg
 from mjgranular import InputError, UnknownNameError
-from mjgranular._util.reading import read_file
+from mjgranular._util.io import read_file
 from mjgranular.cli import main
 from mjgranular.engine.config import LONGEST, read_config
 from mjgranular.errors import listed, one_line, shown
