@@ -12,6 +12,7 @@ from mjgranular.envs.hexapod import Hexapod
 from mjgranular.envs.link_drop import LinkDrop
 from mjgranular.envs.task import Task
 from mjgranular.envs.tasks import tasks
+from mjgranular.envs.velocity import Go1Velocity
 from mjgranular.errors import InputError
 
 NAMESPACE = "mjgranular"
@@ -28,6 +29,7 @@ _OURS: tuple[type[Task], ...] = (
     Ant,
     Humanoid,
     Swimmer,
+    Go1Velocity,
 )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from mjgranular._util.checks import kind_of
 from mjgranular.engine import tune
-from mjgranular.errors import InputError, UnknownNameError
+from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
 from mjgranular.law import laws
 from mjgranular.medium import get_medium, media
 from mjgranular.sand.material import medium_for
@@ -83,6 +83,21 @@ class SandRanges:
             for given in names:
                 if given not in known:
                     raise UnknownNameError(kind, given, known)
+            object.__setattr__(self, name, tuple(names))
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> SandRanges:
+        """Return ranges from a table by the names of the fields, as in TOML or YAML.
+
+        Raises:
+            UnknownArgumentError: a name is not that of a field; lists the fields.
+            InputError: as for the ranges themselves.
+        """
+        known = [field.name for field in fields(cls)]
+        for name in table:
+            if name not in known:
+                raise UnknownArgumentError("randomise", name, known)
+        return cls(**table)
 
     def _check_range(self, name: str) -> None:
         given: Any = getattr(self, name)
@@ -94,6 +109,7 @@ class SandRanges:
             raise InputError(f"SandRanges: {name} must be finite, not {given}")
         if low > high:
             raise InputError(f"SandRanges: {name} has its low end above its high end: {given}")
+        object.__setattr__(self, name, (low, high))
 
     def check_within(self, other: SandRanges) -> None:
         """Check that a curriculum samples only sand that the model has.
@@ -115,12 +131,19 @@ class SandRanges:
                         )
 
 
-def check_drawing(ranges: Any, curriculum: Any) -> None:
-    """Check the ranges and the curriculum of an environment.
+def ranges_of(ranges: Any, curriculum: Any) -> SandRanges | None:
+    """Return the ranges of an environment, and check its curriculum.
+
+    Args:
+        ranges: a `SandRanges`, a table of its fields, or None.
+        curriculum: a function, or None.
 
     Raises:
-        InputError: `ranges` is not a `SandRanges`, or a curriculum has none.
+        UnknownArgumentError: a name in the table is not that of a field; lists the fields.
+        InputError: `ranges` is something else, or a curriculum has none.
     """
+    if isinstance(ranges, Mapping):
+        ranges = SandRanges.of(ranges)
     if ranges is not None and not isinstance(ranges, SandRanges):
         raise InputError(
             f"randomise must be a SandRanges(strength=(0.5, 2), ...), not {kind_of(ranges)}"
@@ -135,6 +158,7 @@ def check_drawing(ranges: Any, curriculum: Any) -> None:
             "a curriculum needs randomise=SandRanges(...), which names all media, laws and "
             "surfaces that it may draw"
         )
+    return ranges
 
 
 @dataclass(frozen=True)

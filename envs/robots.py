@@ -23,10 +23,10 @@ from mjgranular.envs.known import find_spec
 from mjgranular.envs.ranges import (
     Sample,
     SandRanges,
-    check_drawing,
     draw,
     lay,
     next_ranges,
+    ranges_of,
     sands_of,
     told,
 )
@@ -143,9 +143,8 @@ class OnSand(MujocoEnv):
     def __init__(self, sand: dict[str, Any], **options: Any) -> None:
         self._made_of = sand, options
         base = dict(sand)
-        self._ranges: SandRanges | None = base.pop("randomise", None)
         self._curriculum = base.pop("curriculum", None)
-        check_drawing(self._ranges, self._curriculum)
+        self._ranges = ranges_of(base.pop("randomise", None), self._curriculum)
         if self._ranges is not None and "dunes" in self._ranges.surfaces:
             raise InputError(
                 "on_sand draws no dunes, because Gymnasium's robots start at their own height: "

@@ -104,15 +104,50 @@ class SandVecEnv(VecEnv):
         return [getattr(self.batch, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the batch, for all simulations."""
+        """Set an attribute of the batch.
+
+        Raises:
+            InputError: `indices` are not all simulations, which share it.
+        """
+        self._check_all(attr_name, indices)
         setattr(self.batch, attr_name, value)
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
     ) -> list[Any]:
-        """Call a method of the batch, once for all requested simulations."""
+        """Call a method of the batch, and return its result once for each simulation.
+
+        `reset` begins episodes of the requested simulations, and returns observation and `info` of
+        each.
+
+        Raises:
+            InputError: another method, and `indices` are not all simulations.
+        """
+        if method_name == "reset":
+            return self._reset_some(list(self._get_indices(indices)), *args, **kwargs)
+        self._check_all(method_name, indices)
         result = getattr(self.batch, method_name)(*args, **kwargs)
-        return [result for _ in self._get_indices(indices)]
+        return [result] * self.num_envs
+
+    def _check_all(self, name: str, indices: Any) -> None:
+        if len(set(self._get_indices(indices))) < self.num_envs:
+            raise InputError(
+                f"the {self.num_envs} simulations of a batch share {name!r}: omit indices, got "
+                f"{indices}"
+            )
+
+    def _reset_some(
+        self, chosen: list[int], *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> list[Any]:
+        mask = np.zeros(self.num_envs, bool)
+        mask[chosen] = True
+        observations, info = self.batch.reset(
+            seed=[seed] * self.num_envs, options={**(options or {}), "reset_mask": mask}
+        )
+        infos = _split(info, mask)
+        for number in chosen:
+            self.reset_infos[number] = infos[number]
+        return [(observations[number].copy(), infos[number]) for number in chosen]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Return False for each simulation: batches are not wrapped."""

@@ -33,10 +33,10 @@ from mjgranular.envs.ranges import (
     Choice,
     Sample,
     SandRanges,
-    check_drawing,
     draw,
     lay,
     next_ranges,
+    ranges_of,
     sands_of,
     told,
 )
@@ -77,7 +77,8 @@ class Task(SandSpec, ABC):
     the floor; `instead_of` names other geoms.
 
     Attributes:
-        randomise: ranges of the sand of each episode; None for a fixed sand.
+        randomise: ranges of the sand of each episode, or a table of them, {"strength": (0.5, 2)};
+            None for a fixed sand.
         curriculum: returns the ranges for the next episode, given the number of episodes that this
             simulation has begun; must be within `randomise`.
         observe_sand: append the sampled sand to the observation: strength, density, slope, and a
@@ -115,7 +116,7 @@ class Task(SandSpec, ABC):
         for option in fields(self):
             if option.name not in SAND_FIELDS:
                 check_option(option.name, getattr(self, option.name), option.default)
-        check_drawing(self.randomise, self.curriculum)
+        object.__setattr__(self, "randomise", ranges_of(self.randomise, self.curriculum))
         if self.observe_sand and self.randomise is None:
             raise InputError("observe_sand needs randomise=SandRanges(...): else it is constant")
 
@@ -323,11 +324,23 @@ class Task(SandSpec, ABC):
             random: random generator of the simulation.
             sample: the sampled sand; None for a fixed sand.
         """
-        if sample is None or self.choices[sample.number].surface != "dunes":
-            return self.start(random, _height_of(surface_of(self.surface)))
-        start = self.start(random, lambda x, y: self.dunes.height(x + sample.place, y))
-        start.qpos[0] += sample.place  # x comes first in all our models
+        ground = self.ground(0 if sample is None else sample.number) or _level
+        place = 0.0 if sample is None else sample.place
+        start = self.start(random, lambda x, y: ground(x + place, y))
+        start.qpos[0] += place  # x comes first in all our models
         return start
+
+    def ground(self, number: int) -> Callable[[float, float], float] | None:
+        """Return the height of a sand's surface over the floor, at x, y [m].
+
+        None is zero everywhere, or unknown, as for the model's own geom.
+
+        Args:
+            number: index of the sand in the model.
+        """
+        if self.choices[number].surface == "dunes":
+            return self.dunes.height
+        return _height_of(surface_of(self.surface))
 
     def observation(self, state: State) -> np.ndarray:
         """Return observations, shape (n, k), with the sampled sand if `observe_sand` is set."""
@@ -354,10 +367,14 @@ class Task(SandSpec, ABC):
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
-def _height_of(surface: Surface) -> Callable[[float, float], float]:
-    """Return the height of a surface over the floor; zero if unknown, for the model's own geom."""
-    if not isinstance(surface, Plane):
-        return lambda x, y: 0.0
+def _level(x: float, y: float) -> float:
+    return 0.0
+
+
+def _height_of(surface: Surface) -> Callable[[float, float], float] | None:
+    """Return the height of a surface over the floor, at x, y; None if zero or unknown."""
+    if not isinstance(surface, Plane) or (surface.height == 0.0 and surface.slope == 0.0):
+        return None
     rise = math.tan(surface.slope)
     along, across = rise * math.cos(surface.uphill), rise * math.sin(surface.uphill)
     return lambda x, y: surface.height + along * x + across * y

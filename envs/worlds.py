@@ -110,7 +110,7 @@ class Worlds:
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:
         """Step all worlds; reset those that are not in `ids` before reading them."""
-        self._write(("ctrl",))
+        self._write(_INPUTS)  # a task may push its robots
         device = self._d.qpos.device
         if device.is_cuda:
             if nstep not in self._graphs:

@@ -12,8 +12,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import mjgranular  # isort: skip  # noqa: F401
 import importlib.util
 import json
+import shutil
 import signal
+import subprocess
 import sys
+import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -118,3 +122,43 @@ def register(monkeypatch: pytest.MonkeyPatch) -> Callable[[Medium], Medium]:
     """`register_medium`, undone after the test."""
     monkeypatch.setattr(media, "_things", dict(media._things))
     return register_medium
+
+
+@pytest.fixture(scope="session")
+def robots() -> Iterator[Path]:
+    """A folder with the Unitree Go1 that the wheel of mjlab has, as `MENAGERIE_ROOT`.
+
+    It is downloaded once, and kept.
+    """
+    root = Path.home() / ".cache" / "mjgranular-tests"
+    go1 = root / "unitree_go1"
+    if not go1.is_dir():
+        root.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=root) as folder:
+            _download_go1(Path(folder))
+            if not go1.is_dir():  # another worker may have been first
+                Path(folder, "go1").rename(go1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MENAGERIE_ROOT", str(root))
+        yield root
+
+
+def _download_go1(folder: Path) -> None:
+    """Extract the Go1 to `folder/go1`; skip the test without a network."""
+    command = [sys.executable, "-m", "pip", "download", "--no-deps", "--dest", folder]
+    done = subprocess.run([*command, "mjlab==1.6.0"], capture_output=True, text=True, timeout=300)
+    if done.returncode:
+        pytest.skip(f"mjlab, which has the Unitree Go1, is not here: {done.stderr.strip()[-200:]}")
+    (wheel,) = folder.glob("*.whl")
+    inside = "mjlab/asset_zoo/robots/unitree_go1/xmls"
+    with zipfile.ZipFile(wheel) as content:
+        content.extractall(folder, [name for name in content.namelist() if inside in name])
+    shutil.move(folder / inside, folder / "go1")
+
+
+@pytest.fixture(autouse=True)
+def robot_of_task(request: pytest.FixtureRequest) -> None:
+    """Has the Go1 there for tests of its task."""
+    params = request.node.callspec.params if hasattr(request.node, "callspec") else {}
+    if str(params.get("name")) == "Go1Velocity":
+        request.getfixturevalue("robots")

@@ -36,7 +36,7 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model", "state", "site
     """
 
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL.xml")]
-    """The MJCF file."""
+    """The MJCF file, or a robot of MuJoCo Menagerie by its name, such as unitree_go1."""
 
     def run(self) -> int:
         """Run the command."""

@@ -37,7 +37,7 @@ from mjgranular.experiment.ground import (
 from mjgranular.experiment.sampling import Recorder, Sampler
 from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch, SiteWatch
-from mjgranular.models import Chain
+from mjgranular.models import Chain, robot_path
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_cut_prints, add_scenery, place_sun
@@ -58,7 +58,7 @@ class Drop(PlainSand):
     """A run of a model on sand, SI units and radians; the sand is described as in `PlainSand`.
 
     Attributes:
-        model: the MJCF file, or a chain.
+        model: the MJCF file, the name of a robot (`models.robot_path`), or a chain.
         keyframe: name of the keyframe to start from. Default: the model as it is.
         height: height of the lowest point above the surface at the start [m]. Default: as the
             model is.
@@ -380,13 +380,14 @@ def read(drop: Drop) -> mujoco.MjSpec:
     if isinstance(drop.model, Chain):
         spec = drop.model.spec()
     else:
-        check_regular(drop.model, "the model")
-        if drop.model.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
+        file = robot_path(drop.model)
+        check_regular(file, "the model")
+        if file.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
             raise InputError(
-                f"cannot read the model {place(drop.model)}: a model is an MJCF or URDF file, .xml "
+                f"cannot read the model {place(file)}: a model is an MJCF or URDF file, .xml "
                 "or .urdf"
             )
-        spec = mujoco.MjSpec.from_file(str(drop.model))
+        spec = mujoco.MjSpec.from_file(str(file))
     if drop.timestep is not None:
         spec.option.timestep = drop.timestep
     elif drop.scheme == "explicit":

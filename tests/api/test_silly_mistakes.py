@@ -589,9 +589,9 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: task("Hopper", randomise=ranges(strength=(1, 2)), curriculum=3),
         "a curriculum is a function of the number of the episode that gives a SandRanges, not 3",
     ),
-    "table for ranges": (
-        lambda: task("Hopper", randomise={"strength": (1, 2)}),
-        "randomise must be a SandRanges(strength=(0.5, 2), ...), not a dict",
+    "list for ranges": (
+        lambda: task("Hopper", randomise=[1, 2]),
+        "randomise must be a SandRanges(strength=(0.5, 2), ...), not a list",
     ),
     "gait of an environment": (
         lambda: gait_of(task("LinkDrop")),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mjgranular import InputError, Rft3dLaw, UnknownNameError, media
-from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand
+from mjgranular.envs import SandEnv, SandRanges, SandVectorEnv, on_sand, tasks
 from mjgranular.envs.dunes import DUNES, Dunes
 from mjgranular.envs.ids import id_of
 
@@ -192,6 +192,14 @@ def test_ranges_that_cannot_be_are_named(options, message):
         SandRanges(**options)
 
 
+def test_ranges_may_be_a_table_of_lists():
+    table = {"strength": [0.5, 2], "media": ["quikrete_medium"]}
+    ranges = SandRanges(strength=(0.5, 2.0), media=("quikrete_medium",))
+    assert tasks["Hopper"](randomise=table).randomise == ranges
+    one, other = (on_sand("Hopper-v5", randomise=each).reset(seed=0)[1] for each in (table, ranges))
+    assert one["sand/strength"] == other["sand/strength"]
+
+
 def test_wrong_input_is_told():
     with pytest.raises(UnknownNameError, match=r"no medium 'mud'; there are: glass_beads, glass"):
         SandRanges(media=("mud",))
@@ -200,7 +208,9 @@ def test_wrong_input_is_told():
     with pytest.raises(UnknownNameError, match=r"no surface 'sea'; there are: plane, dunes"):
         SandRanges(surfaces=("sea",))
     with pytest.raises(InputError, match="randomise must be a SandRanges"):
-        SandEnv("Hopper", randomise={"strength": (1, 2)})
+        SandEnv("Hopper", randomise=[1, 2])
+    with pytest.raises(TypeError, match=r"randomise has no argument 'strengh'.*strength"):
+        SandEnv("Hopper", randomise={"strengh": (1, 2)})
     with pytest.raises(InputError, match="a curriculum needs randomise"):
         SandEnv("Hopper", curriculum=lambda episode: SandRanges())
     with pytest.raises(InputError, match="observe_sand needs randomise"):

@@ -85,7 +85,8 @@ def test_a_seed_decides_all_and_nothing_is_constant(name):
     seen = np.array([observation for observation, _, _ in one])
     for column in np.flatnonzero(np.ptp(seen, axis=0) == 0):
         # Gymnasium's own: quantities of bodies welded to others, and forces on what hangs free.
-        assert name in ("Ant", "Humanoid"), column
+        # And a command holds for some seconds.
+        assert name in ("Ant", "Humanoid", "Go1Velocity"), column
 
 
 @pytest.mark.parametrize("name", tasks)

@@ -1,0 +1,427 @@
+"""Robots that follow commanded velocities on sand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from mjgranular import InputError
+from mjgranular.envs.ranges import Sample
+from mjgranular.envs.task import Start, State, Task
+from mjgranular.models import robot_path
+from mjgranular.shape.select import Choice
+
+LEGS = ("FR", "FL", "RR", "RL")
+JOINTS = tuple(f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "thigh", "calf"))
+
+# Rows of `userdata`: steps of the episode, sine and cosine of the slope, the last action, and what
+# is drawn at the start: commands and pushes, each with the step at which it begins.
+_STEP, _SLOPE, _ACTION = 0, slice(1, 3), slice(3, 15)
+_COMMANDS, _PUSHES = 7, 20  # at most, in an episode of 20 s
+_COMMAND = slice(15, 15 + 4 * _COMMANDS)
+_PUSH = slice(_COMMAND.stop, _COMMAND.stop + 7 * _PUSHES)
+
+_COMMAND_TIME = (3.0, 8.0)  # of a command [s]; these and the next two as in mjlab
+_PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
+_PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
+_STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
+
+# Motors as in mjlab: inertia of a rotor behind a gear, a natural frequency of 10 Hz, twice the
+# critical damping, and the torque of the data sheet.
+_ROTOR = 0.000111842  # [kg m^2]
+_FREQUENCY, _DAMPING = 20 * math.pi, 2.0  # [rad/s], ratio
+_GEARS = {"hip": 6.0, "thigh": 6.0, "calf": 9.0}
+_TORQUES = {"hip": 23.7, "thigh": 23.7, "calf": 35.55}  # [N m]
+_STANCE = {"hip": 0.1, "thigh": 0.9, "calf": -1.8}  # [rad]; hips on the left have the other sign
+_POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait needs [rad]
+
+_CLEARANCE = 0.1  # height of a swinging foot [m], as in mjlab
+_LOW = 0.1  # height of the trunk at which the robot has fallen [m]; chosen: half of standing
+_TILT = math.cos(math.radians(70))  # as in mjlab
+
+
+@dataclass(frozen=True, kw_only=True)
+class Go1Velocity(Task):
+    """Follow commands of velocity on four legs.
+
+    ## Description
+    A Unitree Go1, 12.7 kg, walks on Quikrete medium sand at commanded velocities: ahead,
+    sideways and in yaw. Commands, pushes and motors are those of mjlab's velocity task, which has
+    a hard floor; rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in
+    this package: `mjgranular.models.robot_path` finds them.
+
+    The sand meets the lower legs, with the geoms that the robot collides with:
+
+    | body | geoms | why |
+    |---|---|---|
+    | `*_calf` | a sphere of 46 mm, the foot | it carries the robot, and sinks by some 3 cm |
+    | `*_calf` | capsules of 20 mm, the shank | what follows the foot into weak sand |
+    | others | none | the episode is over before they reach the sand |
+
+    Parts of the robot do not collide with each other.
+
+    ## Action Space
+    `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets
+    from the stance.
+
+    | index | name | unit | range |
+    |---|---|---|---|
+    | 0, 1, 2 | hip, thigh and calf of the front right leg | rad | -1 to 1 |
+    | 3 to 5 | front left | rad | -1 to 1 |
+    | 6 to 8 | rear right | rad | -1 to 1 |
+    | 9 to 11 | rear left | rad | -1 to 1 |
+
+    ## Observation Space
+    `Box(-inf, inf, (45,), float64)`: what the robot can measure; order of joints as above.
+
+    | index | name | unit | range |
+    |---|---|---|---|
+    | 0 to 2 | direction of gravity, in the frame of the trunk | 1 | -1 to 1 |
+    | 3 to 5 | angular velocity of the trunk, in its frame | rad/s | any |
+    | 6 to 17 | joint angles from the stance | rad | limits of the joints |
+    | 18 to 29 | joint velocities | rad/s | any |
+    | 30 to 41 | last action | rad | -1 to 1 |
+    | 42, 43 | commanded velocity ahead and to the left | m/s | `command_x`, `command_y` |
+    | 44 | commanded yaw rate, to the left | rad/s | `command_yaw` |
+
+    ## Rewards
+    The sum of these, each times the duration of a step, 0.02 s:
+
+    | name | value | weight |
+    |---|---|---|
+    | `reward_linear` | exp(-e^2 / 0.25), e from the commanded velocity [m/s], 0 along z | 3 |
+    | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
+    | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt to the surface | 1 |
+    | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
+    | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
+    | `reward_rate` | square of the change of the action | -0.2 |
+    | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
+    | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
+    | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -1 |
+
+    Deviations from the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the
+    command is to stand.
+
+    ## Starting State
+    In its stance on the surface, heading anywhere; joints are off by up to `reset_noise_scale` rad
+    and turn at up to that in rad/s.
+
+    A command holds for 3 to 8 s. One of ten is to stand, one of five to walk straight ahead, at 0.3
+    m/s or more. Every 1 to 3 s a push changes the trunk's velocity by up to `push_scale` times 0.5
+    m/s along x and y, 0.4 m/s along z, 0.52 rad/s in roll and pitch and 0.78 rad/s in yaw.
+
+    ## Episode End
+    Terminated when the trunk tilts by more than 70 degrees from the surface's normal, or is less
+    than 0.1 m above the surface. Truncated after 1000 steps of 0.02 s.
+
+    ## Arguments
+    `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same names of joints;
+    `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
+    `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=3`,
+    `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
+    default resolution is 2.
+
+    ## Version History
+    v0: first.
+    """
+
+    title: ClassVar[str] = "a Unitree Go1 follows commands of velocity"
+    reads: ClassVar[tuple[str, ...]] = ("site_xpos", "actuator_force")
+    camera: ClassVar[dict[str, Any]] = {
+        "trackbodyid": 1, "distance": 1.6, "azimuth": 125.0, "elevation": -15.0,
+    }  # fmt: skip
+    timestep: ClassVar[float] = 0.005
+
+    robot_file: str | Path = "unitree_go1"
+    bodies: Choice = tuple(f"{leg}_calf" for leg in LEGS)
+    resolution: int | None = 2
+    frame_skip: int = 4
+    command_x: tuple[float, float] = (-0.8, 0.8)
+    command_y: tuple[float, float] = (-0.4, 0.4)
+    command_yaw: tuple[float, float] = (-1.0, 1.0)
+    push_scale: float = 1.0
+    reset_noise_scale: float = 0.05
+    linear_weight: float = 3.0
+    angular_weight: float = 1.5
+    upright_weight: float = 1.0
+    pose_weight: float = 0.5
+    wobble_weight: float = 0.05
+    rate_weight: float = 0.2
+    torque_weight: float = 2e-4
+    slip_weight: float = 0.1
+    clearance_weight: float = 1.0
+
+    def robot(self) -> mujoco.MjSpec:
+        path = robot_path(self.robot_file)
+        spec = mujoco.MjSpec.from_file(str(path))
+        for each in (*spec.sensors, *spec.actuators, *spec.keys):
+            spec.delete(each)
+        hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
+        if tuple(joint.name for joint in hinges) != JOINTS:
+            raise InputError(f"{path} must have the joints {', '.join(JOINTS)}, in this order")
+        for joint in hinges:
+            _add_motor(spec, joint)
+        for leg in LEGS:
+            _add_foot_site(spec.body(f"{leg}_calf"))
+        for body in spec.bodies[1:]:
+            for geom in body.geoms:
+                geom.conaffinity = int(bool(geom.contype or geom.conaffinity))
+                geom.contype = 0
+        _add_scenery(spec)
+        spec.option.timestep = self.timestep
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.nuserdata = _PUSH.stop
+        return spec
+
+    @cached_property
+    def _stance(self) -> np.ndarray:
+        """Joint angles of the stance [rad], shape (12,)."""
+        return np.array([_stance_of(joint) for joint in JOINTS])
+
+    @cached_property
+    def _feet(self) -> list[int]:
+        """Rows of the feet in `site_xpos`."""
+        return [self.model.site(_foot_name(leg)).id for leg in LEGS]
+
+    @cached_property
+    def _radius(self) -> float:
+        """Radius of a foot [m]."""
+        return float(self.model.site(_foot_name(LEGS[0])).size[0])
+
+    @cached_property
+    def _standing(self) -> np.ndarray:
+        """`qpos` in the stance, with the lowest foot at z = 0."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = self.model.qpos0
+        data.qpos[:2], data.qpos[7:] = 0.0, self._stance
+        mujoco.mj_kinematics(self.model, data)
+        data.qpos[2] += self._radius - data.site_xpos[self._feet, 2].min()
+        return data.qpos.copy()
+
+    # The start of an episode, with all that happens in it.
+
+    def start(self, random: np.random.Generator, height: Callable[[float, float], float]) -> Start:
+        noise, qpos = self.reset_noise_scale, self._standing.copy()
+        qpos[2] += max(height(x, y) for x in (-0.25, 0.0, 0.25) for y in (-0.15, 0.0, 0.15))
+        heading = random.uniform(-math.pi, math.pi)
+        qpos[3:7] = math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)
+        qpos[7:] += random.uniform(-noise, noise, 12)
+        qvel = np.zeros(18)
+        qvel[6:] = random.uniform(-noise, noise, 12)
+        userdata = np.zeros(_PUSH.stop)
+        userdata[_SLOPE] = 0.0, 1.0
+        userdata[_COMMAND] = self._draw_commands(random).ravel()
+        userdata[_PUSH] = self._draw_pushes(random).ravel()
+        return Start(qpos, qvel, userdata)
+
+    def begin(self, random: np.random.Generator, sample: Sample | None) -> Start:
+        start = super().begin(random, sample)
+        if sample is not None:
+            assert start.userdata is not None
+            start.userdata[_SLOPE] = math.sin(sample.slope), math.cos(sample.slope)
+        return start
+
+    def _draw_commands(self, random: np.random.Generator) -> np.ndarray:
+        """Return steps at which commands begin, and commands; shape (_COMMANDS, 4)."""
+        ranges = (self.command_x, self.command_y, self.command_yaw)
+        table = np.zeros((_COMMANDS, 4))
+        table[1:, 0] = np.cumsum(self._draw_steps(random, _COMMAND_TIME, _COMMANDS - 1))
+        for row in table:
+            row[1:] = [random.uniform(*limits) for limits in ranges]
+            kind = random.uniform()
+            if kind < _STANDING:
+                row[1:] = 0.0
+            elif kind < _STANDING + _FORWARD:
+                row[1:] = min(max(abs(row[1]), 0.3), self.command_x[1]), 0.0, 0.0
+        return table
+
+    def _draw_pushes(self, random: np.random.Generator) -> np.ndarray:
+        """Return steps of pushes, and changes of the trunk's velocity; shape (_PUSHES, 7)."""
+        table = np.zeros((_PUSHES, 7))
+        table[:, 0] = np.cumsum(self._draw_steps(random, _PUSH_TIME, _PUSHES))
+        limit = self.push_scale * _PUSH_SIZE
+        table[:, 1:] = random.uniform(-limit, limit, (_PUSHES, 6))
+        return table
+
+    def _draw_steps(
+        self, random: np.random.Generator, seconds: tuple[float, float], count: int
+    ) -> np.ndarray:
+        return np.round(random.uniform(*seconds, count) / self.dt)
+
+    # A step.
+
+    def mark(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        return state.userdata[:, _ACTION].copy(), state.site_xpos.take(self._feet, axis=1)
+
+    def act(self, action: np.ndarray, state: State) -> np.ndarray:
+        applied = np.clip(action, -1.0, 1.0).astype(float)
+        state.userdata[:, _ACTION] = applied
+        state.userdata[:, _STEP] += 1
+        self._push(state)
+        return self._stance + applied
+
+    def _push(self, state: State) -> None:
+        pushes = state.userdata[:, _PUSH].reshape(-1, _PUSHES, 7)
+        for row, push in np.argwhere(pushes[:, :, 0] == state.userdata[:, _STEP, None]):
+            state.qvel[row, :6] += pushes[row, push, 1:]
+
+    def command(self, state: State) -> np.ndarray:
+        """Return commands: velocity ahead, to the left [m/s], yaw rate [rad/s]; shape (n, 3)."""
+        return self.once(state, "command", self._command)
+
+    def _command(self, state: State) -> np.ndarray:
+        table = state.userdata[:, _COMMAND].reshape(-1, _COMMANDS, 4)
+        begun = table[:, :, 0] <= state.userdata[:, _STEP, None]
+        return table[np.arange(len(table)), begun.sum(axis=1) - 1, 1:]
+
+    def observe(self, state: State) -> np.ndarray:
+        sine, cosine = state.userdata[:, _SLOPE].T
+        gravity = (-sine, np.zeros(len(sine)), -cosine)
+        return np.concatenate(
+            [
+                np.stack(_to_body(state.qpos, gravity), axis=1),
+                state.qvel[:, 3:6],
+                state.qpos[:, 7:] - self._stance,
+                state.qvel[:, 6:],
+                state.userdata[:, _ACTION],
+                self.command(state),
+            ],
+            axis=1,
+        )
+
+    def rewards(self, before: Any, action: np.ndarray, state: State) -> dict[str, np.ndarray]:
+        last, feet_before = before
+        feet, command = state.site_xpos.take(self._feet, axis=1), self.command(state)
+        velocity, turning = self.velocity(state), state.qvel[:, 3:6]
+        normal = _to_body(state.qpos, (0.0, 0.0, 1.0))
+        tilt = np.square(normal[0]) + np.square(normal[1])
+        stands = np.square(command).sum(axis=1) == 0.0
+        offset = (state.qpos[:, 7:] - self._stance) / np.where(stands[:, None], _POSE / 3, _POSE)
+        speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
+        height = feet[:, :, 2] - self._radius - self._ground(state, feet)
+        change = state.userdata[:, _ACTION] - last
+        slip = np.where(height < 0.0, np.square(speed), 0.0)
+        linear = _with_xy(command[:, :2]) - velocity
+        yaw = turning[:, 2] - command[:, 2]
+        terms = {
+            "linear": self.linear_weight * _exp(-np.square(linear).sum(axis=1) / 0.25),
+            "angular": self.angular_weight * _exp(-np.square(yaw) / 0.5),
+            "upright": self.upright_weight * _exp(-tilt / 0.2),
+            "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / 12),
+            "wobble": -self.wobble_weight * np.square(turning[:, :2]).sum(axis=1),
+            "rate": -self.rate_weight * np.square(change).sum(axis=1),
+            "torque": -self.torque_weight * np.square(state.actuator_force).sum(axis=1),
+            "slip": -self.slip_weight * slip.sum(axis=1),
+            "clearance": -self.clearance_weight * (np.abs(height - _CLEARANCE) * speed).sum(axis=1),
+        }
+        return {f"reward_{name}": self.dt * value for name, value in terms.items()}
+
+    def terminated(self, state: State) -> np.ndarray:
+        trunk = state.qpos[:, None, :3]
+        high = state.qpos[:, 2] - self._ground(state, trunk)[:, 0] > _LOW
+        return ~(high & (_to_body(state.qpos, (0.0, 0.0, 1.0))[2] > _TILT))
+
+    def velocity(self, state: State) -> np.ndarray:
+        """Return velocities of the trunk in its own frame [m/s], shape (n, 3)."""
+        return np.stack(_to_body(state.qpos, state.qvel[:, :3].T), axis=1)
+
+    def place(self, state: State) -> dict[str, np.ndarray]:
+        return {
+            "x_position": state.qpos[:, 0].copy(),
+            "y_position": state.qpos[:, 1].copy(),
+            "command": self.command(state).copy(),
+        }
+
+    def progress(self, before: Any, state: State) -> dict[str, np.ndarray]:
+        velocity, command = self.velocity(state), self.command(state)
+        error = np.sqrt(np.square(velocity[:, :2] - command[:, :2]).sum(axis=1))
+        return {
+            "velocity": velocity,
+            "velocity_error": error,
+            "yaw_rate_error": np.abs(state.qvel[:, 5] - command[:, 2]),
+        }
+
+    def _ground(self, state: State, points: np.ndarray) -> np.ndarray:
+        """Return heights of the untouched surface under points of shape (n, k, 3) [m]."""
+        heights = np.zeros(points.shape[:2])
+        for number in range(len(self.choices)):
+            height = self.ground(number)
+            if height is not None:
+                for row in np.flatnonzero(state.active == number):
+                    heights[row] = [height(x, y) for x, y, _ in points[row].tolist()]
+        return heights
+
+
+def _stance_of(joint: str) -> float:
+    leg, part, _ = joint.split("_")
+    return -_STANCE[part] if part == "hip" and leg[1] == "L" else _STANCE[part]
+
+
+def _foot_name(leg: str) -> str:
+    return f"{leg} sole"
+
+
+def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
+    part = joint.name.split("_")[1]
+    inertia = _ROTOR * _GEARS[part] ** 2
+    joint.armature, joint.damping, joint.frictionloss = inertia, [0, 0, 0], 0.0
+    motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    motor.set_to_position(kp=inertia * _FREQUENCY**2, kv=2 * _DAMPING * inertia * _FREQUENCY)
+    motor.forcelimited, motor.forcerange = True, [-_TORQUES[part], _TORQUES[part]]
+
+
+def _add_foot_site(calf: mujoco.MjsBody) -> None:
+    """Mark the center of the foot: the lowest sphere of the calf."""
+    feet = [
+        geom
+        for geom in calf.geoms
+        if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and (geom.contype or geom.conaffinity)
+    ]
+    if not feet:
+        raise InputError(f"the body {calf.name} must have a sphere that collides: its foot")
+    foot = min(feet, key=lambda geom: geom.pos[2])
+    calf.add_site(name=_foot_name(calf.name.split("_")[0]), pos=foot.pos, size=foot.size, group=5)
+
+
+def _add_scenery(spec: mujoco.MjSpec) -> None:
+    """Add a floor at z = 0, a sky and a light."""
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
+    spec.worldbody.add_light(pos=[0, -1, 3], dir=[0, 0.3, -1], type=1, diffuse=[0.6, 0.6, 0.6])
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.6, 0.75, 0.9],
+        rgb2=[0.95, 0.95, 0.95],
+        width=64,
+        height=384,
+    )
+
+
+def _to_body(qpos: np.ndarray, vector: Any) -> tuple[Any, Any, Any]:
+    """Rotate a vector of the world's frame into that of the trunk."""
+    w, x, y, z = qpos[:, 3:7].T
+    a, b, c = vector
+    p, q, r = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    return (
+        a - w * p + (y * r - z * q),
+        b - w * q + (z * p - x * r),
+        c - w * r + (x * q - y * p),
+    )
+
+
+def _with_xy(xy: np.ndarray) -> np.ndarray:
+    """Append a zero to each row."""
+    return np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
+
+
+def _exp(values: np.ndarray) -> np.ndarray:
+    """Return the exponential; `np.exp` differs in the last bit between short and long arrays."""
+    return np.array([math.exp(value) for value in values.tolist()])

@@ -1,0 +1,56 @@
+"""Robots by name: their MJCF, from MuJoCo Menagerie or from a folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from mjgranular._util.extras import require
+from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
+
+ROOT = "MENAGERIE_ROOT"
+"""Environment variable: a folder with one folder per robot, such as a checkout of MuJoCo Menagerie.
+The package `mujoco-menagerie` reads it too."""
+
+
+def robot_path(robot: str | Path) -> Path:
+    """Return the path of a robot's MJCF file, without a floor.
+
+    Files are searched in the folder `ROOT`, then by the package `mujoco-menagerie`, which downloads
+    a robot on first use and keeps it.
+
+    Args:
+        robot: a name of MuJoCo Menagerie, such as "unitree_go1"; or a path, returned unchanged.
+
+    Raises:
+        UnknownNameError: MuJoCo Menagerie has no such robot; lists those it has.
+        InputError: the robot is not on this machine and cannot be downloaded.
+    """
+    if not is_name(robot):
+        return Path(robot)
+    name = str(robot)
+    file = f"{name}/{name.rpartition('_')[2]}.xml"  # unitree_go1/go1.xml
+    remedy = f"give the path of its MJCF, or set {ROOT} to a folder that has {file}"
+    root = os.environ.get(ROOT)
+    if root and (Path(root) / file).is_file():
+        return Path(root) / file
+    try:
+        menagerie = require(
+            "mujoco_menagerie", extra="robots", purpose=f"Downloading the robot {name}"
+        )
+    except MissingExtraError as error:
+        raise InputError(f"{error}; or {remedy}") from None
+    if name not in menagerie.names():
+        raise UnknownNameError("robot", name, menagerie.names())
+    found = menagerie.get(name)
+    try:
+        return Path(found.path(progress=None)) / found.entry(found.default_model).file
+    except (menagerie.MenagerieError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"cannot get the robot {name}: {reason}; {remedy}") from None
+
+
+def is_name(robot: str | Path) -> bool:
+    """Return True for a robot's name: a lower-case identifier that is not a file."""
+    text = str(robot)
+    return text.isidentifier() and text.islower() and not Path(text).exists()

@@ -1,0 +1,163 @@
+"""The Go1 by its name, and its task of commanded velocities."""
+
+import math
+import sys
+from types import SimpleNamespace
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+
+from mjgranular import InputError, UnknownNameError
+from mjgranular.envs import SandRanges, SandVectorEnv
+from mjgranular.envs.single import SandEnv
+from mjgranular.envs.velocity import Go1Velocity
+from mjgranular.experiment.drop import Drop, load
+from mjgranular.models import robot_path
+
+STILL = {"push_scale": 0.0, "reset_noise_scale": 0.0}
+STAND = {"command_x": (0.0, 0.0), "command_y": (0.0, 0.0), "command_yaw": (0.0, 0.0)}
+ZERO = np.zeros(12, np.float32)
+
+
+@pytest.fixture(autouse=True)
+def go1(robots):
+    return robots / "unitree_go1" / "go1.xml"
+
+
+class Menagerie:
+    """The documented interface of the package mujoco-menagerie, without a network."""
+
+    class MenagerieError(Exception):
+        pass
+
+    default_model = "go1"
+
+    @staticmethod
+    def names():
+        return ["unitree_g1", "unitree_go1"]
+
+    def get(self, name):
+        return self
+
+    def path(self, progress):
+        raise self.MenagerieError("no network")
+
+
+def test_a_robot_is_found_by_its_name_or_its_path(go1, monkeypatch):
+    assert robot_path("unitree_go1") == go1
+    assert robot_path(go1) == go1
+    model, _ = load(Drop("unitree_go1"))
+    assert model.body("trunk").id > 0
+    monkeypatch.delenv("MENAGERIE_ROOT")
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", Menagerie())
+    with pytest.raises(InputError, match=r"no network; give the path .* unitree_go1/go1\.xml"):
+        robot_path("unitree_go1")
+    with pytest.raises(UnknownNameError, match="unitree_go1"):
+        robot_path("unitree_go")
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
+    with pytest.raises(InputError, match=r"mjgranular\[robots\].*; or give the path of its MJCF"):
+        gym.make("mjgranular/Go1Velocity-v0")
+
+
+def test_another_robot_is_refused_by_its_joints():
+    with pytest.raises(InputError, match="must have the joints FR_hip_joint"):
+        SandEnv(Go1Velocity(robot_file=mujoco_humanoid()))
+
+
+def mujoco_humanoid():
+    from gymnasium.envs import mujoco as robots
+
+    return f"{robots.__path__[0]}/assets/humanoid.xml"
+
+
+def test_it_stands_with_its_weight_on_its_feet():
+    task = Go1Velocity(**STILL, **STAND)
+    env = SandEnv(task)
+    env.reset(seed=0)
+    for _ in range(100):
+        observation, reward, terminated, _, info = env.step(ZERO)
+        assert not terminated
+    weight = task.model.body_mass.sum() * 9.81
+    assert info["sand/force"][2] == pytest.approx(weight, rel=0.02)
+    assert info["sand/depth"] < 0.05
+    assert observation[:3] == pytest.approx([0, 0, -1], abs=0.05)
+    assert 5 * task.dt < reward < 6 * task.dt
+    assert sum(info[name] for name in info if name.startswith("reward_")) == pytest.approx(reward)
+
+
+def test_velocities_are_those_of_the_trunk_in_its_own_frame():
+    env = SandEnv(Go1Velocity(**STILL))
+    env.reset(seed=1)
+    for _ in range(10):
+        _, _, _, _, info = env.step(env.action_space.sample())
+    mujoco.mj_forward(env.model, env.data)
+    found = np.zeros(6)
+    mujoco.mj_objectVelocity(env.model, env.data, mujoco.mjtObj.mjOBJ_XBODY, 1, found, 1)
+    assert info["velocity"] == pytest.approx(found[3:], abs=1e-9)
+    assert env.task.observe(env._state)[0, 3:6] == pytest.approx(found[:3], abs=1e-9)
+
+
+def test_gravity_leans_with_the_slope():
+    ranges = SandRanges(slope=(0.1, 0.1))
+    env = SandEnv(Go1Velocity(**STILL, randomise=ranges))
+    observation, _ = env.reset(seed=0)
+    turn = env.data.body("trunk").xmat.reshape(3, 3)
+    assert observation[:3] == pytest.approx(turn.T @ env.model.opt.gravity / 9.81, abs=1e-9)
+
+
+def test_commands_and_pushes_come_within_an_episode():
+    env = gym.make("mjgranular/Go1Velocity-v0", command_x=(-0.7, 0.7), reset_noise_scale=0.0)
+    task = env.unwrapped.task
+    env.reset(seed=4)
+    seen, jumps = set(), 0
+    for _ in range(450):
+        before = env.unwrapped.data.qvel.copy()
+        _, _, terminated, _, info = env.step(ZERO)
+        seen.add(tuple(info["command"]))
+        assert np.all(np.abs(info["command"]) <= [0.7, 0.4, 1.0])
+        jumps += int(np.abs(env.unwrapped.data.qvel[:3] - before[:3]).max() > 0.1)
+        if terminated:
+            break
+    assert len(seen) > 1
+    assert jumps >= 2
+    commands = np.array([task._draw_commands(np.random.default_rng(k)) for k in range(300)])
+    stand = np.all(commands[:, :, 1:] == 0, axis=2).mean()
+    ahead = np.mean((commands[:, :, 1] > 0) & (commands[:, :, 2] == 0))
+    assert stand == pytest.approx(0.1, abs=0.02)
+    assert ahead == pytest.approx(0.2, abs=0.03)
+    assert np.all(np.diff(commands[:, :, 0], axis=1) >= 3.0 / task.dt)
+
+
+def test_a_fall_ends_the_episode():
+    env = SandEnv(Go1Velocity(**STILL))
+    env.reset(seed=0)
+    env.data.qpos[3:7] = math.cos(0.7), math.sin(0.7), 0, 0  # 80 degrees
+    assert env.task.terminated(env._state)[0]
+    env.data.qpos[3:7] = 1, 0, 0, 0
+    assert not env.task.terminated(env._state)[0]
+    env.data.qpos[2] = 0.09
+    assert env.task.terminated(env._state)[0]
+
+
+def test_heights_are_those_over_the_drawn_surface():
+    task = Go1Velocity(randomise={"surfaces": ("plane", "dunes")})
+    state = SimpleNamespace(active=np.array([1, 0]))
+    heights = task._ground(state, np.array([[[1.0, 2.0, 0.3]], [[1.0, 2.0, 0.3]]]))
+    assert heights.tolist() == [[task.dunes.height(1.0, 2.0)], [0.0]]
+
+
+@pytest.mark.slow
+def test_drawn_sand_in_a_batch_is_that_of_single_environments():
+    media = ("quikrete_medium", "poppy_seed_loose")
+    ranges = SandRanges(strength=(0.5, 2.0), slope=(-0.1, 0.1), media=media)
+    options = {"randomise": ranges, "observe_sand": True}
+    batch = SandVectorEnv("Go1Velocity", 2, max_episode_steps=8, **options)
+    make = [lambda: gym.make("mjgranular/Go1Velocity-v0", max_episode_steps=8, **options)] * 2
+    sync = gym.vector.SyncVectorEnv(make)
+    assert np.array_equal(batch.reset(seed=2)[0], sync.reset(seed=2)[0])
+    for _ in range(20):
+        actions = sync.action_space.sample()
+        for one, other in zip(batch.step(actions)[:4], sync.step(actions)[:4], strict=True):
+            assert np.array_equal(one, other)
