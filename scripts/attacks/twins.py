@@ -246,7 +246,7 @@ def run(case: ModelCase) -> Result:
         one, half, quarter = (Question("", refine=k) for k in (1, 2, 4))
         coarse = apart(spec, given, half, number, one)
         check("half step", apart(spec, given, quarter, number, half), max(0.75 * coarse, HALF))
-        if not case.program[0].startswith("link"):
+        if case.program[0].startswith("rft"):  # the others act on whole geoms
             spec, box_sand = models.draw_twin(rng, case.program, shape="box")
             given = {**arguments(box_sand), "resolution": FINE}
             for count in (2, 4):
