@@ -17,7 +17,7 @@ from mjgranular.cli.results import FilmOptions, Frames, collected, write_film
 from mjgranular.errors import GranularError, GranularWarning, OutputError
 from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop, surface_drawn
 from mjgranular.experiment.folder import RUN_FILES, write_drop
-from mjgranular.prints import Prints
+from mjgranular.render import Tracks
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film, Motion
@@ -108,7 +108,7 @@ def _film(folder: ResultFolder, result: DropResult, camera: str) -> None:
     write_film(folder, FILM, film, frames_of(film, result.drop, motion, result.prints))
 
 
-def frames_of(film: Film, drop: Drop, motion: Motion, prints: Prints | None) -> Frames:
+def frames_of(film: Film, drop: Drop, motion: Motion, prints: Tracks | None) -> Frames:
     """Return a function that renders the frames of a run.
 
     Raises:

@@ -26,7 +26,7 @@ from mjgranular.kernel.memory import (
 from mjgranular.kernel.records import bodies_of, contacts_of
 from mjgranular.kernel.structs import record_of
 from mjgranular.kernel.vector import cross, dot, read_vector, vector, write_vector
-from mjgranular.prints.shape import FRAME_DTYPE, canvases
+from mjgranular.render.track_kernel import FRAME_DTYPE, canvases
 from mjgranular.surface.plane import PLANE_DTYPE
 
 GEOM_DTYPE = record_of("mjvGeom")

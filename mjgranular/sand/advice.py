@@ -551,9 +551,11 @@ CHECKS = (
     (slope, RangeWarning),
     (start, RangeWarning),
     (points, PointsWarning),
-    (link_law, GranularWarning),
 )
 """Checks of a case, made once."""
+
+CHECKS_OF_LAW = ((link_law, GranularWarning),)
+"""Checks of a case whose law has elements for all geoms."""
 
 CHECKS_OF_MEMORY = (
     (cells, GranularWarning),

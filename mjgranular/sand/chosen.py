@@ -55,10 +55,10 @@ def choose_sand(model: mujoco.MjModel, spec: SandSpec) -> ChosenSand:
     geoms = geoms_in_sand(model, spec)
     medium, law = material_of(model, spec)
     replaced = replace_geoms(model, spec.instead_of)
-    advice.warn(
-        advice.CHECKS, advice.Case(model, spec, geoms, law, surface, as_memory(spec.memory))
-    )
+    case = advice.Case(model, spec, geoms, law, surface, as_memory(spec.memory))
+    advice.warn(advice.CHECKS, case)
     elements = elements_of(model, geoms, law, spec.resolution)
+    advice.warn(advice.CHECKS_OF_LAW, case)
     return ChosenSand(
         medium=medium,
         law=law,

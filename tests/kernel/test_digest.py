@@ -8,7 +8,7 @@ import pytest
 from mjgranular.kernel import digest
 
 PACKAGE = Path(digest.__file__).parents[1]
-OTHERS = ("fit", "warp")
+OTHERS = ("calibrate", "warp")
 """Folders that call programs, or read the source of kernels, and make none that numba compiles."""
 
 

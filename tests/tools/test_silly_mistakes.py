@@ -153,8 +153,8 @@ impact --body sphere --length 0.3 | a sphere has no --length: its size is its --
 impact --body chain:2 --until rest | --until is for one body: a chain is followed for its --duration
 impact --camera close | --camera is for a film: add --video
 impact --body chain:2 --video --out film --camera up | no camera 'up'; there are: free,
-impact --body chain:0 | a chain is chain:N with N links
-impact --body chain:two | a chain is chain:N with N links
+impact --body chain:0 | chain:N
+impact --body chain:two | chain:N
 impact --until never | invalid choice 'never' for argument '--until'. Expected one of
 impact --length 20 --diameter 30 | the link must be longer than it is thick: length 20.0 m
 impact --density 0 | the link's density must be positive and finite
@@ -167,7 +167,7 @@ intrude --model block.xml --geom foot | no geom of the model 'foot'; there are:
 intrude --model floor.xml --geom floor | geom 'floor' is fixed to the world
 intrude --model block.xml --intruder sphere | the intruder is a shape or of a model: omit --model
 sweep --vary mass=1,2 | no field to vary 'mass'; there are:
-sweep --vary speed=2:2:3 | a range goes from its lower to its upper end, not from 2.0 to 2.0
+sweep --vary speed=2:2:3 | a range goes from its lower to its upper end
 sweep --vary speed=1:2:1 | 2 to 1000000 values
 impact --paper --timestep nan | the time step must be positive and finite
 render nowhere | nowhere holds no saved run (nowhere/config.json cannot be
