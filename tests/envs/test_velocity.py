@@ -75,7 +75,8 @@ def mujoco_humanoid():
 def test_it_stands_with_its_weight_on_its_feet():
     task = Go1Velocity(**STILL, **STAND)
     env = SandEnv(task)
-    env.reset(seed=0)
+    observation, info = env.reset(seed=0)
+    reward = 0.0
     for _ in range(100):
         observation, reward, terminated, _, info = env.step(ZERO)
         assert not terminated
@@ -89,7 +90,7 @@ def test_it_stands_with_its_weight_on_its_feet():
 
 def test_velocities_are_those_of_the_trunk_in_its_own_frame():
     env = SandEnv(Go1Velocity(**STILL))
-    env.reset(seed=1)
+    _, info = env.reset(seed=1)
     for _ in range(10):
         _, _, _, _, info = env.step(env.action_space.sample())
     mujoco.mj_forward(env.model, env.data)
