@@ -102,7 +102,7 @@ class Go1Velocity(Task):
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
     | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
-    | `reward_rate` | square of the change of the action | -0.2 |
+    | `reward_rate` | square of the change of the action | -0.02 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
     | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -1 |
@@ -156,7 +156,7 @@ class Go1Velocity(Task):
     upright_weight: float = 1.0
     pose_weight: float = 0.5
     wobble_weight: float = 0.05
-    rate_weight: float = 0.2
+    rate_weight: float = 0.02
     torque_weight: float = 2e-4
     slip_weight: float = 0.1
     clearance_weight: float = 1.0
