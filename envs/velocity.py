@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from mjgranular import InputError
+from mjgranular.envs.ground import told_by_mujoco
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import robot_path
@@ -98,16 +99,17 @@ class Go1Velocity(Task):
     |---|---|---|
     | `reward_linear` | exp(-e^2 / 0.25), e from the commanded velocity [m/s], 0 along z | 3 |
     | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
-    | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt to the surface | 1 |
+    | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
     | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
-    | `reward_rate` | square of the change of the action | -0.2 |
+    | `reward_rate` | square of the change of the action | -0.02 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
     | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -1 |
 
     Deviations from the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the
-    command is to stand.
+    command is to stand. Tilt and motion along the surface are relative to the plane z = 0, which
+    is the surface on level sand and on sampled slopes, but not on dunes or a `Plane` with a slope.
 
     ## Starting State
     In its stance on the surface, heading anywhere; joints are off by up to `reset_noise_scale` rad
@@ -116,13 +118,14 @@ class Go1Velocity(Task):
     A command holds for 3 to 8 s. One of ten is to stand, one of five to walk straight ahead, at 0.3
     m/s or more. Every 1 to 3 s a push changes the trunk's velocity by up to `push_scale` times 0.5
     m/s along x and y, 0.4 m/s along z, 0.52 rad/s in roll and pitch and 0.78 rad/s in yaw.
+    There are 7 commands and 20 pushes, enough for 20 s: in longer episodes the last command holds.
 
     ## Episode End
-    Terminated when the trunk tilts by more than 70 degrees from the surface's normal, or is less
-    than 0.1 m above the surface. Truncated after 1000 steps of 0.02 s.
+    Terminated when the trunk tilts by more than 70 degrees from the axis z, or is less than
+    0.1 m above the surface. Truncated after 1000 steps of 0.02 s.
 
     ## Arguments
-    `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same names of joints;
+    `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;
     `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
     `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=3`,
     `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
@@ -153,20 +156,19 @@ class Go1Velocity(Task):
     upright_weight: float = 1.0
     pose_weight: float = 0.5
     wobble_weight: float = 0.05
-    rate_weight: float = 0.2
+    rate_weight: float = 0.02
     torque_weight: float = 2e-4
     slip_weight: float = 0.1
     clearance_weight: float = 1.0
 
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
-        spec = mujoco.MjSpec.from_file(str(path))
+        with told_by_mujoco():
+            spec = mujoco.MjSpec.from_file(str(path))
+        _check_robot(spec, path)
         for each in (*spec.sensors, *spec.actuators, *spec.keys):
             spec.delete(each)
-        hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
-        if tuple(joint.name for joint in hinges) != JOINTS:
-            raise InputError(f"{path} must have the joints {', '.join(JOINTS)}, in this order")
-        for joint in hinges:
+        for joint in spec.joints[1:]:
             _add_motor(spec, joint)
         for leg in LEGS:
             _add_foot_site(spec.body(f"{leg}_calf"))
@@ -359,6 +361,18 @@ class Go1Velocity(Task):
         return heights
 
 
+def _check_robot(spec: mujoco.MjSpec, path: Path) -> None:
+    kinds = [mujoco.mjtJoint.mjJNT_FREE, *[mujoco.mjtJoint.mjJNT_HINGE] * len(JOINTS)]
+    names = tuple(joint.name for joint in spec.joints[1:])
+    if [joint.type for joint in spec.joints] != kinds or names != JOINTS:
+        raise InputError(
+            f"{path} must have the joints {', '.join(JOINTS)}, in this order, after a free joint"
+        )
+    calves = [f"{leg}_calf" for leg in LEGS]
+    if any(spec.body(name) is None for name in calves):
+        raise InputError(f"{path} must have the bodies {', '.join(calves)}")
+
+
 def _stance_of(joint: str) -> float:
     leg, part, _ = joint.split("_")
     return -_STANCE[part] if part == "hip" and leg[1] == "L" else _STANCE[part]
@@ -391,11 +405,10 @@ def _add_foot_site(calf: mujoco.MjsBody) -> None:
 
 
 def _add_scenery(spec: mujoco.MjSpec) -> None:
-    """Add a floor at z = 0, a sky and a light."""
-    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
+    """Add a floor at z = 0, a sky and a light, without names: the file may have them too."""
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
     spec.worldbody.add_light(pos=[0, -1, 3], dir=[0, 0.3, -1], type=1, diffuse=[0.6, 0.6, 0.6])
     spec.add_texture(
-        name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=[0.6, 0.75, 0.9],

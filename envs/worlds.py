@@ -104,8 +104,13 @@ class Worlds:
         return self._arrays[name]
 
     def expand(self, name: str) -> np.ndarray:
-        """Return an option of the model for each world; only `opt.gravity` is supported."""
-        assert name == "opt.gravity"
+        """Return an option of the model for each world.
+
+        Raises:
+            InputError: another option than `opt.gravity`.
+        """
+        if name != "opt.gravity":
+            raise InputError(f"MuJoCo Warp steps a task with its own {name}: omit refine")
         return self._gravity
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:

@@ -45,10 +45,8 @@ def parse_command(
     """
     registry = ConstructorRegistry()
     registry.primitive_rule(_number_rule)
-    kinds = [Annotated[kind, tyro.conf.subcommand(name)] for name, kind in commands.items()]
-    command: Any = Union[tuple(kinds)]  # noqa: UP007
-    return tyro.cli(
-        command,
+    return tyro.extras.subcommand_cli_from_dict(
+        dict(commands),
         prog=program,
         description=description,
         args=arguments,

@@ -168,7 +168,7 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
     learned the time step and not the robot.
     """
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
-    given = _with_ranges(arguments)
+    given = dict(arguments)
     refine = given.pop("refine", 1)
     check_count("refine", refine)
     try:
@@ -191,20 +191,6 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
         kind = "" if expected else f"{type(error).__name__}: "
         text = f"{env_id} cannot be made: {kind}{' '.join(str(error).split())}"
         raise InputError(text) from (None if expected else error)
-
-
-def _with_ranges(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments of an environment: a table of ranges of sand becomes `SandRanges`."""
-    table = arguments.get("randomise")
-    if not isinstance(table, Mapping):
-        return dict(arguments)
-    from mjgranular.envs.ranges import SandRanges  # pyright: ignore[reportMissingImports]
-
-    try:
-        ranges = SandRanges(**{name: tuple(value) for name, value in table.items()})
-    except TypeError as error:
-        raise InputError(f"randomise must be a table of ranges of sand: {error}") from None
-    return {**arguments, "randomise": ranges}
 
 
 def _inner(env: Any) -> Any:

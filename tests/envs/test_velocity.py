@@ -66,6 +66,25 @@ def test_another_robot_is_refused_by_its_joints():
         SandEnv(Go1Velocity(robot_file=mujoco_humanoid()))
 
 
+def test_files_that_are_not_such_a_robot_are_named(go1, tmp_path):
+    def made_from(old, new):
+        file = tmp_path / "robot.xml"
+        text = go1.read_text().replace('meshdir="', f'meshdir="{go1.parent}/')
+        assert old in text
+        file.write_text(text.replace(old, new, 1))
+        return SandEnv(Go1Velocity(robot_file=file))
+
+    with pytest.raises(InputError, match=r"nothing\.xml"):
+        SandEnv(Go1Velocity(robot_file="nothing.xml"))
+    with pytest.raises(InputError, match="after a free joint"):
+        made_from('<freejoint name="floating_base_joint"/>', "")
+    with pytest.raises(InputError, match="must have the bodies FR_calf"):
+        made_from('<body name="FR_calf"', '<body name="FR_shin"')
+    floor = '<worldbody><geom name="floor" type="plane" size="1 1 1"/>'
+    observation, _ = made_from("<worldbody>", floor).reset(seed=0)
+    assert observation.shape == (45,)
+
+
 def mujoco_humanoid():
     from gymnasium.envs import mujoco as robots
 

@@ -128,6 +128,8 @@ def test_what_has_no_place_is_said(warp_env):
         )
     with pytest.raises(InputError, match="device"):
         warp_env("Hopper", 2, device="gpu7")
+    with pytest.raises(InputError, match="omit refine"):
+        warp_env("Hopper", 2, device="cpu").batch.expand("opt.timestep")
 
     @dataclass(frozen=True, kw_only=True)
     class WithoutSlip(Hopper):
