@@ -126,7 +126,8 @@ def make_image(
         sand: the sand prepared for it.
         tunings: what the sand's state changes (`engine.tuning`).
         drawing: fields of the header that say what is drawn, and how.
-        canvas: for tracks: their record (`prints.shape`), and arrays for blocks and rectangles.
+        canvas: for tracks: their record (`render.track_kernel`), and arrays for blocks and
+            rectangles.
     """
     slots, geoms = (sand.elements[key].astype(np.int64) for key in ("slot", "geom"))
     texts = refusals(sand.scheme)

@@ -76,37 +76,37 @@ class Ground:
         view: View,
         covered: tuple[Tracks, Memory] | None = None,
     ) -> None:
-        self._middle, self._look, self._plane, self._geoms = view.middle, None, None, ()
-        self._cover = None
+        self._middle, self._material, self._plane, self._geoms = view.middle, None, None, ()
+        self._mesh = None
         if covered is not None:
             unit = 2 * view.radius if isinstance(surface, Plane) else TILE
             region = None
             if surface is None:
                 region, unit = _cut_open(model)
-            self._cover = TrackMesh(model, surface or Plane(), covered[1], unit=unit, region=region)
+            self._mesh = TrackMesh(model, surface or Plane(), covered[1], unit=unit, region=region)
             self._replay, self._prints = Replay(*covered), covered[0]
             return
         if isinstance(surface, Plane):
             self._plane = surface
-            self._look = SandMaterial.of(model, surface.normal, surface.offset, view.radius)
+            self._material = SandMaterial.of(model, surface.normal, surface.offset, view.radius)
         elif surface is not None:
             self._geoms = surface.geoms(model)
 
     def moves(self, time: float) -> bool:
         """Return True if sand has flowed between the last picture and a time [s]."""
-        return self._cover is not None and self._prints.change(self._replay.time, time)
+        return self._mesh is not None and self._prints.change(self._replay.time, time)
 
     def lay(self, time: float, middle: np.ndarray) -> None:
         """Update the tracks to a time [s], around a place [m]; call this before a scene is made."""
-        if self._cover is not None:
-            self._cover.lay(self._replay.to(time), middle)
+        if self._mesh is not None:
+            self._mesh.lay(self._replay.to(time), middle)
 
     def show(self, scene: mujoco.MjvScene) -> None:
         """Add a plane; stop geoms of sand from casting shadows, which would speckle them."""
-        if self._cover is not None:
-            self._cover.show(scene)
-        if self._look is not None and self._plane is not None:
-            self._look.add(scene, self._plane.normal, self._plane.offset, self._middle)
+        if self._mesh is not None:
+            self._mesh.show(scene)
+        if self._material is not None and self._plane is not None:
+            self._material.add(scene, self._plane.normal, self._plane.offset, self._middle)
         if self._geoms:
             for geom in scene.geoms[: scene.ngeom]:
                 if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._geoms:

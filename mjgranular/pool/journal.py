@@ -8,6 +8,7 @@ import tempfile
 import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -137,7 +138,8 @@ class Journal:
     def close(self) -> None:
         """Close the file."""
         if self._file is not None:
-            self._file.close()
+            with suppress(OSError):  # of a full disk, which `keep` has reported
+                self._file.close()
             self._file = None
 
     def _read(self) -> tuple[str | None, array[int], int]:

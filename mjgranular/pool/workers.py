@@ -144,5 +144,5 @@ def _answer(function: Function, shared: Any, number: int, task: Any) -> Answer:
             return Answer(number, function(shared, task), None)
     except GranularError as error:
         return Answer(number, None, str(error))
-    except Exception as error:  # any code, such as a custom law
+    except (Exception, SystemExit) as error:  # any code, such as a custom law
         return Answer(number, None, one_line(f"{type(error).__name__}: {error}")[:_LONGEST])

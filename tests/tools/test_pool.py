@@ -32,6 +32,9 @@ def test_a_task_that_raises_is_told_and_the_others_are_there():
     assert results(mapped) == [1.0, 0.5]
     assert [(one.index, one.lost) for one in mapped.failures] == [(1, False)]
     assert mapped.failures[0].reason == "ZeroDivisionError: float division by zero"
+    mapped = map_tasks(operator.call, ["0", "__import__('sys').exit(3)", "2"], shared=eval, on=HERE)
+    assert results(mapped) == [0, 2]
+    assert mapped.failures[0].reason == "SystemExit: 3"
 
 
 def test_an_interruption_keeps_what_is_done_and_a_journal_goes_on(tmp_path):
@@ -122,6 +125,20 @@ def test_what_cannot_be_written_is_told(tmp_path):
     journal = Journal(tmp_path / "gone", {}, 2)
     with pytest.raises(OutputError, match="cannot write"):
         journal.keep([(0, {"x": 1})])
+
+
+def test_a_journal_on_a_full_disk_can_be_closed(tmp_path):
+    resource = pytest.importorskip("resource", reason="limits of a process are those of POSIX")
+    journal = Journal(tmp_path, {}, 1)
+    journal.begin()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(OutputError, match="cannot write"):
+            journal.keep([(0, {"x": 1})])
+        journal.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 # Processes
