@@ -49,6 +49,7 @@ LARGEST = 1_000_000
 _NUMBERS = ("speed", "touch", "depth", "angle", "height")
 _NAMES = ("model_body", "keyframe")
 _RUN_KEYS = ("name", "kind", "data", "body", "columns", "model", *_NUMBERS, *_NAMES)
+_MEASURED_KEYS = ("name", "kind", "data", "body", "columns", "speed", "depth", "angle")
 _BODY_KEYS = ("shape", "diameter", "length", "mass", "density")
 
 _ABOUT: dict[str, Any] = {"source": "unknown", "marks": {}, "guided": [], "to_the_stop": []}
@@ -181,8 +182,8 @@ def _measured_run(
     name, kind = entry["name"], entry["kind"]
     if kind not in get_args(Kind):
         raise UnknownNameError("kind of run", kind, get_args(Kind))
-    values = _numbers(entry, where)
-    numbers = {key: values[key] for key in ("speed", "angle", "depth") if key in values}
+    check_mapping(entry, where, _MEASURED_KEYS)
+    numbers = _numbers(entry, where)
     if entry.get("body") is None:
         raise InputError(f"{where} needs body, such as {{shape: sphere, diameter: 0.0254}}")
     found: dict[str, Any] = read_table(
@@ -252,4 +253,9 @@ def _about(file: Path) -> dict[str, Any]:
         raise InputError(f"{place(file)} is not JSON") from None
     if not isinstance(found, dict):
         raise InputError(f"{place(file)} is a mapping with title, source and marks")
-    return {**plain, **found}
+    about = {**plain, **found}
+    for key, default in plain.items():
+        if not isinstance(about[key], type(default)):
+            kind = {str: "a string", dict: "a mapping", list: "a list"}[type(default)]
+            raise InputError(f"{place(file)}: {key} must be {kind}, got {shown(about[key])}")
+    return about

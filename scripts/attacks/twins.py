@@ -24,7 +24,7 @@ from mjgranular import Plane, Sand
 
 STEPS, TIMESTEP = 16, 1e-3
 EXACT, CUT, HALF = 1e-6, 0.05, 0.05  # in parts of the largest speed; the last two chosen
-FINE = 12  # resolution for other facets
+FINE, FINER = 12, 48  # resolution for other facets, and with memory: halves of the least cell
 _FREE, _HINGE = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
@@ -248,7 +248,9 @@ def run(case: ModelCase) -> Result:
         check("half step", apart(spec, given, quarter, number, half), max(0.75 * coarse, HALF))
         if case.program[0].startswith("rft"):  # the others act on whole geoms
             spec, box_sand = models.draw_twin(rng, case.program, shape="box")
-            given = {**arguments(box_sand), "resolution": FINE}
+            # Tracks vary from cell to cell: with memory, facets must be smaller than a cell.
+            resolution = FINER if "memory" in given else FINE
+            given = {**arguments(box_sand), "resolution": resolution}
             for count in (2, 4):
                 off = apart(spec, given, Question("", cut(count)), number, itself)
                 check(f"cut in {count}", off, CUT)

@@ -198,6 +198,7 @@ def test_a_set_of_ones_own(tmp_path):
         ({"table": "time [s],depth [m]\n0,0\n0,1\n"}, InputError, "grow"),
         ({"table": ""}, InputError, "empty"),
         ({"run": RUN.replace("drop", "throw")}, UnknownNameError, "throw"),
+        ({"run": RUN.replace("speed: 1", "height: 0.1")}, InputError, "no key 'height'"),
         ({"run": RUN.replace("sphere", "cube")}, UnknownNameError, "cube"),
         ({"run": RUN.replace("speed: 1", "speed: fast")}, InputError, "speed"),
         ({"run": "{name: a, kind: drop, data: a.csv}"}, InputError, "body"),
