@@ -100,7 +100,7 @@ Mark = Literal["fitted to", "seen", "blind"]
 MARKS: dict[Mark, str] = {
     "fitted to": "a constant of a law or medium was chosen by this run",
     "seen": "authors of laws knew the run while they worked, but no constant was chosen by it",
-    "blind": "no law or constant was changed after the run was made",
+    "blind": "made after the first form of the law, and used to choose no constant",
 }
 """Meaning of each label."""
 
