@@ -437,7 +437,7 @@ print("all")
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="has no fork")
 @pytest.mark.parametrize(
     "work",
-    ["load(k * 1e-4)", "numba.njit('float64(float64)')(lambda x, k=k: x + k)"],
+    ["load(k * 1e-4)", "numba.njit('float64(float64)')(lambda x: x + k)"],
     ids=["loads sand", "compiles a user's function"],
 )
 def test_a_fork_while_another_thread_works(work: str) -> None:
