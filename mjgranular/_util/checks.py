@@ -140,14 +140,6 @@ def fits(value: object, kind: Any) -> bool:
     return kind in (str, Path) and is_text(value)
 
 
-def in_words(kind: Any) -> str:
-    """Describe the values that fit a field of a type, for a message: "an integer or a number"."""
-    names = {int: "an integer", float: "a number", bool: "true or false", str: "a string"}
-    names |= {Path: "a path", type(None): "none"}
-    members = typing.get_args(kind) or (kind,)
-    return " or ".join(names.get(member, repr(member)) for member in members)
-
-
 def kind_of(value: Any) -> str:
     """Return the kind of a value in a word or two."""
     if isinstance(value, type):

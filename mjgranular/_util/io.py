@@ -190,13 +190,13 @@ def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
     Raises:
         OutputError: says which field is wrong.
     """
-    hints = typing.get_type_hints(cls)
-    for name, value in _object(content, where).items():
+    fields, hints = _object(content, where), typing.get_type_hints(cls)
+    for name, value in fields.items():
         if name not in hints:
             raise OutputError(f"{where} is damaged: there is no {name[:50]!r}")
         if not fits(value, hints[name]):
             raise OutputError(f"{where} is damaged: {name} cannot be {_kind(value)}")
-    return _object(content, where)
+    return fields
 
 
 def is_plain_name(name: object) -> bool:

@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, TypeVar, get_type_hints
 
-from mjgranular._util.checks import in_words
 from mjgranular._util.registry import Registry
 from mjgranular.errors import InputError, shown
 
@@ -65,7 +64,7 @@ def read_value(text: str, kind: Any, name: str) -> Any:
         try:
             value = int(text) if kind is int else float(text)
         except ValueError:
-            word = in_words(int if kind is int else float)
+            word = "an integer" if kind is int else "a number"
             raise InputError(f"{name} must be {word}, not {shown(text)}") from None
         if kind is int and abs(value) > LARGEST:
             raise InputError(f"{name} must be at most {LARGEST} in size, not {shown(value)}")

@@ -24,7 +24,7 @@ from mjgranular.engine.relocation import (
     IN_MODEL,
     RELOCATION_DTYPE,
     Image,
-    Memory,
+    Struct,
     find_relocations,
     joined,
     places_of,
@@ -140,7 +140,7 @@ def make_image(
     # In the engine forces do not use xfrc_applied, MuJoCo itself handles a bad state, and the last
     # good one is not needed.
     table[[memory.XFRC, memory.WARNINGS, memory.SNAPSHOT]] = 0
-    of_data, of_model = Memory(data, IN_DATA), Memory(model, IN_MODEL)
+    of_data, of_model = Struct(data, IN_DATA), Struct(model, IN_MODEL)
     shapes = np.array([(one.ctypes.data, one[0]) for one in shape], SHAPE_DTYPE)
     linked = (head, table, binding.scene, workspace.record, shapes, *canvas[:1])
     # Those that read the model are needed at each step, and are part of the block.

@@ -65,8 +65,8 @@ class Image:
         return block
 
 
-class Memory:
-    """The memory of one `mjModel` or `mjData`: the struct, and the buffer that holds its arrays.
+class Struct:
+    """An `mjModel` or `mjData` in memory, and the buffer that holds its arrays.
 
     Args:
         owner: the `MjModel` or `MjData`.
@@ -91,7 +91,7 @@ class Memory:
         return address in self._struct or address in self._buffer
 
     def find(self, address: int) -> tuple[int, int, int]:
-        """Return kind, offset and delta of the relocation to an address in this memory."""
+        """Return kind, offset and delta of the relocation to an address in it."""
         if address in self._struct:
             return self._inside, address - self._struct.start, 0
         # An empty array has the address of the next nonempty one, which is the last of them.
@@ -118,7 +118,7 @@ def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def find_relocations(
-    arrays: Sequence[np.ndarray], places: dict[int, int], memories: Sequence[Memory]
+    arrays: Sequence[np.ndarray], places: dict[int, int], structs: Sequence[Struct]
 ) -> np.ndarray:
     """Return the relocations of the addresses among the words of arrays.
 
@@ -127,7 +127,7 @@ def find_relocations(
     Args:
         arrays: arrays in the block.
         places: of all arrays in the block (`places_of`).
-        memories: memories of the model and the data.
+        structs: of the model and the data.
     """
     rows = []
     for array in arrays:
@@ -135,9 +135,8 @@ def find_relocations(
         for number, word in enumerate(words_of(array).tolist(), start=first):
             if word in places:
                 rows.append((number, IN_BLOCK, places[word], 0))
-            for memory in memories:
-                if word not in places and word in memory:
-                    rows.append((number, *memory.find(word)))
+                continue
+            rows += [(number, *struct.find(word)) for struct in structs if word in struct]
     return np.array(rows, RELOCATION_DTYPE)
 
 

@@ -18,7 +18,7 @@ Motion.__doc__ = """A spatial velocity.
 
 Attributes:
     angular: velocity [rad/s], a vector.
-    linear: velocity of the point that coincides with the tree's centre of mass [m/s], a vector.
+    linear: velocity of the point that coincides with the tree's center of mass [m/s], a vector.
 """
 
 

@@ -36,7 +36,8 @@ _here = threading.local()
 
 
 def _lock_all() -> None:
-    # numba's own lock guards all compilation; if numba is not loaded, nothing compiles.
+    # numba's own lock is not documented, but a child whose parent compiled a user's function
+    # with numba in another thread would wait for it forever. Without numba nothing compiles.
     numba = getattr(sys.modules.get("numba.core.compiler_lock"), "global_compiler_lock", None)
     for lock in (ENGINE, LOADER, PROGRAMS, numba):
         if lock is not None:

@@ -26,8 +26,8 @@ Pose.__doc__ = """Pose and motion of a body, world axes.
 Attributes:
     position: of the body's frame [m], a vector.
     rotation: of the body's frame, a matrix: `rotation @ v` is in the world.
-    com: centre of mass of the body [m].
-    tree: centre of mass of its kinematic tree [m], the centre of `motion`.
+    com: center of mass of the body [m].
+    tree: center of mass of its kinematic tree [m], the center of `motion`.
     motion: spatial velocity (`kernel.motion.Motion`).
 """
 

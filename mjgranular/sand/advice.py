@@ -1,6 +1,6 @@
 """Warnings: what can be computed, but was most likely not intended.
 
-`CHECKS` and `CHECKS_OF_MEMORY` are the tables: a check yields sentences about a model and its sand.
+A check yields sentences about a model and its sand. The tables at the end give each its warning.
 Limits without a source are chosen.
 """
 
@@ -100,13 +100,13 @@ def mocap_bodies_in_sand(case: Case) -> Iterator[str]:
 
 def touch_sensors(case: Case) -> Iterator[str]:
     """Check that no touch sensor is on a body in the sand, which it does not measure."""
-    model = case.model
+    model, bodies = case.model, case.bodies
     site = model.sensor_objtype == mujoco.mjtObj.mjOBJ_SITE
     ours = model.sensor_objid[site & (model.sensor_type == mujoco.mjtSensor.mjSENS_PLUGIN)]
     names = [
         name_of(model, "sensor", sensor) or f"number {sensor}"
         for sensor in (model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH).nonzero()[0]
-        if int(model.site_bodyid[model.sensor_objid[sensor]]) in case.bodies
+        if int(model.site_bodyid[model.sensor_objid[sensor]]) in bodies
         and model.sensor_objid[sensor] not in ours
     ]
     if names:
@@ -289,7 +289,7 @@ def sizes(case: Case) -> Iterator[str]:
     across = 2 * float(model.geom_rbound[largest])
     if across > _WIDEST:
         yield (
-            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in metres, "
+            f"geom {geom_name(model, largest)} is {across:.3g} m across: lengths are in meters, "
             f"and {across:.3g} mm is {across / 1000:.3g} m"
         )
     volumes = [_volume(model, geom) for geom in geoms]
@@ -377,7 +377,7 @@ def depth(case: Case, data: mujoco.MjData, when: str) -> Iterator[str]:
     if least > _DEEPEST_START:
         yield (
             f"all that meets the sand starts {least:.3g} m and more under its surface, {when}: "
-            "lengths are in metres, and z is up; raise the model or lower the surface"
+            "lengths are in meters, and z is up; raise the model or lower the surface"
         )
         return
     bodies = model.geom_bodyid[rows]

@@ -387,7 +387,7 @@ def test_work_in_a_worker_thread_is_waited_for_and_can_be_cancelled(sigint: None
 
 FORKED = """
 import os, threading, time
-import mujoco, mjgranular
+import mujoco, numba, mjgranular
 from mjgranular import DepthVelocityLaw, Plane
 
 def load(height):
@@ -405,7 +405,7 @@ done = []
 def busy():
     k = 1
     while not done:
-        load(k * 1e-4)
+        WORK
         k += 1
 
 thread = threading.Thread(target=busy)
@@ -435,8 +435,13 @@ print("all")
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="has no fork")
-def test_a_fork_while_another_thread_loads_sand() -> None:
-    code = f"import warnings; warnings.simplefilter('ignore')\n{FORKED}"
+@pytest.mark.parametrize(
+    "work",
+    ["load(k * 1e-4)", "numba.njit('float64(float64)')(lambda x: x + k)"],
+    ids=["loads sand", "compiles a user's function"],
+)
+def test_a_fork_while_another_thread_works(work: str) -> None:
+    code = f"import warnings; warnings.simplefilter('ignore')\n{FORKED.replace('WORK', work)}"
     command = [sys.executable, "-c", code.replace("BALL", repr(BALL))]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stdout + done.stderr
