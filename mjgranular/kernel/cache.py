@@ -59,11 +59,9 @@ def load(build: str, name: str, make: Callable[[], T]) -> T | None:
     """
     for root in _folders_to_read():
         folder = root / build / name
-        with suppress(OSError):
-            sums = _read(folder / _SUMS)
-            if sums and sums == _sums(folder):
-                with _caching(folder):
-                    return make()
+        if _is_complete(folder):
+            with suppress(OSError), _caching(folder):
+                return make()
     return None
 
 
@@ -119,9 +117,20 @@ def _publish(staging: Path, folder: Path) -> None:
     _restrict(staging)
     try:
         staging.rename(folder)
-    except OSError:  # it exists, from a faster process, or damaged
-        shutil.rmtree(folder, ignore_errors=True)
-        staging.rename(folder)
+    except OSError:
+        # It exists. That of a faster process stays, since another may be loading it; a damaged
+        # one is replaced.
+        if not _is_complete(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            staging.rename(folder)
+
+
+def _is_complete(folder: Path) -> bool:
+    """Return True if each file of a program is as it was written."""
+    with suppress(OSError):
+        sums = _read(folder / _SUMS)
+        return bool(sums) and sums == _sums(folder)
+    return False
 
 
 def _sums(folder: Path) -> bytes:

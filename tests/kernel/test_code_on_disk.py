@@ -131,7 +131,7 @@ print(cache.save({BUILD!r}, "race", slow), cache.load({BUILD!r}, "race", t.decor
     for run in runs:
         out, _ = run.communicate(timeout=60)
         assert out.split()[0] == "compiled"
-    assert load("race") == "loaded"
+    assert load("race") == "loaded"  # that of the first, which the second left
 
 
 def a_folder(path: Path) -> None:
