@@ -132,7 +132,8 @@ class EngineOptions(OutputOptions):
                     "options that it was started with, or start over without --resume"
                 )
             claim = ResultFolder(self.out, (*names, UNFINISHED))
-            with claim.claimed(overwrite=self.overwrite, goes_on=journal.goes_on) as folder:
+            goes_on = lambda: journal.fault() is None  # noqa: E731
+            with claim.claimed(overwrite=self.overwrite, goes_on=goes_on) as folder:
                 try:
                     journal.begin()
                     if journal.count:

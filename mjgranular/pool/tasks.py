@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 from mjgranular._util.signals import signal_of
 from mjgranular.pool.journal import Journal
@@ -17,7 +17,7 @@ from mjgranular.pool.local import Processes, ThisProcess
 from mjgranular.pool.workers import Done, Function, Pool, WorkerLostError, Workers
 
 TRIES = 3
-"""Attempts at a chunk; in the last one each of its tasks runs separately."""
+"""Attempts at a task; after the first, in a chunk, it runs alone."""
 
 # A chunk of one second takes 1.6 % longer on Ray than on local processes (docs/cluster.md), and
 # little is lost with it. Toward the end of a run chunks become smaller, so that all workers end
@@ -25,7 +25,6 @@ TRIES = 3
 _SECONDS = 1.0
 _ROUNDS = 2
 _LARGEST = 10_000
-_NAMED = 1000  # failures that are kept; of the others only the number
 
 
 @dataclass(frozen=True)
@@ -49,19 +48,28 @@ class Mapped:
 
     Attributes:
         journal: the results; `journal.results()` yields them in the order of the tasks.
-        failures: tasks without a result, in order; the first 1000 of them.
-        failed: number of all failures.
-        lost: number of tasks that were lost with their workers.
-        interrupted: whether the run was interrupted before its end.
-        stopped_by: the signal that interrupted it; None if none did.
+        failures: tasks without a result, in order.
+        stopped_by: the signal that interrupted the run before its end; None if none did.
     """
 
     journal: Journal
     failures: list[Failure]
-    failed: int = 0
-    lost: int = 0
-    interrupted: bool = False
     stopped_by: int | None = None
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the run was interrupted before its end."""
+        return self.stopped_by is not None
+
+    @property
+    def failed(self) -> int:
+        """Number of tasks without a result."""
+        return len(self.failures)
+
+    @property
+    def lost(self) -> int:
+        """Number of tasks that were lost with their workers."""
+        return sum(failure.lost for failure in self.failures)
 
 
 def map_tasks(
@@ -75,9 +83,8 @@ def map_tasks(
 ) -> Mapped:
     """Call a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps results.
 
-    A worker that dies is replaced, and its chunk is repeated, for three attempts at most: in the
-    last one each of its tasks runs separately, so that a task that ends its process costs no other
-    its result.
+    A worker that dies is replaced, and the tasks that it may have had are repeated at the end, one
+    at a time, for three attempts at most: a task that ends its process costs no other its result.
 
     Args:
         function: `function(shared, task)`, which workers import by its name; returns plain values.
@@ -104,7 +111,7 @@ def map_tasks(
         pool = _open(function, shared, run.workers, todo)
         run.follow(pool)
     except KeyboardInterrupt as stop:
-        run.mapped.interrupted, run.mapped.stopped_by = True, signal_of(stop)
+        run.mapped.stopped_by = signal_of(stop)
     finally:
         if pool is not None:
             pool.close()
@@ -121,12 +128,16 @@ def _open(function: Function, shared: Any, workers: Workers, todo: int) -> Pool:
     return ThisProcess(function, shared) if count == 1 else Processes(function, shared, count)
 
 
-@dataclass
-class _Batch:
-    """A chunk being processed: numbers of its tasks, and number of attempts."""
+class _Batch(NamedTuple):
+    """A chunk being processed.
+
+    Attributes:
+        indices: numbers of its tasks.
+        lost: workers that each of them may have killed.
+    """
 
     indices: Sequence[int]
-    tries: int = 0
+    lost: int = 0
 
 
 class _Run:
@@ -146,7 +157,7 @@ class _Run:
         self._progress = progress
         self._missing = journal.missing()
         self._left = len(tasks) - journal.count  # not submitted yet
-        self._again: deque[_Batch] = deque()
+        self._suspects: deque[_Batch] = deque()  # tasks whose worker has died, one by one
         self._seconds: float | None = None  # of a task, the shortest so far
 
     def follow(self, pool: Pool) -> None:
@@ -154,9 +165,10 @@ class _Run:
         under_way: dict[Future, _Batch] = {}
         while True:
             while len(under_way) < pool.slots and (batch := self._next(pool.count)) is not None:
-                batch.tries += 1
-                chunk = tuple((index, self._tasks[index]) for index in batch.indices)
-                under_way[pool.submit(chunk)] = batch
+                under_way[self._submit(pool, batch)] = batch
+            if not under_way and self._suspects:  # alone, so that no other task is lost with it
+                batch = self._suspects.popleft()
+                under_way[self._submit(pool, batch)] = batch
             if not under_way:
                 return
             for future in wait(under_way, return_when=FIRST_COMPLETED).done:
@@ -168,9 +180,10 @@ class _Run:
                 if self._progress is not None:
                     self._progress(self._journal.count + self.mapped.failed)
 
+    def _submit(self, pool: Pool, batch: _Batch) -> Future:
+        return pool.submit(tuple((index, self._tasks[index]) for index in batch.indices))
+
     def _next(self, count: int) -> _Batch | None:
-        if self._again:
-            return self._again.popleft()
         indices = list(islice(self._missing, self._size(count)))
         self._left -= len(indices)
         return _Batch(indices) if indices else None
@@ -189,20 +202,14 @@ class _Run:
         self._journal.keep([(one.number, one.result) for one in done.answers if one.error is None])
         for one in done.answers:
             if one.error is not None:
-                self._fail(Failure(one.number, one.error))
+                self.mapped.failures.append(Failure(one.number, one.error))
 
-    def _lose(self, batch: _Batch, lost: WorkerLostError) -> None:
-        batch.tries -= not lost.begun
-        if batch.tries < TRIES - 1:
-            self._again.append(batch)
-        elif batch.tries == TRIES - 1:
-            self._again.extend(_Batch([index], batch.tries) for index in batch.indices)
-        else:
-            for index in batch.indices:
-                self._fail(Failure(index, f"{lost}; tried {TRIES} times", lost=True))
-
-    def _fail(self, failure: Failure) -> None:
-        self.mapped.failed += 1
-        self.mapped.lost += failure.lost
-        if len(self.mapped.failures) < _NAMED:
-            self.mapped.failures.append(failure)
+    def _lose(self, batch: _Batch, error: WorkerLostError) -> None:
+        lost = batch.lost + error.begun
+        for index in batch.indices:
+            if lost < TRIES:
+                self._suspects.append(_Batch([index], lost))
+            else:
+                self.mapped.failures.append(
+                    Failure(index, f"{error}; tried {TRIES} times", lost=True)
+                )

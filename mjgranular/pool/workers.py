@@ -66,13 +66,7 @@ class Workers:
 
 
 class Answer(NamedTuple):
-    """Outcome of one task.
-
-    Attributes:
-        number: number of the task.
-        result: return value of the function; None if it raised.
-        error: reason for a missing result; None with a result.
-    """
+    """Outcome of one task: its number, and the result of the function or why there is none."""
 
     number: int
     result: Any
@@ -80,12 +74,7 @@ class Answer(NamedTuple):
 
 
 class Done(NamedTuple):
-    """A finished chunk.
-
-    Attributes:
-        answers: one for each of its tasks.
-        seconds: time that it took.
-    """
+    """A finished chunk: an answer for each of its tasks, and the time that it took [s]."""
 
     answers: list[Answer]
     seconds: float

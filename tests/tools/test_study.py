@@ -280,34 +280,8 @@ def test_a_law_of_ones_own_acts_in_worker_processes(tmp_path):
     assert depths(f"my_mud:Mud {words}") == depths("link")
 
 
-def test_a_machine_without_the_model_gets_it(tmp_path, monkeypatch):
-    """As on another node: files of the model, a medium's file and a law's module come along."""
-    from mjgranular.experiment import run_drop
-    from mjgranular.experiment.baggage import pack, unpack
-
-    home = tmp_path / "home"
-    (home / "assets").mkdir(parents=True)
-    points = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\n"
-    faces = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
-    (home / "assets" / "block.obj").write_text(points + faces)
-    (home / "step.xml").write_text('<mujoco><option timestep="1e-3"/></mujoco>')
-    (home / "model.xml").write_text(
-        '<mujoco><compiler meshdir="assets"/><include file="step.xml"/><asset><mesh name="block" '
-        'file="block.obj"/></asset><worldbody><body pos="0 0 0.1"><freejoint/><geom type="mesh" '
-        'mesh="block" density="500"/></body></worldbody></mujoco>'
-    )
-    drop = Drop(home / "model.xml", duration=0.01)
-    alone = run_drop(replace(drop, velocity=1.0)).summary()
-    baggage = replace(pack(Study(drop, {"velocity": [1.0]})), origin=("elsewhere", 1))
-    assert unpack(baggage, drop) == drop  # it is here
-    home.rename(tmp_path / "gone")
-    there = unpack(baggage, drop)
-    assert there.model != drop.model
-    assert run_drop(replace(there, velocity=1.0)).summary() == alone
-
-
 def test_a_law_of_a_script_is_refused(monkeypatch):
-    from mjgranular.experiment.baggage import pack
+    from mjgranular.experiment.custom import Custom
     from mjgranular.law import laws
     from mjgranular.law.link import LinkLaw
 
@@ -315,4 +289,4 @@ def test_a_law_of_a_script_is_refused(monkeypatch):
     monkeypatch.setitem(laws._things, "mud", mud)
     study = Study(Impact(law="mud eta_d=1 eta_h=1 eta_v=1"), {"speed": [1.0]})
     with pytest.raises(InputError, match="put it into a module"):
-        pack(study)
+        Custom.of(study)
