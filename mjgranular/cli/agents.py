@@ -3,17 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mjgranular._util.extras import require
 from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
 from mjgranular.learn import environments
-from mjgranular.learn.agents import BASELINES
-from mjgranular.learn.blocks import Actor
-from mjgranular.learn.evaluate import parse_variant
+from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.policies import Policy, load_policy
-from mjgranular.learn.sands import Sands, arguments_for, as_variant
+from mjgranular.learn.sands import Sands
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Agent and environment.
+
+    Attributes:
+        name: display name.
+        environment: Gymnasium's id.
+        arguments: arguments of the environment.
+        agent: a policy, or the name of a baseline.
+        gait: parameters of the baseline `gait` that differ from its defaults.
+    """
+
+    name: str
+    environment: str
+    arguments: Mapping[str, Any]
+    agent: Policy | str
+    gait: Mapping[str, float] | None = None
+
+    def make(self, env: Any) -> Agent:
+        """Return the agent for an environment, or for several."""
+        if isinstance(self.agent, str):
+            return make_baseline(self.agent, self.environment, env, gait=self.gait)
+        return self.agent.checked(self.environment, env)
 
 
 def find_actor(
@@ -81,25 +105,15 @@ def _find_baseline(
     return Actor(agent, run.environment, dict(run.settings.environment), agent, gait)
 
 
-def sand_warning(actor: Actor, variant: str, now: Sands | None) -> str | None:
-    """Return a warning if a policy is not on the sand on which it was trained, otherwise None.
+def warn_of_sand(actor: Actor, now: Sands | None) -> None:
+    """Warn if a policy is not on the sand on which it was trained, and the user has not asked so.
 
     Args:
         actor: the agent.
-        variant: `name=value,...`, changes of the environment's arguments, which the user wants.
-        now: the sand of the environment, with the variant; None if unknown.
+        now: the sand of its environment without changes; None if unknown.
     """
-    run = actor.agent.run if isinstance(actor.agent, Policy) else None
-    if run is None or run.sand is None or actor.environment != run.environment:
-        return None
-    wanted = parse_variant(variant)
-    other = run.other_sand(now, wanted)
-    if other is None:
-        return None
-    restored = arguments_for(run.sand, run.environment, {**actor.arguments, **wanted})
-    if restored is None:
-        return f"{actor.name} {other}; its environment cannot have that sand any more"
-    return f"{actor.name} {other}; --on {as_variant(restored)} restores it"
+    if isinstance(actor.agent, Policy) and actor.environment == actor.agent.run.environment:
+        actor.agent.run.warn_of_sand(now)
 
 
 def is_environment(what: str) -> bool:

@@ -11,10 +11,10 @@ import tyro
 
 from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
-from mjgranular.cli.agents import find_actor, is_environment, sand_warning
+from mjgranular.cli.agents import find_actor, is_environment, warn_of_sand
 from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.results import Flag, write_film
-from mjgranular.errors import InputError, OutputError, warn_user
+from mjgranular.errors import InputError, OutputError
 from mjgranular.experiment.folder import (
     prints_of,
     read_drop,
@@ -137,9 +137,8 @@ class RenderCommand:
 
         actor = find_actor(str(self.run_folder), trust=self.trust)
         arguments = {**actor.arguments, **parse_variant(self.on)}
-        warning = sand_warning(actor, self.on, sands_made(actor.environment, arguments))
-        if warning is not None:
-            warn_user(warning)
+        if not self.on:
+            warn_of_sand(actor, sands_made(actor.environment, arguments))
 
         def draw(folder: ResultFolder, name: str) -> None:
             with progress_bar("filming", film.seconds * film.fps, remaining=True) as show:

@@ -58,8 +58,6 @@ class TrainCommand:
     """With --engine warp: where. Default: a GPU if there is one."""
     num_envs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Environments that are stepped at once, as --set num_envs=N."""
-    processes: Flag = False
-    """Step each environment in a separate process, for custom ones, which are not a batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Seed of all random numbers. Default: 0."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -100,7 +98,6 @@ class TrainCommand:
         settings = find_settings(self.environment, algorithm=algorithm, file=self.settings)
         settings = change(settings, self.set)
         options = {"total_steps": self.total_steps, "num_envs": self.num_envs}
-        options["processes"] = self.processes or None
         given = {name: value for name, value in options.items() if value is not None}
         settings = replace(settings, **given)
         if "render_mode" in settings.environment:
@@ -119,7 +116,7 @@ class TrainCommand:
         return run
 
     def _saved_run(self, path: Path) -> Run:
-        names = ("algorithm", "settings", "set", "num_envs", "processes", "seed", "out")
+        names = ("algorithm", "settings", "set", "num_envs", "seed", "out")
         given = ["ENV"] if self.environment is not None else []
         given += [option(name) for name in given_options(self, *names)]
         if given:

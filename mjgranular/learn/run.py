@@ -8,9 +8,9 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from mjgranular.errors import (
     shown,
     warn_user,
 )
-from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
+from mjgranular.learn.sands import Sands, changes, is_sands, sands_made
 from mjgranular.learn.settings import Settings
 
 CHECKPOINTS = "checkpoints"
@@ -57,7 +57,6 @@ class Run:
         sand: sand of its environment when the run started; None if unknown, as for environments
             without a MuJoCo model.
         trusted: whether the user trusts it, so that modules that it names may be imported.
-        restored: arguments that give the environment the sand that it had when the run started.
     """
 
     path: Path
@@ -67,12 +66,11 @@ class Run:
     versions: dict[str, Any]
     sand: Sands | None = None
     trusted: bool = False
-    restored: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments of the environment in training."""
-        return {**self.settings.environment, **self.restored}
+        return dict(self.settings.environment)
 
     @property
     def name(self) -> str:
@@ -146,16 +144,10 @@ class Run:
         """Return the packages that the run was started with, for messages."""
         return ", ".join(f"{name} {self.versions.get(name)}" for name in _PACKAGES)
 
-    def other_sand(self, now: Sands | None, settled: Iterable[str] = ()) -> str | None:
-        """Return how sand differs from that at the start of the run, as the end of a sentence.
-
-        The result is None if nothing differs or a sand is unknown. `settled` are names of arguments
-        that the user has changed.
-        """
-        if now is None or self.sand is None:
-            return None
-        found = changes(self.sand, now, settled)
-        return f"was started on other sand: {', '.join(found)}" if found else None
+    def warn_of_sand(self, now: Sands | None) -> None:
+        """Warn if sand differs from that at the start of the run."""
+        if different := changes(self.sand, now):
+            warn_user(f"{self.path} was started on other sand: {different}")
 
     def check_environment(self) -> None:
         """Check that no module is imported only because an untrusted file names it.
@@ -246,7 +238,9 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
         ):
             raise OutputError(f"{CONFIG}: versions must name packages and their versions")
         settings = Settings.from_json(content.get("settings"))
-        sand = read_sands(content.get("sand"), CONFIG)
+        sand = content.get("sand")
+        if sand is not None and not is_sands(sand):
+            raise OutputError(f"{CONFIG}: sand must be a list of tables")
     except MissingExtraError:
         raise
     except GranularError as error:

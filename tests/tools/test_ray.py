@@ -7,7 +7,6 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mjgranular._util.versions import versions
@@ -15,8 +14,6 @@ from mjgranular.envs.rllib import register_env
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import Between, Impact, Study, journal_of, run_study
 from mjgranular.experiment.table import write_csv
-from mjgranular.learn.blocks import Actor, Evaluation, Job, run_evaluation
-from mjgranular.learn.policies import load_policy
 from mjgranular.pool import Workers, map_tasks, on_ray
 
 ray = pytest.importorskip("ray", reason="the extra ray is not installed")
@@ -60,18 +57,6 @@ def test_tables_are_the_same_to_the_bit(expected, tmp_path):
         result = run_study(STUDY, workers=Workers("ray", workers, chunk))
         assert table(result, tmp_path / "table.csv") == expected
     assert ray.is_initialized()  # the session that was there is left as it was
-
-
-def test_evaluations_are_the_same_to_the_bit():
-    short = {"frame_skip": 2}
-    policy = Actor("one", "mjgranular/ChainCrawl-v0", short, load_policy("ChainCrawl-v0/ppo-1"))
-    jobs = [Job(policy, "max_episode_steps=20"), Job(Actor("two", "Pendulum-v1", {}, "random"))]
-    expected = run_evaluation(Evaluation(jobs, 3))
-    for on in (Workers("local", 2), Workers("ray", 2)):
-        scores = run_evaluation(Evaluation(jobs, 3), on=on)
-        for mine, theirs in zip(scores, expected, strict=True):
-            assert mine.as_json() == theirs.as_json()
-            assert np.array_equal(mine.episodes.returns, theirs.episodes.returns)
 
 
 def test_without_ray_rllib_is_told_with_the_install_line(monkeypatch):
