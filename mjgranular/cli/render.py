@@ -14,7 +14,7 @@ from mjgranular.cli import drop, impact
 from mjgranular.cli.agents import find_actor, is_environment, warn_of_sand
 from mjgranular.cli.console import out, progress_bar
 from mjgranular.cli.results import Flag, write_film
-from mjgranular.errors import InputError, OutputError
+from mjgranular.errors import InputError
 from mjgranular.experiment.folder import (
     prints_of,
     read_drop,
@@ -22,7 +22,6 @@ from mjgranular.experiment.folder import (
     read_prints,
     saved_command,
 )
-from mjgranular.models import Chain
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
@@ -123,9 +122,6 @@ class RenderCommand:
         from mjgranular.picture.video import Motion
 
         experiment, arrays = read_drop(self.run_folder)
-        model = experiment.model
-        if isinstance(model, Chain) and model.count > arrays["qpos"].shape[1]:
-            raise OutputError(f"{self.run_folder} is damaged: its samples are of a shorter chain")
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
         frames = drop.frames_of(film, experiment, motion, prints_of(arrays))()
         return lambda folder, name: write_film(folder, name, film, lambda: frames)

@@ -29,10 +29,9 @@ from mjgranular.cli.options import (
 )
 from mjgranular.cli.results import EngineOptions, FilmOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
-from mjgranular.experiment import Between, Impact, Study, StudyResult, journal_of, run_study
-from mjgranular.experiment.paper import cases_beside
+from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
-from mjgranular.experiment.table import need_parquet, write_csv, write_parquet
+from mjgranular.experiment.table import write_csv
 from mjgranular.pool import UNFINISHED
 
 _COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}
@@ -62,20 +61,14 @@ class SweepCommand(EngineOptions):
     """Seed of --sample."""
     method: Literal["latin", "sobol"] = "latin"
     """Method of --sample: a Latin hypercube or a Sobol sequence."""
-    table: Literal["csv", "parquet"] = "csv"
-    """Format of the table in the folder of --out."""
 
     def run(self) -> int:
         """Run the command."""
         workers = self.where  # raises for contradicting options
         self.check_resume()
         study = self._study()
-        if self.table == "parquet":
-            if self.out is None:
-                raise InputError("--table needs a folder to write to: add --out DIR")
-            need_parquet()
         journal = journal_of(study, self.out)
-        names = (CONFIG, SUMMARY, "sweep.csv", "sweep.parquet", "sweep.png")
+        names = (CONFIG, SUMMARY, "sweep.csv", "sweep.png")
         with self.resumable(journal, *names) as folder:
             with progress_bar("running", len(study)) as progress:
                 result = run_study(study, workers=workers, journal=journal, progress=progress)
@@ -106,12 +99,11 @@ class SweepCommand(EngineOptions):
             "interrupted": result.interrupted,
             "failures": [result.told(failure) for failure in result.failures],
         }
-        write = write_parquet if self.table == "parquet" else write_csv
         columns = result.columns()
         with folder.published(keep=(UNFINISHED,) if unfinished else ()):
             folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
             folder.write_json(SUMMARY, summary)
-            folder.write(f"sweep.{self.table}", lambda path: write(path, columns, result.rows))
+            folder.write("sweep.csv", lambda path: write_csv(path, columns, result.rows))
             try:
                 _draw(folder, result)
             except MissingExtraError as error:
@@ -181,14 +173,8 @@ def _draw(folder: ResultFolder, result: StudyResult) -> None:
     first = next(result.rows())
     fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
     words = [text for name, text in fixed.items() if name not in study.vary]
-    printed = None
-    if isinstance(study.experiment, Impact) and varied in (["speed"], ["angle_deg"]):
-        cases = cases_beside(study.experiment, varied[0].removesuffix("_deg"))
-        if cases:
-            printed = {name: [getattr(case, name) for case in cases] for name in names}
     options = {
         "joined": study.sample is None,
-        "printed": printed,
         "title": ", ".join([study.experiment.title, *words]),
     }
     folder.write("sweep.png", lambda path: draw_study(path, columns, varied, outcomes, **options))

@@ -21,7 +21,7 @@ from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.render.scenery import place_sun
 from mjgranular.sand.prepare import fitted
 
-_NOT_OPTIONS = ("model", "height", "velocity", "duration", "state", "site")
+_NOT_OPTIONS = ("model", "height", "velocity", "duration")
 
 
 @dataclass(frozen=True, kw_only=True)

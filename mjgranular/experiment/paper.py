@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from mjgranular._util.checks import check_kind
 from mjgranular.experiment.fall import run_impact
@@ -59,28 +58,3 @@ def reproduce(
         if progress is not None:
             progress(done)
     return results
-
-
-def cases_beside(impact: Impact, over: str) -> list[PaperCase]:
-    """Return the cases that differ from an impact only in `over`, "speed" or "angle"."""
-    free = {"speed", "angle", "timestep", "duration", "scheme", "until"}
-    paper, names = Impact(), {field.name for field in fields(Impact)} - free
-    if any(getattr(impact, name) != getattr(paper, name) for name in names):
-        return []
-    degrees = math.degrees(impact.angle)
-    return [
-        case
-        for case in CASES
-        if (over == "speed" or case.speed == impact.speed)
-        and (over == "angle" or math.isclose(case.angle_deg, degrees))
-    ]
-
-
-def comparison(case: PaperCase, result: ImpactResult) -> dict[str, Any]:
-    """Return the summary of a run with the paper's values."""
-    return {
-        **result.summary(),
-        "paper_stopping_time": case.stopping_time,
-        "paper_depth": case.depth,
-        "paper_figure": case.figure,
-    }

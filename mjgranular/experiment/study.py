@@ -34,7 +34,7 @@ LAW, MEDIUM = "law.", "medium."
 _DENSITY = "medium.density"
 _MOST = 10**9  # tasks; chosen: a larger grid is a mistake
 _CHECKED = 1000  # values of a field that are checked beforehand; of more, both ends
-_NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "state", "keep_floor")
+_NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "keep_floor")
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,7 @@ from mjgranular.experiment.folder import read_impact, saved_command
 from mjgranular.picture.video import Film, frames_of_run
 
 RUNS = Path("runs")
+BALL = "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
 QUICK = {
     "ppo": ("n_steps=32", "batch_size=64", "n_epochs=1"),
     "sac": ("learning_starts=32", "buffer_size=500", "train_freq=16", "gradient_steps=1"),
@@ -64,7 +65,9 @@ def make_runs() -> None:
 
     quick = ["--timestep", "1e-4", "--duration", "0.02", "--json"]
     assert main(["impact", *quick, "--out", str(RUNS / "impact")]) == 0
-    assert main(["impact", "--body", "chain:2", *quick, "--out", str(RUNS / "drop")]) == 0
+    model = RUNS / "ball.xml"
+    model.write_text(BALL)
+    assert main(["drop", str(model), *quick, "--out", str(RUNS / "drop")]) == 0
     sweep = ["sweep", "--vary", "speed=1:10:4", "--of", "impact --timestep 1e-4"]
     assert main([*sweep, "--workers", "1", "--out", str(RUNS / "sweep")]) == 0
     rows = [*run_study(SWEEP, workers=1).rows()]

@@ -89,8 +89,6 @@ def shortened(command):
     if words[0] == "sweep":
         words = words if "--of" in words else [*words, "--of", "impact --timestep 5e-5"]
         words = with_options(words, "--sample 3") if "--sample" in words else words
-    if "--paper" in words:
-        return with_options(words, "--timestep 2e-5")
     return with_options(words, SHORT.get(words[0], ""))
 
 

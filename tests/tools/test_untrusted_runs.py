@@ -23,6 +23,7 @@ from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.train import train
 
 ID = "Pendulum-v1"
+BALL = "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
 QUICK = {
     "ppo": ("n_steps=64", "batch_size=64", "n_epochs=2"),
     "sac": ("learning_starts=100", "buffer_size=2000", "train_freq=32", "net=[16, 16]"),
@@ -228,11 +229,13 @@ def test_a_damaged_run_is_told_of_in_one_sentence(name, change, message, tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("body", ["link", "chain:2"])
-def test_a_damaged_result_is_told_of_in_one_sentence(body, tmp_path, capfd):
+@pytest.mark.parametrize("command", [["impact"], ["drop", "ball.xml"]])
+def test_a_damaged_result_is_told_of_in_one_sentence(command, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    Path("ball.xml").write_text(BALL)
     folder = tmp_path / "run"
     quick = ["--timestep", "1e-4", "--duration", "0.02", "--json"]
-    assert main(["impact", "--body", body, *quick, "--out", str(folder)]) == 0
+    assert main([*command, *quick, "--out", str(folder)]) == 0
     file = folder / "trajectory.npz"
     whole = file.read_bytes()
     for content in (
