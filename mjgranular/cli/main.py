@@ -23,7 +23,6 @@ from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import ListCommand
 from mjgranular.cli.options import in_options, parse_command
 from mjgranular.cli.render import RenderCommand
-from mjgranular.cli.studio import StudioCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
@@ -44,7 +43,6 @@ COMMANDS: dict[str, Any] = {
     "evaluate": EvaluateCommand,
     "render": RenderCommand,
     "warm": WarmCommand,
-    "studio": StudioCommand,
     "list": ListCommand,
 }
 

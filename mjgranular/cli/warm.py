@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import mujoco
 import tyro
@@ -25,20 +25,15 @@ from mjgranular.sand import Sand, SandSpec
 from mjgranular.sand.material import law_of, medium_for
 from mjgranular.sand.prepare import fitted
 from mjgranular.scheme import get_scheme
-from mjgranular.surface import Bed, HeightField, Plane
 
 _MODEL = """
 <mujoco>
   <option timestep="1e-4"/>
-  <asset><hfield name="h" nrow="2" ncol="2" size="1 1 .1 .1" elevation="0 0 0 0"/></asset>
   <worldbody>
-    <geom name="bed" type="box" size="1 1 .1" pos="0 0 -.1" contype="0" conaffinity="0"/>
-    <geom name="field" type="hfield" hfield="h" contype="0" conaffinity="0"/>
     <body pos="0 0 1"><freejoint/><geom type="capsule" size=".01 .1"/></body>
   </worldbody>
 </mujoco>
 """
-_SURFACES = {"plane": Plane(), "bed": Bed("bed"), "height_field": HeightField("field")}
 _Task = tuple[str, Callable[[], None]]
 """What is compiled, and the function that compiles it by making a step."""
 
@@ -57,11 +52,6 @@ class WarmCommand(options_of(PlainSand)):
     env: Annotated[tuple[str, ...], tyro.conf.arg(metavar="ID ...")] = ()
     """Environments: of mjgranular, such as mjgranular/Hexapod-v0, for on_sand, such as Ant-v5, or
     custom ones, my_module:My-v0, as they are."""
-    over: Annotated[
-        tuple[Literal["plane", "bed", "height_field"], ...],
-        tyro.conf.arg(metavar="{plane,bed,height_field} ..."),
-    ] = ("plane",)
-    """Surfaces, if neither model nor environment is named."""
 
     def run(self) -> int:
         """Run the command."""
@@ -80,10 +70,9 @@ class WarmCommand(options_of(PlainSand)):
         if self.model is not None:
             if self.env:
                 raise InputError("name a MODEL.xml or --env ID, not both")
-            self._reject("the sand is a plane, --bed GEOM or --height-field GEOM", "over")
             yield from self._tasks_of_model()
         elif self.env:
-            self._reject("an environment has its own sand", "over", *sand)
+            self._reject("an environment has its own sand", *sand)
             for identity in self.env:
                 yield identity, partial(_step_environment, identity)
         else:
@@ -115,12 +104,11 @@ class WarmCommand(options_of(PlainSand)):
                 schemes = ["implicit"]
             for scheme in schemes if self.scheme == "auto" else [self.scheme]:
                 get_scheme(scheme)
-                for name in self.over:
-                    sand = SandSpec(medium=medium, law=law, scheme=scheme, surface=_SURFACES[name])
-                    spec = mujoco.MjSpec.from_string(_MODEL)
-                    what = f"law {law}, scheme {scheme}, {name}"
-                    yield what, partial(_step_outside, spec, sand)
-                    yield f"{what}, inside mj_step", partial(_step_inside, spec, sand)
+                sand = SandSpec(medium=medium, law=law, scheme=scheme)
+                spec = mujoco.MjSpec.from_string(_MODEL)
+                what = f"law {law}, scheme {scheme}"
+                yield what, partial(_step_outside, spec, sand)
+                yield f"{what}, inside mj_step", partial(_step_inside, spec, sand)
 
 
 def _step_outside(spec: mujoco.MjSpec, sand: SandSpec) -> None:

@@ -29,7 +29,6 @@ from mjgranular.errors import (
 from mjgranular.experiment.ground import (
     PlainSand,
     hide_replaced,
-    refuse_contradiction,
     refuse_floors,
     warn_of_carrying,
     watch_floors,
@@ -259,8 +258,6 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
     model, xml = load(drop)
     if not drop.keep_floor:
         refuse_floors(model, drop.sand)
-    elif drop.instead_of:
-        refuse_contradiction(model, drop.sand)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FloorWarning)
         sand = Sand(model, drop.sand)

@@ -26,7 +26,7 @@ from mjgranular.learn.run import (
     read_curve,
 )
 from mjgranular.learn.settings import Settings
-from mjgranular.learn.weights import add_spaces, check_size, check_spaces, read_weights
+from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -94,7 +94,6 @@ def load_checkpoint(
     normalizer = Normalizer.read(folder / NORMALIZER, run.settings, env.observation_space.shape)
     weights = read_weights(folder / POLICY)
     check_spaces(weights, env, folder, run.environment)
-    check_size(run.settings, weights, folder / POLICY)
     model = make_model()
     try:
         model.set_parameters(dict(weights.parameters), exact_match=True, device="cpu")
@@ -209,33 +208,21 @@ class Normalizer:
         Raises:
             OutputError: it is missing, damaged, or from another policy.
         """
-        content = read_json(file)
-        scaled = settings.normalize_observations
-        if content.get("observations") is not scaled:
-            raise OutputError(f"{file} is not of this policy: observations must be {scaled}")
-        found: dict[str, Any] = {"observations": scaled}
-        for name in (each.name for each in fields(cls) if each.type == "float"):
-            found[name] = number(content, name, file)
-            if found[name] is None or (name != "return_mean" and found[name] < 0):
-                raise OutputError(f"{file} is damaged: {name} must be a number of at least 0")
-        for name in ("mean", "variance"):
-            found[name] = _vector(content.get(name), name, file, shape if scaled else (0,))
-        if (found["variance"] + found["epsilon"] <= 0).any():
-            raise OutputError(f"{file} is damaged: variance must be positive")
-        return cls(**found)
-
-
-def _vector(content: object, name: str, file: Path, shape: tuple[int, ...]) -> np.ndarray:
-    try:
-        vector = np.array(content, dtype=float)
-    except (ValueError, TypeError, OverflowError):
-        vector = np.array(np.nan)
-    if vector.shape != shape or not np.isfinite(vector).all():
-        raise OutputError(
-            f"{file} is damaged, or not of this policy: {name} must be finite numbers of shape "
-            f"{shape}"
-        )
-    return vector
+        content, scaled = read_json(file), settings.normalize_observations
+        try:
+            arrays = {name: np.array(content[name], float) for name in ("mean", "variance")}
+            numbers = {each.name: float(content[each.name]) for each in fields(cls)[3:]}
+        except (KeyError, TypeError, ValueError) as error:
+            raise OutputError(f"{file} is damaged: {type(error).__name__}: {error}") from None
+        expected = shape if scaled else (0,)
+        if content.get("observations") is not scaled or any(
+            array.shape != expected or not np.isfinite(array).all() for array in arrays.values()
+        ):
+            raise OutputError(
+                f"{file} is damaged, or not of this policy: observations must be {scaled}, mean "
+                f"and variance finite numbers of shape {expected}"
+            )
+        return cls(scaled, **arrays, **numbers)
 
 
 # Replay buffers of SAC and TD3
@@ -257,14 +244,10 @@ def _read_replay(file: Path, buffer: Any) -> None:
     """Put what `_write_replay` wrote into a new buffer."""
     names = _replay_arrays(buffer)
     arrays = read_arrays(file, [*names, "pos", "full"], most=None)
-    rows, used = len(buffer.rewards), len(arrays["rewards"])
-    pos, full = arrays["pos"], arrays["full"]
-    valid = not (pos.shape or full.shape) and 0 <= pos < rows and used <= rows
-    if not valid or used < (rows if full else pos):
-        raise OutputError(f"{file} is damaged: it is not of a buffer of {rows} rows")
-    for name in names:
-        to, array = getattr(buffer, name), arrays[name]
-        if array.shape != (used, *to.shape[1:]) or array.dtype != to.dtype:
-            raise OutputError(f"{file} is damaged: {name} is not of this run")
-        to[:used] = array
-    buffer.pos, buffer.full = int(pos), bool(full)
+    used = len(arrays["rewards"])
+    try:
+        for name in names:
+            getattr(buffer, name)[:used] = arrays[name]
+        buffer.pos, buffer.full = int(arrays["pos"]), bool(arrays["full"])
+    except (TypeError, ValueError) as error:
+        raise OutputError(f"{file} is damaged, or of another run: {error}") from None

@@ -186,8 +186,7 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
         GranularError: the environment cannot be made; says why.
     """
     path = Path(path)
-    if not 0 <= seed <= _LARGEST_SEED:
-        raise InputError(f"a seed must be an integer from 0 to {_LARGEST_SEED}, got {seed}")
+    _checked_seed(seed)
     if not is_text(environment):
         raise InputError(f"environment must be a printable name, got {shown(environment)}")
     sand = sands_made(environment, settings.environment)
@@ -225,22 +224,17 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
     try:
         content = read_json(path / CONFIG)
         command, environment = content.get("command"), content.get("environment")
-        if command != TRAINING and is_text(command):
+        if command not in (None, TRAINING):
             raise OutputError(f"it is the result of mjgranular {command}")
         if not is_text(environment):
             raise OutputError(f"{CONFIG} must name an environment")
-        seed: Any = content.get("seed")
-        made_with = content.get("versions")
-        if not fits(seed, int) or not 0 <= seed <= _LARGEST_SEED:
-            raise OutputError(f"{CONFIG}: seed must be an integer from 0 to {_LARGEST_SEED}")
-        if not isinstance(made_with, dict) or not all(
-            is_text(name) and fits(version, str | None) for name, version in made_with.items()
-        ):
+        made_with, sand = content.get("versions"), content.get("sand")
+        if not isinstance(made_with, dict):
             raise OutputError(f"{CONFIG}: versions must name packages and their versions")
-        settings = Settings.from_json(content.get("settings"))
-        sand = content.get("sand")
         if sand is not None and not is_sands(sand):
             raise OutputError(f"{CONFIG}: sand must be a list of tables")
+        seed = _checked_seed(content.get("seed"))
+        settings = Settings.from_json(content.get("settings"))
     except MissingExtraError:
         raise
     except GranularError as error:
@@ -249,6 +243,12 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
             f"{path}"
         ) from None
     return Run(path, str(environment), settings, seed, made_with, sand, trust)
+
+
+def _checked_seed(seed: Any) -> int:
+    if not fits(seed, int) or not 0 <= seed <= _LARGEST_SEED:
+        raise InputError(f"a seed must be an integer from 0 to {_LARGEST_SEED}, got {shown(seed)}")
+    return seed
 
 
 def curve_text(rows: Sequence[Sequence[float]]) -> str:

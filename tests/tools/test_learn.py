@@ -210,12 +210,11 @@ def test_a_checkpoint_of_another_run_is_refused(trained, tmp_path):
     ("change", "message"),
     [
         (None, "normalizer.json cannot be read"),
-        ({"mean": [0.0]}, r"mean must be .* \(3,\)"),
-        ({"mean": 0.0}, "mean must be"),
-        ({"variance": [1.0, -1.0, 1.0]}, "variance must be positive"),
-        ({"variance": ["x"] * 3}, "variance must be"),
+        ({"mean": [0.0]}, r"mean and variance finite numbers of shape \(3,\)"),
+        ({"mean": 0.0}, "mean and variance finite"),
+        ({"variance": ["x"] * 3}, "is damaged"),
         ({"observations": False}, "observations must be True"),
-        ({"clip": None}, "clip must be a number"),
+        ({"clip": None}, "is damaged"),
     ],
 )
 def test_a_policy_without_its_normaliser_does_not_act(change, message, trained, tmp_path):

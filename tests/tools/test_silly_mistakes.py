@@ -126,7 +126,6 @@ drop block.xml --bed tray --height-field dune | the sand is either a bed or a he
 drop block.xml --height-field block | geom 'block' is a box: a height field is made of a hfield geom
 drop block.xml --keyframe stand | no keyframe of the model 'stand'
 drop block.xml --instead-of floor | no geom of the model 'floor'
-drop floor.xml --instead-of floor --keep-floor | --keep-floor has no other ground to keep than floor
 drop block.xml --bed tray --slope 10 | --slope is for a plane
 drop block.xml --uphill 90 | --uphill is the direction of a slope: add --slope
 drop block.xml --law link --medium play_sand | choose them with --geoms NAME or --bodies NAME
@@ -226,8 +225,6 @@ warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: ... mjgranular/Ant
 warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
 warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
 warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
-warm --over dune | invalid choice 'dune' for argument '--over'. Expected one of
-warm block.xml --over bed | --over has no effect here
 warm --bodies block | --bodies ... name a MODEL.xml
 warm --bed tray | --bed ... name a MODEL.xml
 warm --env mjgranular/Hexapod-v0 --law rft3d | --law ... an environment has its own sand
