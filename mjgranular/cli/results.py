@@ -92,15 +92,13 @@ class EngineOptions(OutputOptions):
     """Head of a Ray cluster; auto for the one that this machine belongs to."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Number of processes. Default: one per core."""
-    chunk: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Number of runs that a process is given at a time. Default: about a second's worth."""
     resume: Flag = False
     """Resume the result in the folder of --out, and never start over."""
 
     @property
     def where(self) -> Workers:
         """Where the runs are done."""
-        return Workers(self.engine, self.workers, self.chunk, self.address)
+        return Workers(self.engine, self.workers, self.address)
 
     def check_resume(self) -> None:
         """Raise if `--resume` contradicts other options."""

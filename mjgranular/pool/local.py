@@ -14,25 +14,27 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from mjgranular.errors import InputError
-from mjgranular.pool.workers import Chunk, Done, Function, WorkerLostError, run_chunk
+from mjgranular.pool.workers import Answer, Function, WorkerLostError, run_task
 
-_STILLBORN = 3  # successive pools that may end before a worker has begun; chosen
+# Chosen, not measured.
+_STILLBORN = 3  # successive pools that may end before a worker has begun
+_AHEAD = 2  # tasks per process, so that none waits for us
 
 
 class ThisProcess:
-    """No workers: chunks run in the calling process."""
+    """No workers: tasks run in the calling process."""
 
-    slots = count = 1
+    slots = 1
 
     def __init__(self, function: Function, shared: Any) -> None:
         self._function, self._shared = function, shared
 
-    def submit(self, chunk: Chunk) -> Future:
+    def submit(self, task: Any) -> Future:
         future: Future = Future()
-        future.set_result(run_chunk(self._function, self._shared, chunk))
+        future.set_result(run_task(self._function, self._shared, task))
         return future
 
-    def result(self, future: Future) -> Done:
+    def result(self, future: Future) -> Answer:
         return future.result()
 
     def close(self) -> None:
@@ -40,9 +42,9 @@ class ThisProcess:
 
 
 class Processes:
-    """Processes of this machine, each with one chunk at a time.
+    """Processes of this machine, each with one task at a time.
 
-    If one dies, the chunks of all of them are lost, and other processes start.
+    If one dies, the tasks of all of them are lost, and other processes start.
 
     Args:
         function: function of the tasks; the processes import it by its name.
@@ -51,7 +53,7 @@ class Processes:
     """
 
     def __init__(self, function: Function, shared: Any, count: int) -> None:
-        self.slots = self.count = count
+        self._count, self.slots = count, _AHEAD * count
         self._work = pickle.dumps((function, shared))
         # Spawned rather than forked: MuJoCo and numba may hold threads and locks.
         self._context = multiprocessing.get_context("spawn")
@@ -62,16 +64,16 @@ class Processes:
 
     def _start(self) -> None:
         self._executor = ProcessPoolExecutor(
-            self.count, self._context, initializer=_begin, initargs=(self._until, self._work)
+            self._count, self._context, initializer=_begin, initargs=(self._until, self._work)
         )
         self._begun = self._executor.submit(os.getpid)
 
-    def submit(self, chunk: Chunk) -> Future:
+    def submit(self, task: Any) -> Future:
         try:
-            return self._executor.submit(_run, chunk)
+            return self._executor.submit(_run, task)
         except BrokenProcessPool:
             self._restart()
-            return self._executor.submit(_run, chunk)
+            return self._executor.submit(_run, task)
 
     def _restart(self) -> None:
         """Start other processes in place of those that have died.
@@ -91,7 +93,7 @@ class Processes:
     def _has_begun(self) -> bool:
         return self._begun.done() and self._begun.exception() is None
 
-    def result(self, future: Future) -> Done:
+    def result(self, future: Future) -> Answer:
         try:
             return future.result()
         except BrokenProcessPool:
@@ -123,5 +125,5 @@ def _begin(until: Connection, work: bytes) -> None:
     _work = pickle.loads(work)
 
 
-def _run(chunk: Chunk) -> Done:
-    return run_chunk(*_work, chunk)
+def _run(task: Any) -> Answer:
+    return run_task(*_work, task)

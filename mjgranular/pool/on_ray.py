@@ -1,4 +1,4 @@
-"""The engine `ray`: chunks are Ray tasks, on this machine or on all of its cluster."""
+"""The engine `ray`: tasks are Ray tasks, on this machine or on all of its cluster."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from typing import Any
 from mjgranular._util.extras import require
 from mjgranular._util.versions import mismatch, versions
 from mjgranular.errors import InputError
-from mjgranular.pool.workers import Chunk, Done, Function, WorkerLostError, Workers, run_chunk
+from mjgranular.pool.workers import Answer, Function, WorkerLostError, Workers, run_task
 
 # Chosen, not measured.
 _CONNECT = 3.0  # [s] for the head's port to open
 _STORE = 128 * 2**20  # bytes of the object store of a Ray that we start: shared data and rows
-_AHEAD = 2  # chunks per core, so that no core waits for us
+_AHEAD = 4  # tasks per core, so that no core waits for us
 
 
 class RayPool:
-    """Chunks as Ray tasks.
+    """Tasks on Ray.
 
     An existing session of this process is used and left open; else one is started, and ended with
     the work.
@@ -44,21 +44,21 @@ class RayPool:
         if self._mine:
             _start(self._ray, workers)
         cores = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
-        self.count = min(workers.count or cores, cores)
         # Ray queues tasks beyond its cores; we queue those beyond the requested count.
-        self.slots = self.count if self.count < cores else _AHEAD * cores
+        fewer = workers.count is not None and workers.count < cores
+        self.slots = workers.count if fewer else _AHEAD * cores
         self._work = self._ray.put((function, shared, versions()))
-        # Ray repeats a chunk whose node is gone; what `tasks` repeats is for tasks that kill.
+        # Ray repeats a task whose node is gone; what `tasks` repeats is for tasks that kill.
         self._run = self._ray.remote(num_cpus=1, max_retries=1)(_run)
         self._references: dict[Future, Any] = {}
 
-    def submit(self, chunk: Chunk) -> Future:
-        reference = self._run.remote(self._work, chunk)
+    def submit(self, task: Any) -> Future:
+        reference = self._run.remote(self._work, task)
         future = reference.future()
         self._references[future] = reference
         return future
 
-    def result(self, future: Future) -> Done:
+    def result(self, future: Future) -> Answer:
         del self._references[future]
         errors = self._ray.exceptions
         try:
@@ -107,8 +107,8 @@ def _start(ray: Any, workers: Workers) -> None:
         raise InputError(f"Ray cannot be used on {where}: {reason}") from None
 
 
-def _run(work: tuple[Function, Any, dict[str, Any]], chunk: Chunk) -> Done | str:
-    """Run a chunk in a Ray worker; return why it cannot, if it has other versions."""
+def _run(work: tuple[Function, Any, dict[str, Any]], task: Any) -> Answer | str:
+    """Run a task in a Ray worker; return why it cannot, if it has other versions."""
     function, shared, expected = work
     different = mismatch(expected, versions())
     if different is not None:
@@ -116,7 +116,7 @@ def _run(work: tuple[Function, Any, dict[str, Any]], chunk: Chunk) -> Done | str
             f"the worker on {socket.gethostname()} has other versions, so its results could be "
             f"other ones: {different}; install the same on all nodes"
         )
-    return run_chunk(function, shared, chunk)
+    return run_task(function, shared, task)
 
 
 def _check_port(address: str) -> None:

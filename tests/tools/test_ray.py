@@ -53,8 +53,8 @@ def expected(tmp_path_factory):
 
 
 def test_tables_are_the_same_to_the_bit(expected, tmp_path):
-    for workers, chunk in ((1, 5), (2, None)):
-        result = run_study(STUDY, workers=Workers("ray", workers, chunk))
+    for workers in (1, 2):
+        result = run_study(STUDY, workers=Workers("ray", workers))
         assert table(result, tmp_path / "table.csv") == expected
     assert ray.is_initialized()  # the session that was there is left as it was
 
@@ -75,7 +75,7 @@ def test_a_sweep_goes_on_on_the_other_engine(expected, tmp_path):
         stopped.append(engine)
         journal = journal_of(STUDY, tmp_path)
         journal.begin()
-        on = Workers(engine, 1, 2)
+        on = Workers(engine, 1)
         result = run_study(STUDY, workers=on, journal=journal, progress=stop)
         assert result.interrupted
         assert 0 < result.finished < 24
@@ -100,7 +100,7 @@ def test_a_worker_that_is_killed_costs_nothing(tmp_path):
             os.kill(int(place.read_text()), signal.SIGKILL)
             killed.append(1)
 
-    on = Workers("ray", count=1, chunk=1)
+    on = Workers("ray", count=1)
     mapped = map_tasks(operator.call, tasks, shared=eval, on=on, progress=kill)
     assert list(mapped.journal.results()) == list(range(12))
     assert mapped.failures == []
@@ -108,7 +108,7 @@ def test_a_worker_that_is_killed_costs_nothing(tmp_path):
 
 def test_a_task_that_ends_its_worker_is_named_and_the_rest_is_there():
     tasks = ["0", "__import__('os')._exit(3)", "2"]
-    on = Workers("ray", count=1, chunk=3)
+    on = Workers("ray", count=1)
     mapped = map_tasks(operator.call, tasks, shared=eval, on=on)
     assert list(mapped.journal.results()) == [0, 2]
     assert [(one.index, one.lost) for one in mapped.failures] == [(1, True)]
@@ -132,7 +132,7 @@ def test_a_node_that_goes_costs_nothing(expected, other_node, tmp_path):
             gone.append(done)
             other_node()
 
-    result = run_study(STUDY, workers=Workers("ray", chunk=2), progress=go)
+    result = run_study(STUDY, workers=Workers("ray"), progress=go)
     assert gone
     assert result.failed == 0
     assert table(result, tmp_path / "table.csv") == expected

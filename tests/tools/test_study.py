@@ -146,7 +146,6 @@ def test_words_of_a_grid():
         (["--vary", "speed=1,2", "--of", "impact --json"], "omit it in --of"),
         (["--vary", "speed=1,2", "--of", "drop nowhere.xml"], "no field to vary 'speed'"),
         (["--vary", "height=1,2", "--of", "drop nowhere.xml"], "nowhere.xml"),
-        (["--chunk", "0"], "at least 1 task"),
         (["--address", "auto"], "say --engine ray too"),
         (["--resume", "--overwrite"], "omit --overwrite"),
     ],
