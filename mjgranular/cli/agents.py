@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjgranular._util.extras import require
-from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
+from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.policies import Policy, load_policy
@@ -51,7 +51,7 @@ def find_actor(
     """Return the agent that a word on the command line names, and its environment.
 
     Args:
-        what: a run's folder, a policy's, or an environment's id for agents that need no training.
+        what: a run's folder, a policy's, or for agents that need no training an environment's id.
         agent: policy, or one of `BASELINES`.
         environment: another environment than the one in which the policy was trained.
         gait: parameters of the gait that differ from its defaults.
@@ -60,7 +60,10 @@ def find_actor(
     if agent not in ("policy", *BASELINES):
         raise UnknownNameError("agent", agent, ("policy", *BASELINES))
     if agent != "policy":
-        return _find_baseline(what, agent, environment, gait, trust)
+        if environment is not None:
+            raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
+        environments.find_spec(what)
+        return Actor(agent, what, {}, agent, gait)
     try:
         policy = load_policy(what)
     except UnknownNameError as error:
@@ -79,30 +82,6 @@ def find_actor(
     environments.find_spec(env_id)
     arguments = dict(run.settings.environment) if env_id == run.environment else {}
     return Actor(what, env_id, arguments, policy)
-
-
-def _find_baseline(
-    what: str,
-    agent: str,
-    environment: str | None,
-    gait: Mapping[str, float] | None,
-    trust: bool,
-) -> Actor:
-    if environment is not None:
-        raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
-    if is_environment(what):
-        return Actor(agent, what, {}, agent, gait)
-    try:
-        run = replace(load_policy(what).run, trusted=trust)
-    except UnknownNameError:
-        environments.find_spec(what)  # lists environments
-        raise
-    run.check_environment()
-    warn_user(
-        f"{agent} acts in the environment of {what}, whose policy is not used; omit --agent to use "
-        "the policy"
-    )
-    return Actor(agent, run.environment, dict(run.settings.environment), agent, gait)
 
 
 def warn_of_sand(actor: Actor, now: Sands | None) -> None:

@@ -117,8 +117,6 @@ def _policy(name: str) -> Listed:
 
 
 def _policy_table(runs: dict[str, Any]) -> Listed:
-    from mjgranular.learn.policies import last_return
-
     rows = [
         {
             "name": name,
@@ -126,15 +124,11 @@ def _policy_table(runs: dict[str, Any]) -> Listed:
             "algorithm": run.settings.algorithm,
             "seed": run.seed,
             "steps": run.settings.total_steps,
-            "mean_return": last_return(run),
         }
         for name, run in runs.items()
     ]
-    headings = ("name", "environment", "algorithm", "seed", "steps", "return at the end")
-    cells = [
-        ("" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values())
-        for row in rows
-    ]
+    headings = ("name", "environment", "algorithm", "seed", "steps")
+    cells = [map(str, row.values()) for row in rows]
     return rows, table("Policies", headings, cells, words=3)
 
 

@@ -12,7 +12,7 @@ import tyro
 from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
 from mjgranular.cli.agents import find_actor, is_environment, warn_of_sand
-from mjgranular.cli.console import out, progress_bar
+from mjgranular.cli.console import out
 from mjgranular.cli.results import Flag, write_film
 from mjgranular.errors import InputError
 from mjgranular.experiment.folder import (
@@ -59,8 +59,7 @@ class RenderCommand:
     trust: Flag = False
     """Import and so execute the module of an environment that only the run's file names."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mp4")] = None
-    """The file; of a training run also .gif. Default: impact.mp4, drop.mp4 or policy.mp4 in the
-    folder of the run."""
+    """The file. Default: impact.mp4, drop.mp4 or policy.mp4 in the folder of the run."""
     overwrite: Flag = False
     """Replace a film that exists."""
 
@@ -76,7 +75,7 @@ class RenderCommand:
                 "impact, of a drop or of a training run"
             )
         target = self.out or self.run_folder / _DEFAULT_FILES[command]
-        if target.suffix != ".mp4" and not (command == TRAINING and target.suffix == ".gif"):
+        if target.suffix != ".mp4":
             raise InputError(f"a film must be written as .mp4, got {target.name!r}")
         if command != TRAINING and (self.on or self.seed is not None):
             raise InputError(f"--on and --seed are for training runs, got {self.run_folder}")
@@ -128,7 +127,7 @@ class RenderCommand:
 
     def _policy(self, film: Film) -> Draw:
         from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
-        from mjgranular.learn.film import film_episode
+        from mjgranular.learn.film import frames_of_episode
         from mjgranular.learn.sands import sands_made
 
         actor = find_actor(str(self.run_folder), trust=self.trust)
@@ -136,20 +135,12 @@ class RenderCommand:
         if not self.on:
             warn_of_sand(actor, sands_made(actor.environment, arguments))
 
-        def draw(folder: ResultFolder, name: str) -> None:
-            with progress_bar("filming", film.seconds * film.fps, remaining=True) as show:
-                folder.write(
-                    name,
-                    lambda path: film_episode(
-                        path,
-                        actor.environment,
-                        arguments,
-                        actor.make,
-                        film,
-                        seed=FIRST_SEED if self.seed is None else self.seed,
-                        camera=self.camera,
-                        progress=show,
-                    ),
-                )
-
-        return draw
+        film, count, frames = frames_of_episode(
+            actor.environment,
+            arguments,
+            actor.make,
+            film,
+            seed=FIRST_SEED if self.seed is None else self.seed,
+            camera=self.camera,
+        )
+        return lambda folder, name: write_film(folder, name, film, lambda: (count, frames))

@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -56,11 +56,9 @@ class SweepCommand(EngineOptions):
     """The experiment: a command in quotes, such as "impact --speed 2 --law rft2d", "drop MODEL.xml
     --slope 15" or "intrude --intruder sphere"."""
     sample: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Draw N points from ranges such as --vary speed=1:10 in place of a grid."""
+    """Draw N points of a Latin hypercube from ranges such as --vary speed=1:10."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Seed of --sample."""
-    method: Literal["latin", "sobol"] = "latin"
-    """Method of --sample: a Latin hypercube or a Sobol sequence."""
 
     def run(self) -> int:
         """Run the command."""
@@ -83,11 +81,11 @@ class SweepCommand(EngineOptions):
 
     def _study(self) -> Study:
         if self.sample is None:
-            for name in given_options(self, "seed", "method"):
+            for name in given_options(self, "seed"):
                 raise InputError(f"{option(name)} is for --sample")
         varied = read_vary(self.vary)
         experiment = read_experiment(self.of, varied)
-        return Study(experiment, varied, self.sample, self.seed, self.method)
+        return Study(experiment, varied, self.sample, self.seed)
 
     def _write(self, folder: ResultFolder, result: StudyResult) -> None:
         study, unfinished = result.study, result.interrupted or result.lost > 0

@@ -89,7 +89,7 @@ def make_runs() -> None:
 def read_everything(folder: Path) -> None:
     """Read a run in all ways for its kind; raise the first `GranularError`."""
     from mjgranular.learn.checkpoint import load_checkpoint
-    from mjgranular.learn.policies import last_return, load_policy
+    from mjgranular.learn.policies import load_policy
     from mjgranular.learn.run import open_run
     from mjgranular.learn.train import environments_of, new_model
 
@@ -130,7 +130,7 @@ def read_everything(folder: Path) -> None:
         "drop": [lambda: RenderCommand(run_folder=folder)._model(Film(camera="free", **small))],
         "sweep": [sweep],
     }
-    learned = [act, resume, lambda: find_actor(str(folder)), lambda: last_return(open_run(folder))]
+    learned = [act, resume, lambda: find_actor(str(folder))]
     every = [lambda: saved_command(folder), lambda: ResultFolder(folder, ("config.json",))]
     errors: list[GranularError] = []
     for reader in (*every, *readers.get(folder.name, learned)):

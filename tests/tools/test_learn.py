@@ -555,8 +555,7 @@ def test_a_training_run_is_filmed(tmp_path):
     small = ["--seconds", "0.4", "--width", "64", "--height", "48"]
     assert main(["render", str(run.path), *small]) == 0
     assert (run.path / "policy.mp4").stat().st_size > 500
-    assert main(["render", str(run.path), *small, "--out", str(tmp_path / "a.gif")]) == 0
-    assert (tmp_path / "a.gif").read_bytes()[:4] == b"GIF8"
+    assert main(["render", str(run.path), *small, "--out", str(tmp_path / "a.gif")]) == 2
     assert main(["render", str(run.path), *small]) == 2  # not twice
 
 

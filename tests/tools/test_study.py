@@ -43,18 +43,17 @@ def test_a_grid_has_every_value_with_every_other():
     assert study.at(5) == Impact(speed=3.0, angle=0.7, timestep=1e-4, duration=0.05)
 
 
-@pytest.mark.parametrize("method", ["latin", "sobol"])
-def test_a_sample_is_spread_evenly_and_is_that_of_its_seed(method):
+def test_a_sample_is_spread_evenly_and_is_that_of_its_seed():
     vary = {"speed": Between(1.0, 5.0), "height": Between(0.0, 0.1), "law": ["link", "rft2d"]}
-    study = Study(QUICK, vary, sample=64, seed=3, method=method)
+    study = Study(QUICK, vary, sample=64, seed=3)
     points = [study[k] for k in range(64)]
-    # Both put one point into each of 64 slices of every range: that is what they are made for.
+    # One point is in each of 64 slices of every range.
     slices = [math.floor((float(point["speed"]) - 1.0) / 4.0 * 64) for point in points]
     assert sorted(slices) == list(range(64))
     assert sum(point["law"] == "link" for point in points) == 32
-    again = Study(QUICK, vary, sample=64, seed=3, method=method)
+    again = Study(QUICK, vary, sample=64, seed=3)
     assert [again[k] for k in range(64)] == points
-    other = Study(QUICK, vary, sample=64, seed=4, method=method)
+    other = Study(QUICK, vary, sample=64, seed=4)
     assert other[0] != points[0]
 
 
