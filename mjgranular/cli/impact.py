@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -68,54 +67,41 @@ class ImpactCommand(FilmOptions, options_of(Impact)):
         return film
 
 
+_ROWS = (
+    ("timestep", "time step", 1, "s"),
+    ("speed", "speed of T", 1, "m/s"),
+    ("angle_deg", "angle from the vertical", 1, "deg"),
+    ("tangential_speed", "tangential speed of T", 1, "m/s"),
+    ("angular_velocity", "angular velocity", 1, "rad/s"),
+    ("height", "height of release", 1, "m"),
+    ("stopping_time", "stopping time", 1e3, "ms"),
+    ("depth", "depth of T", 1e3, "mm"),
+    ("stop_angle_deg", "angle at the stop", 1, "deg"),
+    ("stop_angular_velocity", "angular velocity at the stop", 1, "rad/s"),
+    ("greatest_force", "greatest force of the sand", 1, "N"),
+    ("rest_time", "at rest after", 1e3, "ms"),
+    ("rest_depth", "depth of the deeper end at rest", 1e3, "mm"),
+    ("rest_angle_deg", "angle at rest", 1, "deg"),
+)
+"""Rows of the table: name in the summary, words, factor, unit."""
+
+
 def _show(result: ImpactResult) -> None:
-    """Print a drop as a table, and remarks on it."""
-    summary, impact, stop, rest = result.summary(), result.impact, result.stop, result.rest
-    rows: list[tuple[str, str, str] | None] = [  # None for a line
-        ("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme_taken}", ""),
-        ("time step", f"{impact.timestep:g}", "s"),
-        ("speed of T", f"{impact.speed:g}", "m/s"),
-        ("angle from the vertical", f"{summary['angle_deg']:g}", "deg"),
-    ]
-    for name, value, unit in (
-        ("tangential speed of T", impact.tangential_speed, "m/s"),
-        ("angular velocity", impact.angular_velocity, "rad/s"),
-        ("height of release", impact.height, "m"),
-    ):
-        if value:
-            rows.append((name, f"{value:g}", unit))
-    rows.append(None)
-    if stop is None:
-        rows.append(("stopping time", f"not within {impact.duration:g}", "s"))
-        rows.append(("greatest depth of T", f"{summary['depth'] * 1e3:.3f}", "mm"))
-    else:
-        rows += [
-            ("stopping time", f"{stop.time * 1e3:.3f}", "ms"),
-            ("depth of T at the stop", f"{stop.depth * 1e3:.3f}", "mm"),
-            ("angle at the stop", f"{math.degrees(stop.angle):.2f}", "deg"),
-            ("angular velocity at the stop", f"{stop.angular_velocity:.2f}", "rad/s"),
-        ]
-    rows.append(("greatest force of the sand", f"{summary['greatest_force']:.1f}", "N"))
-    if rest is not None:
-        rows += [
-            ("at rest after", f"{rest.time * 1e3:.1f}", "ms"),
-            ("depth of the deeper end at rest", f"{rest.depth * 1e3:.3f}", "mm"),
-            ("angle at rest", f"{math.degrees(rest.angle):.2f}", "deg"),
-        ]
+    """Print a drop as a table, without what is zero or unknown, and remarks on it."""
+    summary, impact = result.summary(), result.impact
     shown = Table(title=f"Impact on sand: {impact.body}", show_header=False, title_justify="left")
     for justify in ("left", "right", "left"):
         shown.add_column(justify=justify, style="dim" if justify == "left" else "")
-    for row in rows:
-        shown.add_section() if row is None else shown.add_row(*row)
+    shown.add_row("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme_taken}", "")
+    for key, words, factor, unit in _ROWS:
+        if summary[key]:
+            shown.add_row(words, f"{summary[key] * factor:.5g}", unit)
     out.print(shown)
-    if stop is None:
+    if result.stop is None:
         note(f"T did not stop within {impact.duration:g} s; a longer --duration may show it")
-    elif impact.until == "rest" and rest is None:
+    elif impact.until == "rest" and result.rest is None:
         omega = float(result.trajectory.omega[-1])
-        line = f"not at rest after {impact.duration:g} s: it turns at {omega:.1f} rad/s"
-        if result.law.split()[0] == "link":
-            line += "; the lumped law does not resist turning about E, --law link_distributed does"
-        note(line)
+        note(f"not at rest after {impact.duration:g} s: it turns at {omega:.1f} rad/s")
 
 
 def release_to_stop(summary: dict[str, Any]) -> float | None:

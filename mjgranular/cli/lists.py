@@ -103,20 +103,6 @@ def _facts(law: type[Law]) -> dict[str, str]:
 def _policies() -> Listed:
     from mjgranular.learn.policies import shipped_policies
 
-    return _policy_table(shipped_policies())
-
-
-def _policy(name: str) -> Listed:
-    from mjgranular.learn.policies import shipped_policies
-
-    shipped = shipped_policies()
-    if name not in shipped:
-        raise UnknownNameError("policy", name, shipped)
-    rows, shown = _policy_table({name: shipped[name]})
-    return rows[0], shown
-
-
-def _policy_table(runs: dict[str, Any]) -> Listed:
     rows = [
         {
             "name": name,
@@ -125,11 +111,19 @@ def _policy_table(runs: dict[str, Any]) -> Listed:
             "seed": run.seed,
             "steps": run.settings.total_steps,
         }
-        for name, run in runs.items()
+        for name, run in shipped_policies().items()
     ]
-    headings = ("name", "environment", "algorithm", "seed", "steps")
     cells = [map(str, row.values()) for row in rows]
+    headings = ("name", "environment", "algorithm", "seed", "steps")
     return rows, table("Policies", headings, cells, words=3)
+
+
+def _policy(name: str) -> Listed:
+    rows = {row["name"]: row for row in _policies()[0]}
+    if name not in rows:
+        raise UnknownNameError("policy", name, rows)
+    row = rows[name]
+    return row, table(name, ("", ""), [(key, str(value)) for key, value in row.items()], words=2)
 
 
 def _environments() -> Listed:

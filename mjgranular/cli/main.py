@@ -26,7 +26,6 @@ from mjgranular.cli.render import RenderCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
-from mjgranular.cli.warm import WarmCommand
 from mjgranular.errors import GranularError, GranularWarning, UnknownNameError, one_line
 
 PIPE_CLOSED = 141  # 128 + SIGPIPE, as for any command whose reader has ended
@@ -42,7 +41,6 @@ COMMANDS: dict[str, Any] = {
     "train": TrainCommand,
     "evaluate": EvaluateCommand,
     "render": RenderCommand,
-    "warm": WarmCommand,
     "list": ListCommand,
 }
 

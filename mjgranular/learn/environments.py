@@ -33,20 +33,14 @@ def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
 
 
-def several(
-    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, threads: int | None = None
-) -> Any:
+def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
     """Return several environments stepped together, a `gymnasium.vector.VectorEnv`.
 
-    Those that have a vector form run in it, on `threads` threads (None: one per core); others run
-    one after another.
+    Those that have a vector form run in it; others run one after another.
     """
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
-    options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": "sync"}
-    if _has_vector_form(env_id):
-        options["vectorization_mode"] = "vector_entry_point"
-        if threads is not None:
-            options["threads"] = threads
+    mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
+    options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": mode}
     return _made(env_id, arguments, lambda given: gym.make_vec(env_id, **{**options, **given}))
 
 
@@ -55,7 +49,6 @@ def for_training(
     arguments: Mapping[str, Any],
     *,
     num_envs: int,
-    threads: int | None = None,
     warp: str | None = None,
 ) -> Any:
     """Return environments as a `VecEnv` of Stable-Baselines3 that reports finished episodes.
@@ -64,7 +57,6 @@ def for_training(
         env_id: Gymnasium id.
         arguments: arguments of the environment.
         num_envs: number of environments.
-        threads: threads that step a batch; None for one per core.
         warp: device of MuJoCo Warp that steps the batch; None for MuJoCo on this machine's cores.
 
     Raises:
@@ -86,10 +78,7 @@ def for_training(
             env_id, arguments, lambda given: make_vec_env(env_id, num_envs, env_kwargs=given)
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    options = {} if threads is None else {"threads": threads}
-    env = _made(
-        env_id, arguments, lambda given: make(env_id, num_envs, warp=warp, **{**options, **given})
-    )
+    env = _made(env_id, arguments, lambda given: make(env_id, num_envs, warp=warp, **given))
     return VecMonitor(env)
 
 

@@ -53,7 +53,6 @@ def train(
     run: Run,
     *,
     report: Report | None = None,
-    threads: int | None = None,
     warp: str | None = None,
 ) -> Training:
     """Train until `total_steps`, from the newest checkpoint if there is one.
@@ -68,7 +67,6 @@ def train(
     Args:
         run: the run to train.
         report: called at every step of the environments.
-        threads: threads of a batch of environments; None for one per core. Results are the same.
         warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
             on this machine's cores. A run may change this at any checkpoint.
 
@@ -89,7 +87,7 @@ def train(
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = environments_of(run, threads=threads, warp=warp)
+    env = environments_of(run, warp=warp)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
@@ -124,7 +122,7 @@ def _warn_of_versions(run: Run) -> None:
         warn_user(f"{run.path} was started with {', '.join(changed)}: numbers may differ from now")
 
 
-def environments_of(run: Run, *, threads: int | None = None, warp: str | None = None) -> Any:
+def environments_of(run: Run, *, warp: str | None = None) -> Any:
     """Return the environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
@@ -134,7 +132,6 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
         run.environment,
         run.arguments,
         num_envs=settings.num_envs,
-        threads=threads,
         warp=warp,
     )
     vectors = {"observations": env.observation_space}

@@ -82,8 +82,6 @@ def prepare(page, place):
 def shortened(command):
     """The words of a command, and what makes it short."""
     words = shlex.split(command)
-    if words == ["warm"]:  # all there is
-        return [*words, "--law", "link", "--scheme", "explicit"]
     if "--resume" in words:
         return with_options(words, "--total-steps 128") if "--total-steps" in words else words
     if words[0] == "sweep":

@@ -118,7 +118,6 @@ def test_the_command_finds_what_lies_beside_the_user(beside: Path) -> None:
     done = run("evaluate", OWN, "--agent", "zero", "--seeds", "2", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)[0]["length"]["mean"] == 20
-    assert run("warm", "--env", OWN).returncode == 0
 
 
 @pytest.mark.parametrize("named", ["my_quad:MyQuad-v0", "my_quad:MyQuadClass-v0", "class"])

@@ -219,15 +219,6 @@ evaluate CartPole-v1 --agent zero --on medium | NAME=VALUE,NAME=VALUE ... 'mediu
 evaluate CartPole-v1 --agent zero --gait waves=1 | --gait is for --agent
 evaluate Hexapod-v0/ppo-0 --env CartPole-v1 | observations of CartPole-v1 must be
 evaluate Hexapod-v0/ppo-0 --on medium=moon | no medium 'moon'; there are: glass_beads, glass
-warm blok.xml | MuJoCo cannot load blok.xml
-warm block.xml --env Ant-v5 | name a MODEL.xml or --env ID
-warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: ... mjgranular/Ant-v0,
-warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
-warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
-warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
-warm --bodies block | --bodies ... name a MODEL.xml
-warm --bed tray | --bed ... name a MODEL.xml
-warm --env mjgranular/Hexapod-v0 --law rft3d | --law ... an environment has its own sand
 sweep --speed 3 | Unrecognized or misplaced options: --speed
 sweep --of "impact --speed 2" | speed is varied, and --speed 2.0 fixes it: omit one of the
 sweep --vary angle=10:30:3 --of "impact --angle 20" | angle is varied, and --angle 20.0 fixes it
