@@ -6,9 +6,10 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -27,12 +28,12 @@ from mjgranular.cli.options import (
     parse_integer,
     parse_number,
 )
-from mjgranular.cli.results import EngineOptions, FilmOptions
+from mjgranular.cli.results import FilmOptions, OutputOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
 from mjgranular.experiment.table import write_csv
-from mjgranular.pool import UNFINISHED
+from mjgranular.pool import UNFINISHED, Journal, Workers
 
 _COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}
 _MOST_VALUES = 10**6  # of one field; chosen, as are the next three
@@ -42,7 +43,7 @@ _MOST_AXES = 2  # fields in a figure
 
 
 @dataclass(frozen=True)
-class SweepCommand(EngineOptions):
+class SweepCommand(OutputOptions):
     """Run an experiment many times, with any of its fields varied; by default as in Fig. 5.
 
     The runs are spread over the cores, or with --engine ray over a cluster. Ctrl-C ends the sweep;
@@ -59,15 +60,20 @@ class SweepCommand(EngineOptions):
     """Draw N points of a Latin hypercube from ranges such as --vary speed=1:10."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Seed of --sample."""
+    engine: Literal["local", "ray"] = "local"
+    """Processes of this machine, or Ray: on this machine, or with --address on a cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
+    """Head of a Ray cluster; auto for the one that this machine belongs to."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Number of processes. Default: one per core."""
 
     def run(self) -> int:
         """Run the command."""
-        workers = self.where  # raises for contradicting options
-        self.check_resume()
+        workers = Workers(self.engine, self.workers, self.address)
         study = self._study()
         journal = journal_of(study, self.out)
         names = (CONFIG, SUMMARY, "sweep.csv", "sweep.png")
-        with self.resumable(journal, *names) as folder:
+        with self._resumable(journal, *names) as folder:
             with progress_bar("running", len(study)) as progress:
                 result = run_study(study, workers=workers, journal=journal, progress=progress)
             if self.json:
@@ -86,6 +92,37 @@ class SweepCommand(EngineOptions):
         varied = read_vary(self.vary)
         experiment = read_experiment(self.of, varied)
         return Study(experiment, varied, self.sample, self.seed)
+
+    @contextmanager
+    def _resumable(self, journal: Journal, *names: str) -> Iterator[ResultFolder | None]:
+        """Claim the folder of `--out`, and open the journal of what is finished in it.
+
+        Args:
+            journal: journal of that folder.
+            names: names of all files that a result may have.
+
+        Raises:
+            OutputError: the folder holds something else.
+        """
+        with closing(journal):
+            if self.out is None:
+                journal.begin()
+                yield None
+                return
+            fault = journal.fault()
+            if fault is not None and (self.out / UNFINISHED).exists():
+                note(f"the unfinished sweep in {self.out} cannot be resumed: {fault}")
+            claim = ResultFolder(self.out, (*names, UNFINISHED))
+            with claim.claimed(overwrite=self.overwrite, goes_on=journal.can_resume) as folder:
+                try:
+                    journal.begin()
+                    if journal.count:
+                        note(f"{journal.count} of {len(journal)} are finished")
+                    yield folder
+                finally:
+                    journal.close()
+                    if not journal.count:
+                        (self.out / UNFINISHED).unlink(missing_ok=True)
 
     def _write(self, folder: ResultFolder, result: StudyResult) -> None:
         study, unfinished = result.study, result.interrupted or result.lost > 0
@@ -115,7 +152,10 @@ class SweepCommand(EngineOptions):
             where = f"; {SUMMARY} lists them" if self.out else ""
             show_error(f"and {result.failed - _FAILURES_SHOWN} more have no result{where}")
         if result.interrupted:
-            return self.show_interrupted(result.journal, result.stopped_by)
+            saved = f", saved in {self.out}; the same command resumes it" if self.out else ""
+            saved = saved if result.finished else ""
+            show_error(f"interrupted: {result.finished} of {len(result.study)} are finished{saved}")
+            return 128 + (result.stopped_by or 0)
         if result.lost:
             again = "; the same command tries them again" if self.out and result.finished else ""
             show_error(f"{result.lost} runs were lost with their processes{again}")

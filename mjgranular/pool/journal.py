@@ -69,6 +69,10 @@ class Journal:
         """Return why a run cannot resume from the file in the folder; None if it can."""
         return self._read()[0]
 
+    def can_resume(self) -> bool:
+        """Return True if a run can resume from the file in the folder."""
+        return self.fault() is None
+
     def begin(self) -> None:
         """Open the file: results of the same request stay, all else in it is deleted.
 

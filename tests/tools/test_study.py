@@ -146,7 +146,6 @@ def test_words_of_a_grid():
         (["--vary", "speed=1,2", "--of", "drop nowhere.xml"], "no field to vary 'speed'"),
         (["--vary", "height=1,2", "--of", "drop nowhere.xml"], "nowhere.xml"),
         (["--address", "auto"], "say --engine ray too"),
-        (["--resume", "--overwrite"], "omit --overwrite"),
     ],
 )
 def test_mistakes_on_the_command_line(arguments, words, tmp_path, capfd):
@@ -180,8 +179,6 @@ def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
     from mjgranular.experiment import journal_of
 
     command = ["sweep", "--vary", "speed=1:2:3", *FEW, "--out", str(tmp_path)]
-    assert main([*command, "--resume"]) == 2
-    assert "nothing to resume" in capfd.readouterr().err
     study = Study(replace(QUICK, speed=Impact.speed), {"speed": [1.0, 1.5, 2.0]})
     marked = {**run_study(Study(QUICK, {"speed": [1.5]}), workers=1).journal[0], "depth": -1.0}
     journal = journal_of(study, tmp_path)
@@ -189,9 +186,8 @@ def test_an_unfinished_one_goes_on_and_another_does_not(tmp_path, capfd):
     journal.close()
     other = ["sweep", "--vary", "speed=1:3:3", *FEW, "--out", str(tmp_path)]
     assert main(other) == 2
-    assert main([*other, "--resume"]) == 2
     assert "begun with another vary" in capfd.readouterr().err
-    assert main([*command, "--resume"]) == 0
+    assert main(command) == 0
     assert "1 of 3 are finished" in capfd.readouterr().err
     assert [float(row["depth"]) > 0 for row in table(tmp_path / "sweep.csv")] == [
         True,
