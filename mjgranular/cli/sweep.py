@@ -32,7 +32,6 @@ from mjgranular.cli.results import FilmOptions, OutputOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
 from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
-from mjgranular.experiment.table import write_csv
 from mjgranular.pool import UNFINISHED, Journal, Workers
 
 _COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}
@@ -134,11 +133,10 @@ class SweepCommand(OutputOptions):
             "interrupted": result.interrupted,
             "failures": [result.told(failure) for failure in result.failures],
         }
-        columns = result.columns()
         with folder.published(keep=(UNFINISHED,) if unfinished else ()):
             folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
             folder.write_json(SUMMARY, summary)
-            folder.write("sweep.csv", lambda path: write_csv(path, columns, result.rows))
+            folder.write("sweep.csv", result.write_csv)
             try:
                 _draw(folder, result)
             except MissingExtraError as error:

@@ -16,7 +16,7 @@ from mjgranular.errors import InputError
 from mjgranular.experiment.drop import Drop, loading
 from mjgranular.experiment.intrusion import Intrusion
 from mjgranular.experiment.study import Experiment, Study
-from mjgranular.law import Law, get_law, law_in, laws, register_law
+from mjgranular.law import Law, law_in, laws, register_law
 from mjgranular.medium import Medium, get_medium, media
 
 _LARGEST = 256 * 2**20  # bytes of a file; chosen
@@ -58,10 +58,8 @@ class Custom:
 
 def _laws(study: Study) -> Iterator[type[Law]]:
     """Yield the laws that a study uses and that are not part of the package."""
-    kinds = {law_in(text)[0] for text in _words(study, "law")}
-    if not kinds:
-        kinds = {type(get_law(None, get_medium(name))) for name in _words(study, "medium")}
-    for kind in sorted(kinds, key=lambda kind: kind.name):
+    kinds = {law_in(text)[0].name: law_in(text)[0] for text in _words(study, "law")}
+    for kind in kinds.values():
         package = kind.__module__.partition(".")[0]
         if package == "__main__":
             raise InputError(

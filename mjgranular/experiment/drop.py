@@ -34,7 +34,6 @@ from mjgranular.experiment.ground import (
     watch_floors,
 )
 from mjgranular.experiment.sampling import Recorder, Sampler
-from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import robot_path
 from mjgranular.relief.memory import Memory, as_memory
@@ -254,7 +253,6 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         FloorWarning: the model's own ground has carried it, without `keep_floor`.
     """
     check_kind(drop, Drop, "run_drop", "Drop(path, ...)")
-    warn_of_slips(lengths={"the height of the start": drop.height}, speed=drop.velocity)
     model, xml = load(drop)
     if not drop.keep_floor:
         refuse_floors(model, drop.sand)

@@ -14,8 +14,7 @@ from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
-from mjgranular.experiment.table import write_numbers
-from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.experiment.trajectory import Trajectory, write_numbers
 from mjgranular.render import Tracks
 
 _CSV = "trajectory.csv"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -61,6 +62,13 @@ class StudyResult(Mapped):
         for row in self.rows():
             names |= dict.fromkeys(row)
         return [*names]
+
+    def write_csv(self, path: Path) -> None:
+        """Write a CSV file with a line for each row; cells that a row lacks are empty."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, self.columns())
+            writer.writeheader()
+            writer.writerows(self.rows())
 
     def told(self, failure: Failure) -> str:
         """Describe a failure: which experiment, with what values, and why."""

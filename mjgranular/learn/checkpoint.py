@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from mjgranular.learn.run import (
     STATE,
     Run,
     curve_text,
-    open_run,
     read_curve,
 )
 from mjgranular.learn.settings import Settings
@@ -71,9 +70,8 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
             _write_replay(folder / REPLAY, model.replay_buffer)
         _write_json(folder / STATE, {"steps": progress.steps, "seconds": progress.seconds})
 
-    folder = run.checkpoint_folder(progress.steps)
-    files.write_folder(folder, fill)
-    run.remove_old_checkpoints(folder)
+    files.write_folder(run.checkpoint_folder(progress.steps), fill)
+    run.remove_old_checkpoints()
 
 
 def load_checkpoint(
@@ -90,7 +88,6 @@ def load_checkpoint(
     Raises:
         GranularError: a file is damaged or of another run, or was written by other versions.
     """
-    check_belongs(folder, run)
     normalizer = Normalizer.read(folder / NORMALIZER, run.settings, env.observation_space.shape)
     weights = read_weights(folder / POLICY)
     check_spaces(weights, env, folder, run.environment)
@@ -109,21 +106,9 @@ def load_checkpoint(
         setattr(model, name, value)
     if hasattr(model, "replay_buffer"):
         _read_replay(folder / REPLAY, model.replay_buffer)
-    if folder != run.checkpoint_folder(model.num_timesteps):
-        raise OutputError(f"{folder} is damaged: it holds {model.num_timesteps} steps")
     seconds = number(read_json(folder / STATE), "seconds", folder / STATE) or 0.0
     normalizer.restore(env)  # last: the environment is unchanged if anything was wrong
     return model, Progress(model.num_timesteps, seconds, read_curve(folder / CURVE))
-
-
-def check_belongs(checkpoint: Path, run: Run) -> None:
-    """Check that a checkpoint is of a run: files of several runs may have been mixed."""
-    other = open_run(checkpoint)
-    here, there = (replace(each.settings, total_steps=1) for each in (run, other))
-    if (run.environment, run.seed, here) != (other.environment, other.seed, there):
-        raise OutputError(
-            f"{checkpoint} is of another run ({other.name}) than {run.path / CONFIG} ({run.name})"
-        )
 
 
 def write_policy(run: Run, checkpoint: Path) -> None:

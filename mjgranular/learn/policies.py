@@ -13,7 +13,7 @@ import mjgranular.models
 from mjgranular._util import files
 from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import OutputError, UnknownNameError, warn_user
-from mjgranular.learn.checkpoint import Normalizer, check_belongs
+from mjgranular.learn.checkpoint import Normalizer
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
@@ -90,8 +90,6 @@ def _load(run: Run, holder: Path) -> Policy:
             f"{run.path} has no policy yet, as its training has written no checkpoint: resume it "
             f"with mjgranular train --resume {run.path}"
         )
-    if holder != run.path:
-        check_belongs(holder, run)
     try:
         model = build_policy(run.settings, read_weights(file), file)
         statistics = files.latest_path(holder, NORMALIZER)

@@ -110,17 +110,10 @@ class Run:
         """Return the path of the checkpoint after `steps` steps."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
-    def remove_old_checkpoints(self, written: Path | None = None) -> None:
-        """Keep the newest two complete checkpoints, and damaged ones among them for inspection.
-
-        A checkpoint that was just written need not be checked.
-        """
-        complete = 0
-        for folder in self.checkpoints():
-            if complete == _KEPT:
-                files.remove_folder(folder)
-            elif folder == written or files.find_corruption(folder, _IN_A_CHECKPOINT) is None:
-                complete += 1
+    def remove_old_checkpoints(self) -> None:
+        """Keep the newest two checkpoints."""
+        for folder in self.checkpoints()[_KEPT:]:
+            files.remove_folder(folder)
 
     def extended(self, total_steps: int) -> Run:
         """Return the run with another number of steps, and write that to its folder."""

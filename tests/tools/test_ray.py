@@ -13,7 +13,6 @@ from mjgranular._util.versions import versions
 from mjgranular.envs.rllib import register_env
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import Between, Impact, Study, journal_of, run_study
-from mjgranular.experiment.table import write_csv
 from mjgranular.pool import Workers, map_tasks, on_ray
 
 ray = pytest.importorskip("ray", reason="the extra ray is not installed")
@@ -43,7 +42,7 @@ def other_node():
 
 
 def table(result, path):
-    write_csv(path, result.columns(), result.rows)
+    result.write_csv(path)
     return path.read_bytes()
 
 
