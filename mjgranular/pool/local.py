@@ -16,9 +16,7 @@ from typing import Any
 from mjgranular.errors import InputError
 from mjgranular.pool.workers import Answer, Function, WorkerLostError, run_task
 
-# Chosen, not measured.
-_STILLBORN = 3  # successive pools that may end before a worker has begun
-_AHEAD = 2  # tasks per process, so that none waits for us
+_AHEAD = 2  # tasks per process, so that none waits for us; chosen
 
 
 class ThisProcess:
@@ -59,46 +57,32 @@ class Processes:
         self._context = multiprocessing.get_context("spawn")
         # Closed by us or, if we are killed, by the system: then the workers end.
         self._until, self._ours = self._context.Pipe(duplex=False)
-        self._stillborn = 0
-        self._start()
+        self._executor = self._started()
+        self._first = self._executor.submit(os.getpid)
 
-    def _start(self) -> None:
-        self._executor = ProcessPoolExecutor(
-            self._count, self._context, initializer=_begin, initargs=(self._until, self._work)
-        )
-        self._begun = self._executor.submit(os.getpid)
+    def _started(self) -> ProcessPoolExecutor:
+        work = (self._until, self._work)
+        return ProcessPoolExecutor(self._count, self._context, initializer=_begin, initargs=work)
 
     def submit(self, task: Any) -> Future:
         try:
             return self._executor.submit(_run, task)
         except BrokenProcessPool:
-            self._restart()
+            self._executor.shutdown()
+            self._executor = self._started()
             return self._executor.submit(_run, task)
-
-    def _restart(self) -> None:
-        """Start other processes in place of those that have died.
-
-        Raises:
-            InputError: several in succession have died before they began.
-        """
-        self._executor.shutdown()
-        self._stillborn = 0 if self._has_begun() else self._stillborn + 1
-        if self._stillborn >= _STILLBORN:
-            raise InputError(
-                "the worker processes end before they begin: a script needs "
-                'if __name__ == "__main__": around what it does, or 1 worker'
-            )
-        self._start()
-
-    def _has_begun(self) -> bool:
-        return self._begun.done() and self._begun.exception() is None
 
     def result(self, future: Future) -> Answer:
         try:
             return future.result()
         except BrokenProcessPool:
+            if self._first.exception() is not None:
+                raise InputError(
+                    "the worker processes end before they begin: a script needs "
+                    'if __name__ == "__main__": around what it does, or 1 worker'
+                ) from None
             reason = "its process ended abruptly, perhaps for lack of memory"
-            raise WorkerLostError(reason, begun=self._has_begun()) from None
+            raise WorkerLostError(reason) from None
 
     def close(self) -> None:
         self._ours.close()  # which ends them in the middle of a task

@@ -141,7 +141,7 @@ def _follow(
             try:
                 answer = pool.result(future)
             except WorkerLostError as error:
-                lost[index] += error.begun
+                lost[index] += 1
                 if lost[index] < TRIES:
                     suspects.append(index)
                 else:

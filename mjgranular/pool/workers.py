@@ -65,16 +65,7 @@ class Answer(NamedTuple):
 
 
 class WorkerLostError(Exception):
-    """A worker died with a task.
-
-    Args:
-        reason: the known reason.
-        begun: whether it may have begun the task; False if it died before.
-    """
-
-    def __init__(self, reason: str, *, begun: bool = True) -> None:
-        super().__init__(reason)
-        self.begun = begun
+    """A worker died with a task; says why, as far as it is known."""
 
 
 class Pool(Protocol):

@@ -161,21 +161,15 @@ def test_a_worker_that_dies_costs_nothing_but_a_task_that_kills_does():
     assert multiprocessing.active_children() == []
 
 
-@pytest.mark.parametrize(("begun", "lost"), [(False, 0), (True, 3)])
-def test_only_workers_that_may_have_been_at_a_chunk_count_against_it(begun, lost, monkeypatch):
-    """Five workers die, before or after they have begun; three that had are the end of a task."""
-    deaths = iter(range(5))
-
+def test_three_workers_that_die_are_the_end_of_a_task(monkeypatch):
     class Dying(ThisProcess):
         def result(self, future) -> Answer:
-            if next(deaths, None) is not None or lost:
-                raise WorkerLostError("it died", begun=begun)
-            return super().result(future)
+            raise WorkerLostError("it died")
 
     monkeypatch.setattr(handing, "ThisProcess", Dying)
     mapped = map_tasks(operator.add, [1, 2, 3], shared=1, on=HERE)
-    assert mapped.lost == lost
-    assert results(mapped) == ([] if lost else [2, 3, 4])
+    assert mapped.lost == 3
+    assert mapped.failures[0].reason == "it died; tried 3 times"
 
 
 # Ray, as far as it needs none
