@@ -196,7 +196,7 @@ class Normalizer:
         content, scaled = read_json(file), settings.normalize_observations
         try:
             arrays = {name: np.array(content[name], float) for name in ("mean", "variance")}
-            numbers = {each.name: float(content[each.name]) for each in fields(cls)[3:]}
+            numbers: dict[str, Any] = {f.name: float(content[f.name]) for f in fields(cls)[3:]}
         except (KeyError, TypeError, ValueError) as error:
             raise OutputError(f"{file} is damaged: {type(error).__name__}: {error}") from None
         expected = shape if scaled else (0,)
@@ -207,7 +207,7 @@ class Normalizer:
                 f"{file} is damaged, or not of this policy: observations must be {scaled}, mean "
                 f"and variance finite numbers of shape {expected}"
             )
-        return cls(scaled, **arrays, **numbers)
+        return cls(scaled, arrays["mean"], arrays["variance"], **numbers)
 
 
 # Replay buffers of SAC and TD3

@@ -45,8 +45,8 @@ class RayPool:
             _start(self._ray, workers)
         cores = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         # Ray queues tasks beyond its cores; we queue those beyond the requested count.
-        fewer = workers.count is not None and workers.count < cores
-        self.slots = workers.count if fewer else _AHEAD * cores
+        count = workers.count or cores
+        self.slots = count if count < cores else _AHEAD * cores
         self._work = self._ray.put((function, shared, versions()))
         # Ray repeats a task whose node is gone; what `tasks` repeats is for tasks that kill.
         self._run = self._ray.remote(num_cpus=1, max_retries=1)(_run)
