@@ -13,11 +13,12 @@ import mujoco
 
 from mjgranular._util.io import read_file
 from mjgranular.errors import InputError
-from mjgranular.experiment.drop import Drop, loading
-from mjgranular.experiment.intrusion import Intrusion
+from mjgranular.experiment.drop import loading
+from mjgranular.experiment.impact import Impact
 from mjgranular.experiment.study import Experiment, Study
 from mjgranular.law import Law, law_in, laws, register_law
 from mjgranular.medium import Medium, get_medium, media
+from mjgranular.models import robot_path
 
 _LARGEST = 256 * 2**20  # bytes of a file; chosen
 _SHIPPED = dict(media)  # those of the package: every worker has them
@@ -93,9 +94,9 @@ def _module_file(law: type[Law]) -> Path:
 
 def _files(experiment: Experiment) -> list[Path]:
     """Return the model's file, and those that it refers to."""
-    model = experiment.model if isinstance(experiment, (Drop, Intrusion)) else None
-    if not isinstance(model, Path):
+    if isinstance(experiment, Impact) or experiment.model is None:
         return []
+    model = robot_path(experiment.model)
     if model.suffix.lower() not in (".xml", ".urdf"):
         return [model]
     with loading(model.name):

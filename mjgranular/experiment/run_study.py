@@ -24,6 +24,7 @@ from mjgranular.experiment.study import (
     value_in_table,
     with_values,
 )
+from mjgranular.models import robot_path
 from mjgranular.pool import Failure, Journal, Mapped, Workers, map_tasks
 
 Row = dict[str, Any]
@@ -114,7 +115,7 @@ def run_study(
     mapped = map_tasks(
         _row,
         study,  # pyright: ignore[reportArgumentType] - it has what is used of a sequence
-        shared=(study.experiment, custom),
+        shared=(_with_absolute_path(study.experiment), custom),
         on=Workers.of(workers),
         journal=journal,
         progress=progress,
@@ -158,6 +159,13 @@ def _try(experiment: Experiment) -> None:
     except GranularError as error:
         if isinstance(error, (InputError, KeyError)):
             raise
+
+
+def _with_absolute_path(experiment: Experiment) -> Experiment:
+    """Return the experiment with a path of its model for workers in other folders."""
+    if isinstance(experiment, Impact) or experiment.model is None:
+        return experiment
+    return replace(experiment, model=robot_path(experiment.model).absolute())
 
 
 def _row(shared: tuple[Experiment, Custom], values: Mapping[str, Value]) -> Row:
