@@ -136,7 +136,7 @@ drop block.xml --out notes.txt | cannot write to notes.txt: File exists; choose 
 drop block.xml --out /proc/nowhere | cannot write to /proc/nowhere
 drop block.xml --out results --video --camera up | no camera 'up'; there are:
 drop block.xml --hieght 0.1 | Unrecognized options: --hieght
-dorp block.xml | no command 'dorp'; did you mean drop? There are
+dorp block.xml | no command 'dorp'; there are: impact, ... did you mean drop?
 drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
