@@ -18,7 +18,7 @@ HOPPER = "mjgranular/Hopper-v0"
     [
         ([HOPPER, "--device", "cpu"], "--device is for --engine warp"),
         ([HOPPER, "--engine", "warp", "--device", "gpu9"], "no device 'gpu9' .* there is: cpu"),
-        ([HOPPER, "--engine", "warp", "--num-envs", "0"], "num_envs"),
+        ([HOPPER, "--engine", "warp", "--set", "num_envs=0"], "num_envs"),
         (
             ["Pendulum-v1", "--engine", "warp"],
             "environments of mjgranular.* not Pendulum-v1",
