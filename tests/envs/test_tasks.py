@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 
 import gymnasium as gym
@@ -54,6 +55,12 @@ def rollout(env, actions, seed=0):
     return seen
 
 
+@cache
+def made(name):
+    """An environment that tests share: any that steps it begins with a reset."""
+    return gym.make(id_of(name))
+
+
 def same(first, second):
     return all(
         np.array_equal(a[0], b[0]) and a[1] == b[1] and a[2] == b[2]
@@ -68,14 +75,14 @@ def samples(env, count, seed=0):
 
 @pytest.mark.parametrize("name", tasks)
 def test_gymnasium_and_stable_baselines_find_nothing(name):
-    env = gym.make(id_of(name)).unwrapped
+    env = made(name).unwrapped
     check_env(env, skip_render_check=True)
     check_for_sb3(env)
 
 
 @pytest.mark.parametrize("name", tasks)
 def test_a_seed_decides_all_and_nothing_is_constant(name):
-    first, second = gym.make(id_of(name)), gym.make(id_of(name))
+    first, second = made(name), gym.make(id_of(name))
     actions = samples(first, 12)
     one, other = rollout(first, actions), rollout(second, actions)
     assert same(one, other)
@@ -92,7 +99,7 @@ def test_a_seed_decides_all_and_nothing_is_constant(name):
 def test_the_docstring_is_the_specification(name):
     task = tasks[name]
     assert re.findall(r"^ *## (.*)$", task.__doc__, re.MULTILINE) == list(SECTIONS)
-    env = gym.make(id_of(name))
+    env = made(name)
     text = " ".join(task.__doc__.split())
     size = env.observation_space.shape[0]
     if "links" in text:
