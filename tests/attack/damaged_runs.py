@@ -65,7 +65,7 @@ def make_runs() -> None:
 
     quick = ["--timestep", "1e-4", "--duration", "0.02", "--json"]
     assert main(["impact", *quick, "--out", str(RUNS / "impact")]) == 0
-    model = RUNS / "ball.xml"
+    model = Path("ball.xml")
     model.write_text(BALL)
     assert main(["drop", str(model), *quick, "--out", str(RUNS / "drop")]) == 0
     sweep = ["sweep", "--vary", "speed=1:10:4", "--of", "impact --timestep 1e-4"]
