@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -44,27 +45,30 @@ def frames_of_episode(
     env = environments.for_filming(
         env_id, arguments, width=film.width, height=film.height, camera=camera
     )
-    step_time = getattr(env.unwrapped, "dt", None)
-    rate = 1 / step_time if step_time else env.metadata.get("render_fps") or film.fps
-    every = max(1, math.ceil(rate / film.fps))  # steps from one frame to the next
-    steps = math.ceil(film.seconds * rate)
-    observation, _ = env.reset(seed=seed)
-    first = _frame(env)
-    height, width = first.shape[:2]
-    agent = make_agent(env)
+    with ExitStack() as until_made:
+        until_made.callback(env.close)
+        step_time = getattr(env.unwrapped, "dt", None)
+        rate = 1 / step_time if step_time else env.metadata.get("render_fps") or film.fps
+        every = max(1, math.ceil(rate / film.fps))  # steps from one frame to the next
+        steps = math.ceil(film.seconds * rate)
+        observation, _ = env.reset(seed=seed)
+        first = _frame(env)
+        height, width = first.shape[:2]
+        agent = make_agent(env)
+        until_filmed = until_made.pop_all()
 
     def frames(observation: np.ndarray) -> Iterator[np.ndarray]:
-        yield first
-        for step in range(steps):
-            action = agent.act(observation[None], np.array([step]))[0]
-            observation, _, terminated, truncated, _ = env.step(action)
-            if (step + 1) % every == 0:
-                yield _frame(env)
-            if terminated or truncated:
-                break
-        env.close()
+        with until_filmed:
+            yield first
+            for step in range(steps):
+                action = agent.act(observation[None], np.array([step]))[0]
+                observation, _, terminated, truncated, _ = env.step(action)
+                if (step + 1) % every == 0:
+                    yield _frame(env)
+                if terminated or truncated:
+                    break
 
-    shown = replace(film, width=width, height=height, fps=round(rate / every))
+    shown = replace(film, width=width, height=height, fps=rate / every)
     return shown, 1 + steps // every, frames(observation)
 
 
