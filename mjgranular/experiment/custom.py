@@ -84,7 +84,7 @@ def digest(study: Study) -> str:
         content = read_file(path, "a file of the study", largest=_LARGEST)
         digest.update(f"{path.name}\0{len(content)}\0".encode() + content)
     for name, medium in custom.media.items():
-        digest.update(f"{name}\0{medium.density}{medium.constants}{medium.grain}".encode())
+        digest.update(f"{name}\0{medium}".encode())
     return digest.hexdigest()
 
 
