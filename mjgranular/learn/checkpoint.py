@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from mjgranular.learn.run import (
 from mjgranular.learn.settings import Settings
 from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
+_NUMBERS = ("count", "clip", "epsilon", "return_mean", "return_variance", "return_count")
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 # State of the running episodes, which a checkpoint does not keep: see `callback.restart_episodes`.
@@ -196,7 +197,7 @@ class Normalizer:
         content, scaled = read_json(file), settings.normalize_observations
         try:
             arrays = {name: np.array(content[name], float) for name in ("mean", "variance")}
-            numbers: dict[str, Any] = {f.name: float(content[f.name]) for f in fields(cls)[3:]}
+            numbers: dict[str, Any] = {name: float(content[name]) for name in _NUMBERS}
         except (KeyError, TypeError, ValueError) as error:
             raise OutputError(f"{file} is damaged: {type(error).__name__}: {error}") from None
         expected = shape if scaled else (0,)
