@@ -237,7 +237,7 @@ def test_the_implicit_scheme_stays_within_its_arrays(tmp_path):
     assert (done.returncode, done.stdout.split()) == (0, ["True", "20", "False", "20"]), done.stderr
 
 
-# With bounds checks. A program of its own for each way to read: the first number is read by itself,
+# With bounds checks. One program for each way to read: the first number is read by itself,
 # the others as vectors are. After each, the last index that is right.
 KINDS = {
     "numbers[index]": 7,

@@ -204,9 +204,9 @@ def test_an_address_where_nobody_listens_is_told_at_once(capfd):
 def test_a_worker_of_another_version_refuses_and_names_both():
     here = versions()
     assert mismatch(here, here) is None
-    told = _run((operator.add, 1, {**here, "mjgranular": "0.1.0"}), 1)
-    assert f"mjgranular {here['mjgranular']} there and 0.1.0 here" in told
-    told = _run((operator.add, 1, {**here, "mujoco": "3.0"}), 1)
-    assert f"mujoco {here['mujoco']} there and 3.0 here" in told
+    refusal = _run((operator.add, 1, {**here, "mjgranular": "0.1.0"}), 1)
+    assert f"mjgranular {here['mjgranular']} there and 0.1.0 here" in refusal
+    refusal = _run((operator.add, 1, {**here, "mujoco": "3.0"}), 1)
+    assert f"mujoco {here['mujoco']} there and 3.0 here" in refusal
     done: Any = _run((operator.add, 1, here), 1)
     assert json.dumps(done.result) == "2"

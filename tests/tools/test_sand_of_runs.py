@@ -184,7 +184,7 @@ def test_all_sands_of_an_environment_are_noted():
     assert (held["medium"], held["law"]) == ("quikrete_medium", "rft3d")
 
 
-def test_constants_that_have_changed_are_told():
+def test_constants_that_have_changed_are_named():
     before, now = sands_made(ID, {}), media["quikrete_medium"]
     friction = replace(now.constants["rft3d"]["surface_friction"], value=0.5)
     constants = {"rft3d": {**now.constants["rft3d"], "surface_friction": friction}}
