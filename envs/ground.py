@@ -14,6 +14,7 @@ from mjgranular.engine.measures import SENSOR
 from mjgranular.errors import GranularError
 from mjgranular.relief.memory import as_memory
 from mjgranular.render.material import NOT_SHOWN, TILE, add_material
+from mjgranular.render.scenery import add_daylight, place_sun
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.spec import combined
 from mjgranular.shape.select import names_in
@@ -66,7 +67,9 @@ def put_on_sand(
     if sensors:
         _add_sensors(spec, names)
     with quiet(), converted_errors():
-        return spec.compile()
+        model = spec.compile()
+    place_sun(model)
+    return model
 
 
 def place(
@@ -171,6 +174,7 @@ def _paint(
     tile: float,
 ) -> None:
     """Make floors look like sand, and move them to its height."""
+    add_daylight(spec)
     material = add_material(spec, tile=tile)
     for surface in surfaces:
         if isinstance(surface, HeightField):

@@ -20,7 +20,7 @@ from mjgranular.relief import Memory
 from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
 from mjgranular.render.material import moving_geoms
-from mjgranular.render.scenery import add_cut_prints
+from mjgranular.render.scenery import add_cut_scenery, place_sun
 from mjgranular.sand import SandSpec
 from mjgranular.sand.prepare import fitted
 from mjgranular.surface import Surface
@@ -134,9 +134,10 @@ def frames_of_run(
     """
     film.check(link)
     spec = link.spec()
-    if prints is not None and sand is not None:
-        add_cut_prints(spec, as_memory(sand.memory))
+    remembers = prints is not None and sand is not None
+    add_cut_scenery(spec, link.reach, as_memory(sand.memory) if remembers else None)
     model = spec.compile()
+    place_sun(model)
     memory = None if sand is None else as_memory(fitted(model, sand).memory)
     covered = None if prints is None or memory is None else (prints, memory)
     ground = Ground(model, None, View(np.zeros(3), link.reach), covered)

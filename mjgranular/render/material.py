@@ -24,7 +24,7 @@ COLOR = (0.83, 0.71, 0.53, 1.0)
 NOT_SHOWN = 5
 """Geom group that is hidden."""
 
-_DARK, _BRIGHT, _DARK_SHARE = (0.66, 0.53, 0.36), (0.90, 0.79, 0.60), 0.3
+_DARK, _BRIGHT, _DARK_SHARE = (0.75, 0.62, 0.44), (0.88, 0.77, 0.58), 0.4
 _PIXELS = 256  # along an edge of the texture
 _HAIR = 2e-3  # of the radius: ground of the model this near hides the sand
 _PARALLEL = 0.999  # cosine of the largest angle between faces that hide each other

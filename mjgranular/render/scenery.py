@@ -12,7 +12,7 @@ from mjgranular.render.skin import BLOCK, lines_of, stride_of
 from mjgranular.surface import Bed, HeightField, Surface
 
 _SUN = "mjgranular_sun"
-_SKY, _HORIZON = [0.46, 0.63, 0.84], [0.88, 0.91, 0.93]
+_SKY, _HORIZON = [0.34, 0.54, 0.82], [0.97, 0.97, 0.96]
 _SHADOWS = 2048  # pixels along an edge of the map of shadows
 # Radius of the shadowed region, in radii of the moving parts. At the edge of MuJoCo's shadow map
 # surfaces that cast shadows are speckled: the moving parts must be in its middle.
@@ -21,16 +21,30 @@ _SUNSHINE = np.array([-0.70, 0.26, -0.66])  # 41 degrees high, to the side of th
 
 
 def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
-    """Add daylight, a sky and the material of sand, but no geom.
+    """Add daylight and the material of sand, but no geom.
 
-    Lights of the model are switched off: lights for a laboratory floor make sand too dark or too
-    bright. The sun is low enough to show relief, casts the only shadows, and follows the model. A
-    bed or height field without a color becomes sand; an infinite plane is not a geom, and is drawn
-    into the scene (`SandMaterial`, or by the plugin).
+    A bed or height field without a color becomes sand; an infinite plane is not a geom, and is
+    drawn into the scene (`SandMaterial`, or by the plugin).
 
     Args:
         spec: the model to be; it is changed.
         surface: surface of the sand.
+    """
+    add_daylight(spec)
+    material = add_material(spec)
+    if isinstance(surface, Bed | HeightField) and (bed := spec.geom(surface.geom)):
+        paint(bed, material)
+
+
+def add_daylight(spec: mujoco.MjSpec) -> None:
+    """Add a sun and a sky.
+
+    Lights of the model are switched off: lights for a laboratory floor make sand too dark or too
+    bright. The sun is low enough to show relief, casts the only shadows, and follows the model.
+    `place_sun` sharpens the shadows once the model is compiled.
+
+    Args:
+        spec: the model to be; it is changed.
     """
     if known := spec.light(_SUN):  # a model that was written with its scenery
         spec.delete(known)
@@ -63,23 +77,29 @@ def add_scenery(spec: mujoco.MjSpec, surface: Surface) -> None:
     )
     spec.visual.rgba.haze = [*_HORIZON, 1.0]
     spec.visual.quality.shadowsize = _SHADOWS
-    material = add_material(spec)
-    if isinstance(surface, Bed | HeightField) and (bed := spec.geom(surface.geom)):
-        paint(bed, material)
 
 
-def add_cut_prints(spec: mujoco.MjSpec, memory: Memory | None) -> None:
-    """Add the skin for tracks to the model of a link or chain, whose bed is cut open.
-
-    The bed is reduced to the part that the skin draws; boxes draw the rest.
+def add_cut_scenery(spec: mujoco.MjSpec, reach: float, memory: Memory | None) -> None:
+    """Add daylight to the model of a link, and make its bed, which is cut open, sand to the horizon.
 
     Args:
-        spec: the model to be.
-        memory: memory of the sand; None for sand without tracks.
+        spec: the model to be; it is changed.
+        reach: largest extent of the link [m].
+        memory: memory of the sand, whose tracks are drawn; None for sand without.
     """
-    if memory is None:
-        return
-    bed = spec.geom("bed")
+    add_daylight(spec)
+    spec.delete(spec.geom("table"))
+    spec.stat.extent = 3 * reach  # else that of the bed, with a coarse depth buffer
+    bed, half = spec.geom("bed"), 15 * reach
+    front = bed.pos[1] - bed.size[1]
+    bed.size = [half] * 3  # a cube: MuJoCo stretches the texture of other boxes
+    bed.pos = [0.0, front + half, -half]
+    if memory is not None:
+        _add_cut_prints(spec, bed, memory)
+
+
+def _add_cut_prints(spec: mujoco.MjSpec, bed: mujoco.MjsGeom, memory: Memory) -> None:
+    """Add the skin for tracks, and reduce the bed to what it draws; boxes draw the rest."""
     add_skin(spec, memory, bed.material, thickness=2 * float(bed.size[2]))
     reach = (lines_of(memory) - 4 * BLOCK - 1) * stride_of(memory) * memory.cell / 2
     front, back = bed.pos[1] - bed.size[1], bed.pos[1] + bed.size[1]
