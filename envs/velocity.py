@@ -43,7 +43,11 @@ _TORQUES = {"hip": 23.7, "thigh": 23.7, "calf": 35.55}  # [N m]
 _STANCE = {"hip": 0.1, "thigh": 0.9, "calf": -1.8}  # [rad]; hips on the left have the other sign
 _POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait needs [rad]
 
-_CLEARANCE = 0.1  # height of a swinging foot [m], as in mjlab
+_GAIT = 2.0  # steps of each leg in a second; this and the next one are chosen
+_SWING = 0.08  # height of a swinging foot over the surface [m]
+_LEG = 0.27  # length of a leg in the stance [m]
+_HIPS = np.array([[0.19, -0.13], [0.19, 0.13], [-0.19, -0.13], [-0.19, 0.13]])  # of legs, x and y [m]
+_PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
 _LOW = 0.1  # height of the trunk at which the robot has fallen [m]; chosen: half of standing
 _TILT = math.cos(math.radians(70))  # as in mjlab
 
@@ -80,7 +84,7 @@ class Go1Velocity(Task):
     | 9 to 11 | rear left | rad | -1 to 1 |
 
     ## Observation Space
-    `Box(-inf, inf, (45,), float64)`: what the robot can measure; order of joints as above.
+    `Box(-inf, inf, (47,), float64)`: what the robot can measure; order of joints as above.
 
     | index | name | unit | range |
     |---|---|---|---|
@@ -91,6 +95,7 @@ class Go1Velocity(Task):
     | 30 to 41 | last action | rad | -1 to 1 |
     | 42, 43 | commanded velocity ahead and to the left | m/s | `command_x`, `command_y` |
     | 44 | commanded yaw rate, to the left | rad/s | `command_yaw` |
+    | 45, 46 | sine and cosine of the gait's phase; 0 if the command is to stand | 1 | -1 to 1 |
 
     ## Rewards
     The sum of these, each times the duration of a step, 0.02 s:
@@ -101,11 +106,11 @@ class Go1Velocity(Task):
     | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
+    | `reward_gait` | exp(-e^2 / 0.01 m^2), e^2 the sum of squares of the feet's distances from a trot | 2 |
     | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
     | `reward_rate` | square of the change of the action | -0.02 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
-    | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -1 |
 
     Deviations from the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the
     command is to stand. Tilt and motion along the surface are relative to the plane z = 0, which
@@ -155,11 +160,11 @@ class Go1Velocity(Task):
     angular_weight: float = 1.5
     upright_weight: float = 1.0
     pose_weight: float = 0.5
+    gait_weight: float = 2.0
     wobble_weight: float = 0.05
     rate_weight: float = 0.02
     torque_weight: float = 2e-4
     slip_weight: float = 0.1
-    clearance_weight: float = 1.0
 
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
@@ -267,7 +272,7 @@ class Go1Velocity(Task):
         state.userdata[:, _ACTION] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
-        return self._stance + applied
+        return self._stance + self._trot(state) + applied
 
     def _push(self, state: State) -> None:
         pushes = state.userdata[:, _PUSH].reshape(-1, _PUSHES, 7)
@@ -283,6 +288,26 @@ class Go1Velocity(Task):
         begun = table[:, :, 0] <= state.userdata[:, _STEP, None]
         return table[np.arange(len(table)), begun.sum(axis=1) - 1, 1:]
 
+    def _trot(self, state: State) -> np.ndarray:
+        """Return offsets from the stance: a trot at the commanded velocity, or 0; shape (n, 12)."""
+        clock, command = self._find_clock(state), self._command(state)
+        lift = np.maximum(clock[:, :1] * _PAIRS, 0.0)
+        ahead = command[:, :1] - command[:, 2:] * _HIPS[:, 1]
+        left = command[:, 1:2] + command[:, 2:] * _HIPS[:, 0]
+        stride = clock[:, 1:] * _PAIRS / (4 * _GAIT * _LEG)
+        offsets = [-stride * left, 0.3 * lift + stride * ahead, -0.6 * lift]
+        return np.stack(offsets, axis=2).reshape(-1, len(JOINTS))
+
+    def _clock(self, state: State) -> np.ndarray:
+        """Return sine and cosine of the gait's phase, 0 if the command is to stand; (n, 2)."""
+        return self.once(state, "clock", self._find_clock)
+
+    def _find_clock(self, state: State) -> np.ndarray:
+        angles = 2 * math.pi * _GAIT * self.dt * state.userdata[:, _STEP]
+        clock = np.array([(math.sin(angle), math.cos(angle)) for angle in angles.tolist()])
+        walks = np.square(self.command(state)).sum(axis=1) > 0.0
+        return np.where(walks[:, None], clock, 0.0)
+
     def observe(self, state: State) -> np.ndarray:
         sine, cosine = state.userdata[:, _SLOPE].T
         gravity = (-sine, np.zeros(len(sine)), -cosine)
@@ -294,6 +319,7 @@ class Go1Velocity(Task):
                 state.qvel[:, 6:],
                 state.userdata[:, _ACTION],
                 self.command(state),
+                self._clock(state),
             ],
             axis=1,
         )
@@ -308,6 +334,8 @@ class Go1Velocity(Task):
         offset = (state.qpos[:, 7:] - self._stance) / np.where(stands[:, None], _POSE / 3, _POSE)
         speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
         height = feet[:, :, 2] - self._radius - self._ground(state, feet)
+        lift = _SWING * self._clock(state)[:, :1] * _PAIRS
+        stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
         linear = _with_xy(command[:, :2]) - velocity
@@ -317,11 +345,11 @@ class Go1Velocity(Task):
             "angular": self.angular_weight * _exp(-np.square(yaw) / 0.5),
             "upright": self.upright_weight * _exp(-tilt / 0.2),
             "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / 12),
+            "gait": self.gait_weight * _exp(-np.square(stray).sum(axis=1) / 0.01),
             "wobble": -self.wobble_weight * np.square(turning[:, :2]).sum(axis=1),
             "rate": -self.rate_weight * np.square(change).sum(axis=1),
             "torque": -self.torque_weight * np.square(state.actuator_force).sum(axis=1),
             "slip": -self.slip_weight * slip.sum(axis=1),
-            "clearance": -self.clearance_weight * (np.abs(height - _CLEARANCE) * speed).sum(axis=1),
         }
         return {f"reward_{name}": self.dt * value for name, value in terms.items()}
 
