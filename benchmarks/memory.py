@@ -2,10 +2,14 @@
 
     python benchmarks/memory.py
     python benchmarks/memory.py --names Hexapod --cells 0.01 0.005 --turns 20
+    python benchmarks/memory.py --names Ant --rest 25
 
 A gait if the environment has one (a tripod for the hexapod), else random actions. Each turn runs a
-piece of an episode in each of the cases; figures are the minimum over a piece's turns, summed over
-all pieces, so that other load on the machine does not count.
+piece of an episode in each of the cases; figures are CPU time, the minimum over a piece's turns,
+summed over all pieces, so that other load on the machine does not count.
+
+With `--rest` nothing acts: each turn is another start, and is timed once that many seconds have
+passed. The minimum over ten pieces counts.
 """
 
 from __future__ import annotations
@@ -37,6 +41,8 @@ class Options:
     """Turns of each case."""
     seconds: float = 6.0
     """Of simulated time in a turn."""
+    rest: float = 0.0
+    """Seconds without actions before a turn, which then has none; 0 for robots that move."""
 
 
 class Case:
@@ -62,20 +68,52 @@ class Case:
         self._begin(random)
         for first in range(0, len(self.actions), piece):
             ctrl = task.act(self.actions[first : first + piece], self.state)
-            began = time.perf_counter()
+            began = time.process_time()
             for action in ctrl:
                 data.ctrl[:] = action
                 mujoco.mj_step(model, data, nstep=self.skip)
-            times.append((time.perf_counter() - began) / (self.skip * len(ctrl)))
+            times.append((time.process_time() - began) / (self.skip * len(ctrl)))
             self.state.found.clear()
             if task.terminated(self.state)[0]:
                 self._begin(random)
         return np.array(times)
 
+    def settle(self, seed: int, seconds: float) -> None:
+        """Begin from another start, and step without actions."""
+        self._begin(np.random.default_rng(seed))
+        self.step(round(seconds / self.model.opt.timestep))
+
+    def step(self, count: int) -> float:
+        """Step without actions; return the time that it takes [s per step of the model]."""
+        began = time.process_time()
+        self.data.ctrl[:] = 0.0
+        mujoco.mj_step(self.model, self.data, nstep=count)
+        return (time.process_time() - began) / count
+
     def _begin(self, random: np.random.Generator) -> None:
         start = self.task.begin(random, None)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:], self.data.qvel[:] = start.qpos, start.qvel
+
+
+def in_motion(cases: list[Case], options: Options) -> list[np.ndarray]:
+    """Return the minima over all turns, for each case and piece of its actions."""
+    least: list[Any] = [np.inf] * len(cases)
+    for _ in range(options.turns):
+        for number, case in enumerate(cases):
+            least[number] = np.minimum(least[number], case.turn())
+    return least
+
+
+def at_rest(cases: list[Case], options: Options, pieces: int = 10) -> list[np.ndarray]:
+    """Return the minima over pieces of a turn, for each case and turn."""
+    least = []
+    for seed in range(options.turns):
+        for case in cases:
+            case.settle(seed, options.rest)
+        times = [[case.step(100) for case in cases] for _ in range(pieces)]
+        least.append(np.min(times, axis=0))
+    return list(np.transpose(least))
 
 
 def main() -> None:
@@ -85,10 +123,7 @@ def main() -> None:
     for name in options.names:
         cases = [Case(name, options.seconds)]
         cases += [Case(name, options.seconds, memory=cell) for cell in options.cells]
-        least: list[Any] = [np.inf] * len(cases)
-        for _ in range(options.turns):
-            for number, case in enumerate(cases):
-                least[number] = np.minimum(least[number], case.turn())
+        least = at_rest(cases, options) if options.rest else in_motion(cases, options)
         plain, *others = (1e6 * float(np.mean(times)) for times in least)
         for cell, cost in zip(options.cells, others, strict=True):
             ratio = f"{cost / plain:.2f}"

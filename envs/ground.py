@@ -65,7 +65,7 @@ def put_on_sand(
         names.append(add_sand(spec, sand, tunable=tunable, draw=draw).name)
     if sensors:
         _add_sensors(spec, names)
-    with quiet(), told_by_mujoco():
+    with quiet(), converted_errors():
         return spec.compile()
 
 
@@ -107,7 +107,7 @@ def place(
 
 
 @contextmanager
-def told_by_mujoco() -> Iterator[None]:
+def converted_errors() -> Iterator[None]:
     """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular.
 
     Raises:

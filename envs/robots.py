@@ -18,7 +18,7 @@ from mjgranular.engine import rne_post_constraint
 from mjgranular.engine.instances import sands_in
 from mjgranular.engine.readings import SandReadings
 from mjgranular.envs.figures import Figures
-from mjgranular.envs.ground import put_on_sand, quiet, told_by_mujoco
+from mjgranular.envs.ground import converted_errors, put_on_sand, quiet
 from mjgranular.envs.known import find_spec
 from mjgranular.envs.ranges import (
     Sample,
@@ -173,7 +173,7 @@ class OnSand(MujocoEnv):
         self._readings = SandReadings(model, sands_in(model))
         self._figures = Figures(model, self.sands, self._readings)
         self._strength = float(np.linalg.norm(model.opt.gravity))
-        with told_by_mujoco():
+        with converted_errors():
             return model, mujoco.MjData(model)
 
     def _step_mujoco_simulation(self, ctrl: np.ndarray, n_frames: int) -> None:

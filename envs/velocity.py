@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjgranular import InputError
-from mjgranular.envs.ground import told_by_mujoco
+from mjgranular.envs.ground import converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import robot_path
@@ -168,7 +168,7 @@ class Go1Velocity(Task):
 
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
-        with told_by_mujoco():
+        with converted_errors():
             spec = mujoco.MjSpec.from_file(str(path))
         _check_robot(spec, path)
         for each in (*spec.sensors, *spec.actuators, *spec.keys):

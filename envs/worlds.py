@@ -110,7 +110,7 @@ class Worlds:
             InputError: another option than `opt.gravity`.
         """
         if name != "opt.gravity":
-            raise InputError(f"MuJoCo Warp steps a task with its own {name}: omit refine")
+            raise InputError(f"MuJoCo Warp has no {name} for each world: step this task without it")
         return self._gravity
 
     def step(self, ids: np.ndarray | None = None, nstep: int = 1) -> None:

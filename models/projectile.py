@@ -37,7 +37,7 @@ class Projectile(Link):
 
     def __post_init__(self) -> None:
         if self.shape not in get_args(Shape):
-            raise UnknownNameError("body", self.shape, (*get_args(Shape), "chain:N"))
+            raise UnknownNameError("body", self.shape, get_args(Shape))
         if self.shape == "link":
             super().__post_init__()
             return

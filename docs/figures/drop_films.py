@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 from mjgranular.experiment import Drop, Impact, run_drop, run_impact
-from mjgranular.experiment.drop import load, surface_drawn
+from mjgranular.experiment.drop import load
 from mjgranular.picture.video import Film, Motion, frames_of_model, frames_of_run
 
 FOLDER = Path(__file__).resolve().parent
@@ -48,7 +48,7 @@ def frames_of_robot(name: str) -> Iterator[np.ndarray]:
         result = run_drop(drop)
         model, _ = load(drop)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    return frames_of_model(FILM, model, motion, surface_drawn(drop))[1]
+    return frames_of_model(FILM, model, motion, drop.surface)[1]
 
 
 def frames_of_link() -> Iterator[np.ndarray]:

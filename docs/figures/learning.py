@@ -7,14 +7,23 @@ from __future__ import annotations
 
 from collections import defaultdict
 
+import numpy as np
 from matplotlib import pyplot as plt
 from style import BLUE, GREEN, GREY, ORANGE, save
 
-from mjgranular.learn.policies import last_return, shipped_policies
+from mjgranular.learn.policies import shipped_policies
 from mjgranular.learn.run import CURVE, Run, read_curve
 
 COLOURS = {"ppo": BLUE, "sac": ORANGE, "td3": GREEN}
 COLUMNS = 3
+LAST_PART = 0.8  # of a learning curve, from here on
+
+
+def last_return(run: Run) -> float:
+    """Return the mean return over the last fifth of a run's learning curve."""
+    rows = read_curve(run.path / CURVE)
+    rows = [row for row in rows if row[0] >= LAST_PART * rows[-1][0] and row[2] > 0]
+    return float(np.average([row[3] for row in rows], weights=[row[2] for row in rows]))
 
 
 def main() -> None:

@@ -23,12 +23,13 @@ import numpy as np
 from mjgranular.envs import tasks
 from mjgranular.envs.ids import name_of
 from mjgranular.learn.evaluate import evaluate, mean_of
-from mjgranular.learn.policies import load_policy, shipped_policies
+from mjgranular.learn.policies import Policy, load_policy, shipped_policies
 from mjgranular.learn.run import Run
 
+HALVED = "halved"
 GROUNDS = {
     "its own": "",
-    "its own, time steps half as long": "refine=2",
+    "its own, time steps half as long": HALVED,
     "its own, under the quasi-static law": "law=rft3d",
     "its own, with memory": "memory=true",
     "half as strong": "randomise={strength=[0.5,0.5]}",
@@ -57,12 +58,23 @@ def measure(run: Run, name: str, variant: str) -> dict[str, float]:
     """Means over ten episodes of one policy on one ground."""
     policy = load_policy(name)
     arguments: dict[str, Any] = dict(run.settings.environment)
+    if variant == HALVED:
+        arguments["frame_skip"] = 2 * tasks[name_of(run.environment)].frame_skip
+
+    def agent(env: Any) -> Policy:
+        if variant == HALVED:
+            task = env.unwrapped.task
+            task.model.opt.timestep /= 2
+            task.__dict__.pop("dt", None)  # a task caches the duration of a step
+            env.unwrapped.batch.expand("opt.timestep")[:] = task.model.opt.timestep
+        return policy.checked(run.environment, env)
+
     score = evaluate(
         name,
-        lambda env: policy.checked(run.environment, env),
+        agent,
         run.environment,
         arguments,
-        variant=variant,
+        variant="" if variant == HALVED else variant,
         seeds=SEEDS,
     )
     figures = score.episodes.figures

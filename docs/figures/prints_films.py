@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from mjgranular.experiment import Drop, run_drop
-from mjgranular.experiment.drop import load, surface_drawn
+from mjgranular.experiment.drop import load
 from mjgranular.learn import environments
 from mjgranular.learn.policies import load_policy
 from mjgranular.picture.video import Film, Motion, frames_of_model
@@ -76,7 +76,7 @@ def crater() -> Iterator[np.ndarray]:
         model, _ = load(drop)
     film = Film(camera="free", width=WIDTH, height=HEIGHT, fps=round(RATE), seconds=4.0)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    surface, memory = surface_drawn(drop), as_memory(drop.memory)
+    surface, memory = drop.surface, as_memory(drop.memory)
     return frames_of_model(film, model, motion, surface, result.prints, memory)[1]
 
 

@@ -3,17 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from mjgranular._util.extras import require
-from mjgranular.errors import InputError, OutputError, UnknownNameError, warn_user
+from mjgranular.errors import InputError, OutputError, UnknownNameError
 from mjgranular.learn import environments
-from mjgranular.learn.agents import BASELINES
-from mjgranular.learn.blocks import Actor
-from mjgranular.learn.evaluate import parse_variant
+from mjgranular.learn.agents import BASELINES, Agent, make_baseline
 from mjgranular.learn.policies import Policy, load_policy
-from mjgranular.learn.sands import Sands, arguments_for, as_variant
+from mjgranular.learn.sands import Sands
+
+
+@dataclass(frozen=True)
+class Actor:
+    """Agent and environment.
+
+    Attributes:
+        name: display name.
+        environment: Gymnasium's id.
+        arguments: arguments of the environment.
+        agent: a policy, or the name of a baseline.
+        gait: parameters of the baseline `gait` that differ from its defaults.
+    """
+
+    name: str
+    environment: str
+    arguments: Mapping[str, Any]
+    agent: Policy | str
+    gait: Mapping[str, float] | None = None
+
+    def make(self, env: Any) -> Agent:
+        """Return the agent for an environment, or for several."""
+        if isinstance(self.agent, str):
+            return make_baseline(self.agent, self.environment, env, gait=self.gait)
+        return self.agent.checked(self.environment, env)
 
 
 def find_actor(
@@ -27,7 +51,7 @@ def find_actor(
     """Return the agent that a word on the command line names, and its environment.
 
     Args:
-        what: a run's folder, a policy's, or an environment's id for agents that need no training.
+        what: a run's folder, a policy's, or for agents that need no training an environment's id.
         agent: policy, or one of `BASELINES`.
         environment: another environment than the one in which the policy was trained.
         gait: parameters of the gait that differ from its defaults.
@@ -36,7 +60,10 @@ def find_actor(
     if agent not in ("policy", *BASELINES):
         raise UnknownNameError("agent", agent, ("policy", *BASELINES))
     if agent != "policy":
-        return _find_baseline(what, agent, environment, gait, trust)
+        if environment is not None:
+            raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
+        environments.find_spec(what)
+        return Actor(agent, what, {}, agent, gait)
     try:
         policy = load_policy(what)
     except UnknownNameError as error:
@@ -57,49 +84,15 @@ def find_actor(
     return Actor(what, env_id, arguments, policy)
 
 
-def _find_baseline(
-    what: str,
-    agent: str,
-    environment: str | None,
-    gait: Mapping[str, float] | None,
-    trust: bool,
-) -> Actor:
-    if environment is not None:
-        raise InputError(f"--env is for policies; --agent {agent} acts in the one named first")
-    if is_environment(what):
-        return Actor(agent, what, {}, agent, gait)
-    try:
-        run = replace(load_policy(what).run, trusted=trust)
-    except UnknownNameError:
-        environments.find_spec(what)  # lists environments
-        raise
-    run.check_environment()
-    warn_user(
-        f"{agent} acts in the environment of {what}, whose policy is not used; omit --agent to use "
-        "the policy"
-    )
-    return Actor(agent, run.environment, dict(run.settings.environment), agent, gait)
-
-
-def sand_warning(actor: Actor, variant: str, now: Sands | None) -> str | None:
-    """Return a warning if a policy is not on the sand on which it was trained, otherwise None.
+def warn_of_sand(actor: Actor, now: Sands | None) -> None:
+    """Warn if a policy is not on the sand on which it was trained, and the user has not asked so.
 
     Args:
         actor: the agent.
-        variant: `name=value,...`, changes of the environment's arguments, which the user wants.
-        now: the sand of the environment, with the variant; None if unknown.
+        now: the sand of its environment without changes; None if unknown.
     """
-    run = actor.agent.run if isinstance(actor.agent, Policy) else None
-    if run is None or run.sand is None or actor.environment != run.environment:
-        return None
-    wanted = parse_variant(variant)
-    other = run.other_sand(now, wanted)
-    if other is None:
-        return None
-    restored = arguments_for(run.sand, run.environment, {**actor.arguments, **wanted})
-    if restored is None:
-        return f"{actor.name} {other}; its environment cannot have that sand any more"
-    return f"{actor.name} {other}; --on {as_variant(restored)} restores it"
+    if isinstance(actor.agent, Policy) and actor.environment == actor.agent.run.environment:
+        actor.agent.run.warn_of_sand(now)
 
 
 def is_environment(what: str) -> bool:

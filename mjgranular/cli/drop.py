@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -15,7 +14,7 @@ from mjgranular.cli.console import note, out, print_json, progress_bar, table
 from mjgranular.cli.options import options_of, record_of
 from mjgranular.cli.results import FilmOptions, Frames, collected, write_film
 from mjgranular.errors import GranularError, GranularWarning, OutputError
-from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop, surface_drawn
+from mjgranular.experiment.drop import Drop, DropResult, load, memory_of, run_drop
 from mjgranular.experiment.folder import RUN_FILES, write_drop
 from mjgranular.render import Tracks
 
@@ -27,7 +26,7 @@ FILM = "drop.mp4"
 
 
 @dataclass(frozen=True, kw_only=True)
-class DropCommand(FilmOptions, options_of(Drop, without=("model", "state", "site"))):
+class DropCommand(FilmOptions, options_of(Drop, without=("model",))):
     """Drop your MJCF model onto sand, throw it at the sand, or let it stand there.
 
     Prints for each body the greatest depth and force, the energy it gave to the sand, and whether
@@ -40,55 +39,33 @@ class DropCommand(FilmOptions, options_of(Drop, without=("model", "state", "site
 
     def run(self) -> int:
         """Run the command."""
-        return run_and_show(self, self.experiment())
+        self.check_film()
+        drop, camera = self.experiment(), self.camera or "free"
+        if self.video:
+            from mjgranular.picture.video import check_camera
+
+            check_camera(load(drop)[0], camera)
+        problems: list[GranularError] = []
+        with self.claimed(*RUN_FILES, FIGURE, FILM) as folder:
+            with progress_bar("running the model", drop.duration) as progress:
+                result = run_drop(drop, progress=progress)
+            if folder is not None:
+                write_drop(folder, result)
+            if self.json:
+                print_json(result.summary())
+            else:
+                _show(result)
+            if folder is not None:
+                with collected(problems):
+                    _draw(folder, result)
+                if self.video:
+                    with collected(problems):
+                        _film(folder, result, camera)
+        return self.finish(problems)
 
     def experiment(self) -> Drop:
         """Return the experiment."""
         return record_of(Drop, self)
-
-
-def run_and_show(
-    options: FilmOptions,
-    drop: Drop,
-    *,
-    what: str = "running the model",
-    summary: Callable[[DropResult], dict[str, Any]] = DropResult.summary,
-    remark: Callable[[DropResult], str] | None = None,
-) -> int:
-    """Run a model on sand, write and print the result; return the exit status.
-
-    Args:
-        options: options of the output.
-        drop: the experiment.
-        what: shown beside the progress bar.
-        summary: makes what `--json` prints.
-        remark: makes a line below the table.
-    """
-    options.check_film()
-    camera = options.camera or "free"
-    if options.video:
-        from mjgranular.picture.video import check_camera
-
-        check_camera(load(drop)[0], camera)
-    problems: list[GranularError] = []
-    with options.claimed(*RUN_FILES, FIGURE, FILM) as folder:
-        with progress_bar(what, drop.duration) as progress:
-            result = run_drop(drop, progress=progress)
-        if folder is not None:
-            write_drop(folder, result)
-        if options.json:
-            print_json(summary(result))
-        else:
-            _show(result)
-            if remark is not None:
-                out.print(remark(result))
-        if folder is not None:
-            with collected(problems):
-                _draw(folder, result)
-            if options.video:
-                with collected(problems):
-                    _film(folder, result, camera)
-    return options.finish(problems)
 
 
 def _draw(folder: ResultFolder, result: DropResult) -> None:
@@ -124,8 +101,8 @@ def frames_of(film: Film, drop: Drop, motion: Motion, prints: Tracks | None) -> 
             f"the samples have {motion.qpos.shape[1]} positions, {drop.title} has {model.nq}: it "
             "is not the model that ran"
         )
-    surface, memory = surface_drawn(drop), memory_of(drop, model)
-    return lambda: frames_of_model(film, model, motion, surface, prints, memory)
+    memory = memory_of(drop, model)
+    return lambda: frames_of_model(film, model, motion, drop.surface, prints, memory)
 
 
 def _show(result: DropResult) -> None:

@@ -12,25 +12,22 @@ from rich.table import Table
 from rich.text import Text
 
 from mjgranular._util.result_folder import CONFIG, SUMMARY
-from mjgranular.cli.agents import find_actor, sand_warning
+from mjgranular.cli.agents import Actor, find_actor, warn_of_sand
 from mjgranular.cli.console import out, print_json, progress_bar
-from mjgranular.cli.results import EngineOptions, Flag
-from mjgranular.errors import InputError, warn_user
+from mjgranular.cli.results import Flag, OutputOptions
+from mjgranular.errors import InputError
 from mjgranular.learn import environments
-from mjgranular.learn.blocks import Evaluation, Job, run_evaluation
-from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, parse_variant
+from mjgranular.learn.evaluate import FIRST_SEED, Score, check_seeds, evaluate, parse_variant
 from mjgranular.learn.sands import sands_of
-from mjgranular.pool import Mapped, Workers
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateCommand(EngineOptions):
+class EvaluateCommand(OutputOptions):
     """Mean return over seeds with its 95 % confidence interval, for policies and baselines.
 
     Each POLICY is the folder of a run, the name of a policy that comes with the package
     (`mjgranular list policies`), or with --agent zero, random or gait the id of an environment.
     --on adds other sands: every policy is run in its own environment and in each of the variants.
-    Workers take 64 episodes of one of these at a time; the numbers are the same to the last bit.
     """
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
@@ -50,35 +47,20 @@ class EvaluateCommand(EngineOptions):
     trust: Flag = False
     """Import and so execute the module of an environment that only a run's file names."""
 
-    @property
-    def where(self) -> Workers:
-        """Where episodes are run: by default in this process, where a batch uses all cores."""
-        count = 1 if self.engine == "local" and self.workers is None else self.workers
-        return Workers(self.engine, count, self.chunk, self.address)
-
     def run(self) -> int:
         """Run the command."""
-        workers = self.where  # raises for contradicting options
-        self.check_resume()
-        evaluation = self._evaluation()
-        journal = evaluation.journal(self.out)
-        with self.resumable(journal, CONFIG, SUMMARY) as folder:
-            with progress_bar("running episodes", len(journal)) as show:
-                scores = run_evaluation(evaluation, on=workers, journal=journal, progress=show)
-            if isinstance(scores, Mapped):
-                return self.show_interrupted(journal, scores.stopped_by)
+        jobs = self._jobs()
+        with self.claimed(CONFIG, SUMMARY) as folder:
+            scores = []
+            with progress_bar("running episodes", len(jobs)) as show:
+                for done, (actor, variant) in enumerate(jobs):
+                    show(done, f"{actor.name} {variant}")
+                    scores.append(self._score(actor, variant))
             rows = [score.as_json() for score in scores]
             if folder is not None:
-                config = {
-                    "policies": list(self.policies),
-                    "agent": self.agent,
-                    "environment": self.env,
-                    "variants": list(self.on),
-                    "seeds": self.seeds,
-                    "first_seed": self.first_seed,
-                }
+                names = ("policies", "agent", "env", "on", "seeds", "first_seed")
                 with folder.published():
-                    folder.write_config("evaluate", config)
+                    folder.write_config("evaluate", {name: getattr(self, name) for name in names})
                     folder.write_json(SUMMARY, rows)
             if self.json:
                 print_json(rows)
@@ -86,28 +68,36 @@ class EvaluateCommand(EngineOptions):
                 out.print(table_of(scores, self.seeds))
         return self.finish()
 
-    def _evaluation(self) -> Evaluation:
-        """Return what to run, after making each environment once to find mistakes."""
+    def _score(self, actor: Actor, variant: str) -> Score:
+        return evaluate(
+            actor.name,
+            actor.make,
+            actor.environment,
+            actor.arguments,
+            variant=variant,
+            seeds=self.seeds,
+            first_seed=self.first_seed,
+        )
+
+    def _jobs(self) -> list[tuple[Actor, str]]:
+        """Return the agents and variants, after making each environment once to find mistakes."""
         if not self.policies:
             raise InputError("evaluate needs a run, a policy or, with --agent, an environment")
         if self.gait and self.agent != "gait":
             raise InputError("--gait is for --agent gait")
         check_seeds(self.seeds, self.first_seed)
-        variants = {variant: parse_variant(variant) for variant in ("", *self.on)}
         gait = parse_variant(self.gait)
         actors = [
             find_actor(what, agent=self.agent, environment=self.env, gait=gait, trust=self.trust)
             for what in self.policies
         ]
-        jobs = [Job(actor, variant) for actor in actors for variant in variants]
-        found = []
+        jobs = [(actor, variant) for actor in actors for variant in dict.fromkeys(("", *self.on))]
         for actor, variant in jobs:
-            arguments = {**actor.arguments, **variants[variant]}
+            arguments = {**actor.arguments, **parse_variant(variant)}
             with closing(environments.one(actor.environment, arguments)) as env:
-                found.append(sand_warning(actor, variant, sands_of(env)))
-        for warning in dict.fromkeys(filter(None, found)):
-            warn_user(warning)
-        return Evaluation(jobs, self.seeds, self.first_seed)
+                if not variant:
+                    warn_of_sand(actor, sands_of(env))
+        return jobs
 
 
 def table_of(scores: list[Score], seeds: int) -> Table:

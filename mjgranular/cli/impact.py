@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
 from rich.table import Table
 
-from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
-from mjgranular.cli.console import note, out, print_json, progress_bar, table
-from mjgranular.cli.drop import run_and_show
-from mjgranular.cli.options import given_options, option, options_of, record_of
-from mjgranular.cli.results import FilmOptions, Flag, OutputOptions, collected, write_film
+from mjgranular._util.result_folder import ResultFolder
+from mjgranular.cli.console import note, out, print_json, progress_bar
+from mjgranular.cli.options import options_of, record_of
+from mjgranular.cli.results import FilmOptions, collected, write_film
 from mjgranular.errors import GranularError, InputError
-from mjgranular.experiment import CASES, Impact, ImpactResult, reproduce, run_impact
-from mjgranular.experiment.chain_impact import chain_drop, chain_length, chain_summary
-from mjgranular.experiment.drop import DropResult
+from mjgranular.experiment import Impact, ImpactResult, run_impact
 from mjgranular.experiment.folder import RUN_FILES, write_impact
-from mjgranular.experiment.paper import comparison
-from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.relief.memory import as_memory
 from mjgranular.render import Tracks
@@ -36,36 +29,15 @@ VIDEO = "impact.mp4"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
+class ImpactCommand(FilmOptions, options_of(Impact)):
     """Drop the link onto sand: its end T meets the sand and stops.
 
     Prints stopping time and depth. With --out DIR, writes trajectory, summary, configuration and
     figures there; with --video, a film too.
     """
 
-    body: Annotated[str, tyro.conf.arg(metavar="SHAPE")] = "link"
-    """What falls: link, sphere, box, cylinder, capsule, ellipsoid, plate, or chain:N."""
-    paper: Flag = False
-    """Run the six drops of the paper's table instead, and print them beside its values."""
-
     def run(self) -> int:
         """Run the command."""
-        if self.paper:
-            return self._run_paper()
-        count = chain_length(self.body)
-        if count is not None:
-            return self._run_chain(count)
-        return self._run_body()
-
-    def experiment(self) -> Impact:
-        """Return the experiment for a sweep."""
-        if self.paper:
-            raise InputError("--paper has its own drops: a sweep takes one experiment")
-        if chain_length(self.body) is not None:
-            raise InputError("a sweep cannot drop a chain: write it as a model, for --of drop")
-        return record_of(Impact, self)
-
-    def _run_body(self) -> int:
         self.check_film()
         if self.body == "sphere" and self.length != Impact.length:
             raise InputError("a sphere has no --length: its size is its --diameter")
@@ -83,6 +55,10 @@ class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
             problems = [] if folder is None else _draw(folder, result, film)
         return self.finish(problems)
 
+    def experiment(self) -> Impact:
+        """Return the experiment."""
+        return record_of(Impact, self)
+
     def _film(self, impact: Impact) -> Film:
         from mjgranular.picture.video import Film
 
@@ -90,126 +66,42 @@ class ImpactCommand(FilmOptions, options_of(Impact, without=("body",))):
         film.check(impact.link)
         return film
 
-    def _run_chain(self, count: int) -> int:
-        if self.until != "stop":
-            raise InputError("--until is for one body: a chain is followed for its --duration")
-        impact = record_of(Impact, self, body="link")
-        height: dict[str, float | None] = {"the height of release": impact.height}
-        warn_of_slips(lengths=height, speed=impact.speed, density=impact.density)
-        return run_and_show(
-            self,
-            chain_drop(impact, count),
-            what="dropping the chain",
-            summary=lambda result: chain_summary(impact, count, result),
-            remark=_stop_of_chain,
-        )
 
-    def _run_paper(self) -> int:
-        free = ["paper", "timestep", "scheme", "law"]
-        free += [each.name for each in fields(OutputOptions)]
-        fixed = [each.name for each in fields(self) if each.name not in free]
-        for name in given_options(self, *fixed):
-            raise InputError(f"--paper has its own drops: omit {option(name)}")
-        base = record_of(Impact, self)
-        figures = {case: f"figure_{case.figure}.png" for case in CASES}
-        problems: list[GranularError] = []
-        with self.claimed(CONFIG, SUMMARY, *figures.values()) as folder:
-            with progress_bar("dropping the paper's links", len(CASES)) as progress:
-                results = reproduce(base, progress=progress)
-            rows = [comparison(*pair) for pair in results]
-            if folder is not None:
-                with folder.published():
-                    folder.write_config("impact --paper", asdict(base))
-                    folder.write_json(SUMMARY, rows)
-                for case, result in results:
-                    with collected(problems):
-                        _draw_motion(folder, figures[case], result.trajectory, result.summary())
-            if self.json:
-                print_json(rows)
-            else:
-                out.print(paper_table(rows, self.timestep))
-        return self.finish(problems)
-
-
-def paper_table(rows: list[dict[str, Any]], timestep: float) -> Table:
-    """Make a table of the paper's drops beside its printed values."""
-    cells = []
-    for row in rows:
-        time, depth = row["stopping_time"], row["depth"]
-        late = None if time is None else time - row["paper_stopping_time"]
-        cells.append(
-            (
-                f"{row['speed']:g}",
-                f"{row['angle_deg']:g}",
-                "not stopped" if time is None else f"{time * 1e3:.3f}",
-                f"{row['paper_stopping_time'] * 1e3:.3f}",
-                "" if late is None else f"{late * 1e6:+.1f}",
-                f"{depth * 1e3:.3f}",
-                f"{row['paper_depth'] * 1e3:.3f}",
-                f"{(depth - row['paper_depth']) * 1e6:+.1f}",
-            )
-        )
-    headings = ("speed\n[m/s]", "angle\n[deg]", "stopping\ntime [ms]", "paper\n[ms]")
-    headings += ("diff.\n[us]", "depth\n[mm]", "paper\n[mm]", "diff.\n[um]")
-    return table(f"The paper's six drops, time step {timestep:g} s", headings, cells, words=0)
-
-
-def _stop_of_chain(result: DropResult) -> str:
-    end = "T, the end of the last link,"
-    if result.stop is None:
-        return f"{end} did not stop within {result.drop.duration:g} s"
-    time, depth = (1e3 * value for value in result.stop)
-    return f"{end} stops after {time:.3f} ms, {depth:.3f} mm deep"
+_ROWS = (
+    ("timestep", "time step", 1, "s"),
+    ("speed", "speed of T", 1, "m/s"),
+    ("angle_deg", "angle from the vertical", 1, "deg"),
+    ("tangential_speed", "tangential speed of T", 1, "m/s"),
+    ("angular_velocity", "angular velocity", 1, "rad/s"),
+    ("height", "height of release", 1, "m"),
+    ("stopping_time", "stopping time", 1e3, "ms"),
+    ("depth", "depth of T", 1e3, "mm"),
+    ("stop_angle_deg", "angle at the stop", 1, "deg"),
+    ("stop_angular_velocity", "angular velocity at the stop", 1, "rad/s"),
+    ("greatest_force", "greatest force of the sand", 1, "N"),
+    ("rest_time", "at rest after", 1e3, "ms"),
+    ("rest_depth", "depth of the deeper end at rest", 1e3, "mm"),
+    ("rest_angle_deg", "angle at rest", 1, "deg"),
+)
+"""Rows of the table: name in the summary, words, factor, unit."""
 
 
 def _show(result: ImpactResult) -> None:
-    """Print a drop as a table, and remarks on it."""
-    summary, impact, stop, rest = result.summary(), result.impact, result.stop, result.rest
-    rows: list[tuple[str, str, str] | None] = [  # None for a line
-        ("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme_taken}", ""),
-        ("time step", f"{impact.timestep:g}", "s"),
-        ("speed of T", f"{impact.speed:g}", "m/s"),
-        ("angle from the vertical", f"{summary['angle_deg']:g}", "deg"),
-    ]
-    for name, value, unit in (
-        ("tangential speed of T", impact.tangential_speed, "m/s"),
-        ("angular velocity", impact.angular_velocity, "rad/s"),
-        ("height of release", impact.height, "m"),
-    ):
-        if value:
-            rows.append((name, f"{value:g}", unit))
-    rows.append(None)
-    if stop is None:
-        rows.append(("stopping time", f"not within {impact.duration:g}", "s"))
-        rows.append(("greatest depth of T", f"{summary['depth'] * 1e3:.3f}", "mm"))
-    else:
-        rows += [
-            ("stopping time", f"{stop.time * 1e3:.3f}", "ms"),
-            ("depth of T at the stop", f"{stop.depth * 1e3:.3f}", "mm"),
-            ("angle at the stop", f"{math.degrees(stop.angle):.2f}", "deg"),
-            ("angular velocity at the stop", f"{stop.angular_velocity:.2f}", "rad/s"),
-        ]
-    rows.append(("greatest force of the sand", f"{summary['greatest_force']:.1f}", "N"))
-    if rest is not None:
-        rows += [
-            ("at rest after", f"{rest.time * 1e3:.1f}", "ms"),
-            ("depth of the deeper end at rest", f"{rest.depth * 1e3:.3f}", "mm"),
-            ("angle at rest", f"{math.degrees(rest.angle):.2f}", "deg"),
-        ]
+    """Print a drop as a table, without what is zero or unknown, and remarks on it."""
+    summary, impact = result.summary(), result.impact
     shown = Table(title=f"Impact on sand: {impact.body}", show_header=False, title_justify="left")
     for justify in ("left", "right", "left"):
         shown.add_column(justify=justify, style="dim" if justify == "left" else "")
-    for row in rows:
-        shown.add_section() if row is None else shown.add_row(*row)
+    shown.add_row("sand, law, scheme", f"{impact.medium}, {result.law}, {impact.scheme_taken}", "")
+    for key, words, factor, unit in _ROWS:
+        if summary[key]:
+            shown.add_row(words, f"{summary[key] * factor:.5g}", unit)
     out.print(shown)
-    if stop is None:
+    if result.stop is None:
         note(f"T did not stop within {impact.duration:g} s; a longer --duration may show it")
-    elif impact.until == "rest" and rest is None:
+    elif impact.until == "rest" and result.rest is None:
         omega = float(result.trajectory.omega[-1])
-        line = f"not at rest after {impact.duration:g} s: it turns at {omega:.1f} rad/s"
-        if result.law.split()[0] == "link":
-            line += "; the lumped law does not resist turning about E, --law link_distributed does"
-        note(line)
+        note(f"not at rest after {impact.duration:g} s: it turns at {omega:.1f} rad/s")
 
 
 def release_to_stop(summary: dict[str, Any]) -> float | None:

@@ -103,22 +103,6 @@ def _facts(law: type[Law]) -> dict[str, str]:
 def _policies() -> Listed:
     from mjgranular.learn.policies import shipped_policies
 
-    return _policy_table(shipped_policies())
-
-
-def _policy(name: str) -> Listed:
-    from mjgranular.learn.policies import shipped_policies
-
-    shipped = shipped_policies()
-    if name not in shipped:
-        raise UnknownNameError("policy", name, shipped)
-    rows, shown = _policy_table({name: shipped[name]})
-    return rows[0], shown
-
-
-def _policy_table(runs: dict[str, Any]) -> Listed:
-    from mjgranular.learn.policies import last_return
-
     rows = [
         {
             "name": name,
@@ -126,16 +110,20 @@ def _policy_table(runs: dict[str, Any]) -> Listed:
             "algorithm": run.settings.algorithm,
             "seed": run.seed,
             "steps": run.settings.total_steps,
-            "mean_return": last_return(run),
         }
-        for name, run in runs.items()
+        for name, run in shipped_policies().items()
     ]
-    headings = ("name", "environment", "algorithm", "seed", "steps", "return at the end")
-    cells = [
-        ("" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values())
-        for row in rows
-    ]
+    cells = [map(str, row.values()) for row in rows]
+    headings = ("name", "environment", "algorithm", "seed", "steps")
     return rows, table("Policies", headings, cells, words=3)
+
+
+def _policy(name: str) -> Listed:
+    rows = {row["name"]: row for row in _policies()[0]}
+    if name not in rows:
+        raise UnknownNameError("policy", name, rows)
+    row = rows[name]
+    return row, table(name, ("", ""), [(key, str(value)) for key, value in row.items()], words=2)
 
 
 def _environments() -> Listed:

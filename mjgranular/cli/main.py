@@ -23,11 +23,9 @@ from mjgranular.cli.intrude import IntrudeCommand
 from mjgranular.cli.lists import ListCommand
 from mjgranular.cli.options import in_options, parse_command
 from mjgranular.cli.render import RenderCommand
-from mjgranular.cli.studio import StudioCommand
 from mjgranular.cli.sweep import SweepCommand
 from mjgranular.cli.train import TrainCommand
 from mjgranular.cli.view import ViewCommand
-from mjgranular.cli.warm import WarmCommand
 from mjgranular.errors import GranularError, GranularWarning, UnknownNameError, one_line
 
 PIPE_CLOSED = 141  # 128 + SIGPIPE, as for any command whose reader has ended
@@ -43,8 +41,6 @@ COMMANDS: dict[str, Any] = {
     "train": TrainCommand,
     "evaluate": EvaluateCommand,
     "render": RenderCommand,
-    "warm": WarmCommand,
-    "studio": StudioCommand,
     "list": ListCommand,
 }
 

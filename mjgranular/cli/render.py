@@ -11,10 +11,10 @@ import tyro
 
 from mjgranular._util.result_folder import TRAINING, ResultFolder
 from mjgranular.cli import drop, impact
-from mjgranular.cli.agents import find_actor, is_environment, sand_warning
-from mjgranular.cli.console import out, progress_bar
+from mjgranular.cli.agents import find_actor, is_environment, warn_of_sand
+from mjgranular.cli.console import out
 from mjgranular.cli.results import Flag, write_film
-from mjgranular.errors import InputError, OutputError, warn_user
+from mjgranular.errors import InputError
 from mjgranular.experiment.folder import (
     prints_of,
     read_drop,
@@ -22,7 +22,6 @@ from mjgranular.experiment.folder import (
     read_prints,
     saved_command,
 )
-from mjgranular.models import Chain
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
@@ -60,8 +59,7 @@ class RenderCommand:
     trust: Flag = False
     """Import and so execute the module of an environment that only the run's file names."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE.mp4")] = None
-    """The file; of a training run also .gif. Default: impact.mp4, drop.mp4 or policy.mp4 in the
-    folder of the run."""
+    """The file. Default: impact.mp4, drop.mp4 or policy.mp4 in the folder of the run."""
     overwrite: Flag = False
     """Replace a film that exists."""
 
@@ -77,7 +75,7 @@ class RenderCommand:
                 "impact, of a drop or of a training run"
             )
         target = self.out or self.run_folder / _DEFAULT_FILES[command]
-        if target.suffix != ".mp4" and not (command == TRAINING and target.suffix == ".gif"):
+        if target.suffix != ".mp4":
             raise InputError(f"a film must be written as .mp4, got {target.name!r}")
         if command != TRAINING and (self.on or self.seed is not None):
             raise InputError(f"--on and --seed are for training runs, got {self.run_folder}")
@@ -123,38 +121,26 @@ class RenderCommand:
         from mjgranular.picture.video import Motion
 
         experiment, arrays = read_drop(self.run_folder)
-        model = experiment.model
-        if isinstance(model, Chain) and model.count > arrays["qpos"].shape[1]:
-            raise OutputError(f"{self.run_folder} is damaged: its samples are of a shorter chain")
         motion = Motion(**{key: arrays[key] for key in ("t", "qpos", "point", "force")})
         frames = drop.frames_of(film, experiment, motion, prints_of(arrays))()
         return lambda folder, name: write_film(folder, name, film, lambda: frames)
 
     def _policy(self, film: Film) -> Draw:
         from mjgranular.learn.evaluate import FIRST_SEED, parse_variant
-        from mjgranular.learn.film import film_episode
+        from mjgranular.learn.film import frames_of_episode
         from mjgranular.learn.sands import sands_made
 
         actor = find_actor(str(self.run_folder), trust=self.trust)
         arguments = {**actor.arguments, **parse_variant(self.on)}
-        warning = sand_warning(actor, self.on, sands_made(actor.environment, arguments))
-        if warning is not None:
-            warn_user(warning)
+        if not self.on:
+            warn_of_sand(actor, sands_made(actor.environment, arguments))
 
-        def draw(folder: ResultFolder, name: str) -> None:
-            with progress_bar("filming", film.seconds * film.fps, remaining=True) as show:
-                folder.write(
-                    name,
-                    lambda path: film_episode(
-                        path,
-                        actor.environment,
-                        arguments,
-                        actor.make,
-                        film,
-                        seed=FIRST_SEED if self.seed is None else self.seed,
-                        camera=self.camera,
-                        progress=show,
-                    ),
-                )
-
-        return draw
+        film, count, frames = frames_of_episode(
+            actor.environment,
+            arguments,
+            actor.make,
+            film,
+            seed=FIRST_SEED if self.seed is None else self.seed,
+            camera=self.camera,
+        )
+        return lambda folder, name: write_film(folder, name, film, lambda: (count, frames))

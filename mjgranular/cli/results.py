@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from mjgranular._util.result_folder import ResultFolder
-from mjgranular.cli.console import err, out, progress_bar, show_error
+from mjgranular.cli.console import out, progress_bar, show_error
 from mjgranular.errors import (
     GranularError,
     InputError,
     MissingExtraError,
-    OutputError,
     RenderError,
 )
-from mjgranular.pool import UNFINISHED, Journal, Workers
 
 if TYPE_CHECKING:
     from mjgranular.picture.video import Film
@@ -80,75 +78,6 @@ class FilmOptions(OutputOptions):
             raise InputError("--video needs a folder to write to: add --out DIR")
         if self.camera is not None and not self.video:
             raise InputError("--camera is for a film: add --video")
-
-
-@dataclass(frozen=True, kw_only=True)
-class EngineOptions(OutputOptions):
-    """Where many independent runs are done, and whether they are resumed."""
-
-    engine: Literal["local", "ray"] = "local"
-    """Processes of this machine, or Ray: on this machine, or with --address on a cluster."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
-    """Head of a Ray cluster; auto for the one that this machine belongs to."""
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Number of processes. Default: one per core."""
-    chunk: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Number of runs that a process is given at a time. Default: about a second's worth."""
-    resume: Flag = False
-    """Resume the result in the folder of --out, and never start over."""
-
-    @property
-    def where(self) -> Workers:
-        """Where the runs are done."""
-        return Workers(self.engine, self.workers, self.chunk, self.address)
-
-    def check_resume(self) -> None:
-        """Raise if `--resume` contradicts other options."""
-        if self.resume and (self.out is None or self.overwrite):
-            raise InputError(
-                "--resume continues in the folder of --out: add --out DIR, omit --overwrite"
-            )
-
-    @contextmanager
-    def resumable(self, journal: Journal, *names: str) -> Iterator[ResultFolder | None]:
-        """Claim the folder of `--out`, and open the journal of what is finished in it.
-
-        Args:
-            journal: journal of that folder.
-            names: names of all files that a result may have.
-
-        Raises:
-            OutputError: the folder holds something else, or nothing to resume.
-        """
-        with closing(journal):
-            if self.out is None:
-                journal.begin()
-                yield None
-                return
-            fault = journal.fault() if self.resume else None
-            if fault is not None:
-                raise OutputError(
-                    f"{self.out} has nothing to resume ({UNFINISHED}: {fault}): give the "
-                    "options that it was started with, or start over without --resume"
-                )
-            claim = ResultFolder(self.out, (*names, UNFINISHED))
-            with claim.claimed(overwrite=self.overwrite, goes_on=journal.goes_on) as folder:
-                try:
-                    journal.begin()
-                    if journal.count:
-                        err.print(f"{journal.count} of {len(journal)} are finished", style="dim")
-                    yield folder
-                finally:
-                    journal.close()
-                    if not journal.count:
-                        (self.out / UNFINISHED).unlink(missing_ok=True)
-
-    def show_interrupted(self, journal: Journal, stopped_by: int | None) -> int:
-        """Print how far an interrupted run came; return the exit status."""
-        hint = f", saved in {self.out}; the same command resumes it" if self.out else ""
-        saved = hint if journal.count else ""
-        show_error(f"interrupted: {journal.count} of {len(journal)} are finished{saved}")
-        return 2 if stopped_by is None else 128 + stopped_by
 
 
 @contextmanager

@@ -6,7 +6,8 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
@@ -27,13 +28,11 @@ from mjgranular.cli.options import (
     parse_integer,
     parse_number,
 )
-from mjgranular.cli.results import EngineOptions, FilmOptions
+from mjgranular.cli.results import FilmOptions, OutputOptions
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError, shown
-from mjgranular.experiment import Between, Impact, Study, StudyResult, journal_of, run_study
-from mjgranular.experiment.paper import cases_beside
+from mjgranular.experiment import Between, Study, StudyResult, journal_of, run_study
 from mjgranular.experiment.study import ANGLES, Experiment, Value, column_of
-from mjgranular.experiment.table import need_parquet, write_csv, write_parquet
-from mjgranular.pool import UNFINISHED
+from mjgranular.pool import UNFINISHED, Journal, Workers
 
 _COMMANDS = {"impact": ImpactCommand, "drop": DropCommand, "intrude": IntrudeCommand}
 _MOST_VALUES = 10**6  # of one field; chosen, as are the next three
@@ -43,7 +42,7 @@ _MOST_AXES = 2  # fields in a figure
 
 
 @dataclass(frozen=True)
-class SweepCommand(EngineOptions):
+class SweepCommand(OutputOptions):
     """Run an experiment many times, with any of its fields varied; by default as in Fig. 5.
 
     The runs are spread over the cores, or with --engine ray over a cluster. Ctrl-C ends the sweep;
@@ -57,26 +56,23 @@ class SweepCommand(EngineOptions):
     """The experiment: a command in quotes, such as "impact --speed 2 --law rft2d", "drop MODEL.xml
     --slope 15" or "intrude --intruder sphere"."""
     sample: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Draw N points from ranges such as --vary speed=1:10 in place of a grid."""
+    """Draw N points of a Latin hypercube from ranges such as --vary speed=1:10."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Seed of --sample."""
-    method: Literal["latin", "sobol"] = "latin"
-    """Method of --sample: a Latin hypercube or a Sobol sequence."""
-    table: Literal["csv", "parquet"] = "csv"
-    """Format of the table in the folder of --out."""
+    engine: Literal["local", "ray"] = "local"
+    """Processes of this machine, or Ray: on this machine, or with --address on a cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|HOST:PORT")] = None
+    """Head of a Ray cluster; auto for the one that this machine belongs to."""
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Number of processes. Default: one per core."""
 
     def run(self) -> int:
         """Run the command."""
-        workers = self.where  # raises for contradicting options
-        self.check_resume()
+        workers = Workers(self.engine, self.workers, self.address)
         study = self._study()
-        if self.table == "parquet":
-            if self.out is None:
-                raise InputError("--table needs a folder to write to: add --out DIR")
-            need_parquet()
         journal = journal_of(study, self.out)
-        names = (CONFIG, SUMMARY, "sweep.csv", "sweep.parquet", "sweep.png")
-        with self.resumable(journal, *names) as folder:
+        names = (CONFIG, SUMMARY, "sweep.csv", "sweep.png")
+        with self._resumable(journal, *names) as folder:
             with progress_bar("running", len(study)) as progress:
                 result = run_study(study, workers=workers, journal=journal, progress=progress)
             if self.json:
@@ -90,11 +86,42 @@ class SweepCommand(EngineOptions):
 
     def _study(self) -> Study:
         if self.sample is None:
-            for name in given_options(self, "seed", "method"):
+            for name in given_options(self, "seed"):
                 raise InputError(f"{option(name)} is for --sample")
         varied = read_vary(self.vary)
         experiment = read_experiment(self.of, varied)
-        return Study(experiment, varied, self.sample, self.seed, self.method)
+        return Study(experiment, varied, self.sample, self.seed)
+
+    @contextmanager
+    def _resumable(self, journal: Journal, *names: str) -> Iterator[ResultFolder | None]:
+        """Claim the folder of `--out`, and open the journal of what is finished in it.
+
+        Args:
+            journal: journal of that folder.
+            names: names of all files that a result may have.
+
+        Raises:
+            OutputError: the folder holds something else.
+        """
+        with closing(journal):
+            if self.out is None:
+                journal.begin()
+                yield None
+                return
+            fault = journal.fault()
+            if fault is not None and (self.out / UNFINISHED).exists():
+                note(f"the unfinished sweep in {self.out} cannot be resumed: {fault}")
+            claim = ResultFolder(self.out, (*names, UNFINISHED))
+            with claim.claimed(overwrite=self.overwrite, goes_on=journal.can_resume) as folder:
+                try:
+                    journal.begin()
+                    if journal.count:
+                        note(f"{journal.count} of {len(journal)} are finished")
+                    yield folder
+                finally:
+                    journal.close()
+                    if not journal.count:
+                        (self.out / UNFINISHED).unlink(missing_ok=True)
 
     def _write(self, folder: ResultFolder, result: StudyResult) -> None:
         study, unfinished = result.study, result.interrupted or result.lost > 0
@@ -106,12 +133,10 @@ class SweepCommand(EngineOptions):
             "interrupted": result.interrupted,
             "failures": [result.told(failure) for failure in result.failures],
         }
-        write = write_parquet if self.table == "parquet" else write_csv
-        columns = result.columns()
         with folder.published(keep=(UNFINISHED,) if unfinished else ()):
             folder.write_config("sweep", {**study.config(), "interrupted": result.interrupted})
             folder.write_json(SUMMARY, summary)
-            folder.write(f"sweep.{self.table}", lambda path: write(path, columns, result.rows))
+            folder.write("sweep.csv", result.write_csv)
             try:
                 _draw(folder, result)
             except MissingExtraError as error:
@@ -125,7 +150,10 @@ class SweepCommand(EngineOptions):
             where = f"; {SUMMARY} lists them" if self.out else ""
             show_error(f"and {result.failed - _FAILURES_SHOWN} more have no result{where}")
         if result.interrupted:
-            return self.show_interrupted(result.journal, result.stopped_by)
+            saved = f", saved in {self.out}; the same command resumes it" if self.out else ""
+            saved = saved if result.finished else ""
+            show_error(f"interrupted: {result.finished} of {len(result.study)} are finished{saved}")
+            return 128 + (result.stopped_by or 0)
         if result.lost:
             again = "; the same command tries them again" if self.out and result.finished else ""
             show_error(f"{result.lost} runs were lost with their processes{again}")
@@ -181,14 +209,8 @@ def _draw(folder: ResultFolder, result: StudyResult) -> None:
     first = next(result.rows())
     fixed = {"medium": f"{first['medium']}", "law": f"{first['law']} law"}
     words = [text for name, text in fixed.items() if name not in study.vary]
-    printed = None
-    if isinstance(study.experiment, Impact) and varied in (["speed"], ["angle_deg"]):
-        cases = cases_beside(study.experiment, varied[0].removesuffix("_deg"))
-        if cases:
-            printed = {name: [getattr(case, name) for case in cases] for name in names}
     options = {
         "joined": study.sample is None,
-        "printed": printed,
         "title": ", ".join([study.experiment.title, *words]),
     }
     folder.write("sweep.png", lambda path: draw_study(path, columns, varied, outcomes, **options))

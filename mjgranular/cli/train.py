@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,8 +20,6 @@ from mjgranular.learn import environments
 from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.settings import change, find_settings
 from mjgranular.learn.train import Training, train
-
-_REFRESH = 0.2  # of the progress bar [s]
 
 
 @dataclass(frozen=True)
@@ -56,10 +53,6 @@ class TrainCommand:
     change with every --resume."""
     device: Annotated[str | None, tyro.conf.arg(metavar="cuda:0|cpu")] = None
     """With --engine warp: where. Default: a GPU if there is one."""
-    num_envs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Environments that are stepped at once, as --set num_envs=N."""
-    processes: Flag = False
-    """Step each environment in a separate process, for custom ones, which are not a batch."""
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Seed of all random numbers. Default: 0."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -99,10 +92,8 @@ class TrainCommand:
         algorithm = None if self.algorithm is None else self.algorithm.lower()
         settings = find_settings(self.environment, algorithm=algorithm, file=self.settings)
         settings = change(settings, self.set)
-        options = {"total_steps": self.total_steps, "num_envs": self.num_envs}
-        options["processes"] = self.processes or None
-        given = {name: value for name, value in options.items() if value is not None}
-        settings = replace(settings, **given)
+        if self.total_steps is not None:
+            settings = replace(settings, total_steps=self.total_steps)
         if "render_mode" in settings.environment:
             raise InputError(
                 "nothing is drawn during a training: omit environment.render_mode; mjgranular "
@@ -119,7 +110,7 @@ class TrainCommand:
         return run
 
     def _saved_run(self, path: Path) -> Run:
-        names = ("algorithm", "settings", "set", "num_envs", "processes", "seed", "out")
+        names = ("algorithm", "settings", "set", "seed", "out")
         given = ["ENV"] if self.environment is not None else []
         given += [option(name) for name in given_options(self, *names)]
         if given:
@@ -139,14 +130,10 @@ class TrainCommand:
             wp.config.log_level = wp.LOG_ERROR  # it prints a line for each of its modules
             note("MuJoCo Warp compiles its kernels: once per machine, some minutes")
         with progress_bar(run.name, total, remaining=True) as show:
-            shown = 0.0
 
             def report(steps: int, newest: float | None) -> None:
-                nonlocal shown
-                if time.monotonic() - shown > _REFRESH:
-                    shown = time.monotonic()
-                    reached = "" if newest is None else f", return {newest:.4g}"
-                    show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
+                reached = "" if newest is None else f", return {newest:.4g}"
+                show(steps, f"{run.name}: {steps:,} of {total:,} steps{reached}")
 
             return train(run, report=report, warp=warp)
 

@@ -16,12 +16,12 @@ from mjgranular.cli.options import options_of, record_of
 from mjgranular.engine import NAME, add_sand
 from mjgranular.errors import FloorWarning, InputError
 from mjgranular.experiment.drop import Drop, loading, make_ready, read, start_from
-from mjgranular.experiment.ground import hide_replaced, refuse_contradiction, refuse_floors
+from mjgranular.experiment.ground import hide_replaced, refuse_floors
 from mjgranular.picture.viewer import Switch, check_display, follow, opened
 from mjgranular.render.scenery import place_sun
 from mjgranular.sand.prepare import fitted
 
-_NOT_OPTIONS = ("model", "height", "velocity", "duration", "state", "site")
+_NOT_OPTIONS = ("model", "height", "velocity", "duration")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +77,6 @@ class ViewCommand(options_of(Drop, without=_NOT_OPTIONS)):
             add_sand(spec, fitted(bare, drop.sand), draw=("surface", *self.draw))
             if not self.keep_floor:
                 refuse_floors(bare, drop.sand)
-            elif drop.instead_of:
-                refuse_contradiction(bare, drop.sand)
             warnings.simplefilter("ignore", FloorWarning)
             model = spec.compile()
             hide_replaced(model, drop.sand)

@@ -184,7 +184,7 @@ def make_image(
     content = joined(own)
     shared = [sand.packed, slots, geoms, tunings, texts]
     if sand.footprint is not None:
-        shared += [sand.footprint.points, sand.footprint.feet]
+        shared += [sand.footprint.points, sand.footprint.spheres, sand.footprint.feet]
     return Image(content.view(np.float64), relocations[~reads_model], tuple(shared))
 
 

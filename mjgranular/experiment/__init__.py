@@ -1,4 +1,4 @@
-"""Experiments: one drop, many drops, the paper's table; each ends as plain data."""
+"""Experiments: drops, forces on a path, studies of many; each ends as plain data."""
 
 from mjgranular.experiment.drop import Drop as Drop
 from mjgranular.experiment.drop import DropResult as DropResult
@@ -8,9 +8,6 @@ from mjgranular.experiment.impact import Impact as Impact
 from mjgranular.experiment.impact import ImpactResult as ImpactResult
 from mjgranular.experiment.impact import Rest as Rest
 from mjgranular.experiment.impact import Stop as Stop
-from mjgranular.experiment.paper import CASES as CASES
-from mjgranular.experiment.paper import PaperCase as PaperCase
-from mjgranular.experiment.paper import reproduce as reproduce
 from mjgranular.experiment.run_study import StudyResult as StudyResult
 from mjgranular.experiment.run_study import journal_of as journal_of
 from mjgranular.experiment.run_study import run_study as run_study

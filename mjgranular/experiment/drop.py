@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from mjgranular._util.checks import check_kind, is_finite, kind_of
-from mjgranular._util.io import check_regular, checked_fields, is_text, place
+from mjgranular._util.io import check_regular, checked_fields, place
 from mjgranular.engine import show_prints
 from mjgranular.errors import (
     FloorWarning,
@@ -29,23 +29,20 @@ from mjgranular.errors import (
 from mjgranular.experiment.ground import (
     PlainSand,
     hide_replaced,
-    refuse_contradiction,
     refuse_floors,
     warn_of_carrying,
     watch_floors,
 )
 from mjgranular.experiment.sampling import Recorder, Sampler
-from mjgranular.experiment.slips import warn_of_slips
-from mjgranular.experiment.watch import REST_WINDOW, RestWatch, SiteWatch
-from mjgranular.models import Chain, robot_path
+from mjgranular.experiment.watch import REST_WINDOW, RestWatch
+from mjgranular.models import robot_path
 from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.render import Tracks
-from mjgranular.render.scenery import add_cut_prints, add_scenery, place_sun
+from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
 from mjgranular.sand.prepare import fitted
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
-from mjgranular.surface import Surface
 
 LARGEST_STEP = 1e-4
 """Of a run with the explicit scheme whose time step is left to us [s]; chosen, not measured."""
@@ -58,32 +55,28 @@ class Drop(PlainSand):
     """A run of a model on sand, SI units and radians; the sand is described as in `PlainSand`.
 
     Attributes:
-        model: the MJCF file, the name of a robot (`models.robot_path`), or a chain.
+        model: the MJCF file, or the name of a robot (`models.robot_path`).
         keyframe: name of the keyframe to start from. Default: the model as it is.
         height: height of the lowest point above the surface at the start [m]. Default: as the
             model is.
         velocity: velocity at the start, down [m/s].
         duration: simulated time [s].
         timestep: time step [s]. Default: the model's, at most 1e-4 s with the explicit scheme.
-        state: `qpos` and `qvel` to start from, one after the other; None for the model's own.
-        site: name of a site whose stop is searched for; needs a level surface.
     """
 
-    model: Path | Chain
+    model: Path
     _: KW_ONLY
     keyframe: str | None = None
     height: float | None = None
     velocity: float = 0.0
     duration: float = 1.0
     timestep: float | None = None
-    state: tuple[float, ...] | None = None
-    site: str | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if isinstance(self.model, str):
             object.__setattr__(self, "model", Path(self.model))
-        if not isinstance(self.model, (Path, Chain)):
+        if not isinstance(self.model, Path):
             raise InputError(
                 f"a drop is of an MJCF file, Drop('robot.xml'), got {kind_of(self.model)}: for "
                 "a model in memory use Sand and sand.step(data)"
@@ -100,12 +93,7 @@ class Drop(PlainSand):
 
     def config(self) -> dict[str, Any]:
         """Return the drop in plain values, which `from_config` reads."""
-        if isinstance(self.model, Chain):
-            # Without a limit the torque is infinite, which JSON cannot express.
-            model = {k: None if v == math.inf else v for k, v in asdict(self.model).items()}
-        else:
-            model = str(self.model)
-        return {**asdict(self), "model": model}
+        return {**asdict(self), "model": str(self.model)}
 
     @classmethod
     def from_config(cls, config: object) -> Drop:
@@ -116,16 +104,10 @@ class Drop(PlainSand):
         """
         where = "the drop's configuration"
         plain = {**config} if isinstance(config, dict) else {}
-        model = plain.pop("model", None)
-        plain = {**checked_fields(cls, plain, where)}
-        if isinstance(model, dict):
-            chain = {**model}
-            limited = chain.pop("torque", None)
-            torque = math.inf if limited is None else limited
-            plain["model"] = Chain(**checked_fields(Chain, chain, where), torque=torque)
-        elif is_text(model):
-            plain["model"] = Path(str(model))
-        else:
+        for name in ("state", "site"):  # of version 0.2
+            plain.pop(name, None)
+        plain = checked_fields(cls, plain, where)
+        if "model" not in plain:
             raise OutputError(f"{where} names no model")
         for key, value in plain.items():
             plain[key] = tuple(value) if isinstance(value, list) else value
@@ -134,8 +116,6 @@ class Drop(PlainSand):
     @property
     def title(self) -> str:
         """Short name of the model."""
-        if isinstance(self.model, Chain):
-            return f"chain of {self.model.count}"
         return self.model.name
 
 
@@ -193,8 +173,6 @@ class DropResult:
         scheme: name of the scheme.
         timestep: [s].
         elements: number of elements.
-        stop: time since the site touched the sand [s] and its depth [m] when its vertical velocity
-            was first zero; None if that was not searched for, or did not happen.
         rest: time from which every body stays where it is [s]; None if they still move.
         bodies: one summary per body.
         t: times of the samples [s], shape (n,).
@@ -214,7 +192,6 @@ class DropResult:
     scheme: str
     timestep: float
     elements: int
-    stop: tuple[float, float] | None
     rest: float | None
     bodies: tuple[BodySummary, ...]
     t: np.ndarray
@@ -276,20 +253,14 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         FloorWarning: the model's own ground has carried it, without `keep_floor`.
     """
     check_kind(drop, Drop, "run_drop", "Drop(path, ...)")
-    warn_of_slips(lengths={"the height of the start": drop.height}, speed=drop.velocity)
     model, xml = load(drop)
     if not drop.keep_floor:
         refuse_floors(model, drop.sand)
-    elif drop.instead_of:
-        refuse_contradiction(model, drop.sand)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FloorWarning)
         sand = Sand(model, drop.sand)
     data = mujoco.MjData(model)
     _place(drop, model, data, sand)
-    site = None
-    if drop.site is not None:
-        site = SiteWatch(model, data, drop.site, height=drop.surface_height)
     sampler = Sampler(sand, data, drop.duration)
     recorder = Recorder(1 + model.nq + model.nv, keep=2048)
     recorder.due()
@@ -305,8 +276,6 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         time = data.time - begin
         floors.look(data)
         meter.add()
-        if site is not None:
-            site.follow(data)
         if recorder.due() or step == total:
             sampler.take(time, recorder)
         sampler.look(time, last=step == total)
@@ -330,7 +299,6 @@ def run_drop(drop: Drop, *, progress: Callable[[float], None] | None = None) -> 
         scheme=sand.scheme.name,
         timestep=float(model.opt.timestep),
         elements=len(sand.elements),
-        stop=None if site is None else site.stop,
         rest=rest,
         bodies=tuple(map(BodySummary.of, zip(*reports, strict=True), -meter.work)),
         t=rows[:, 0],
@@ -352,10 +320,7 @@ def load(drop: Drop) -> tuple[mujoco.MjModel, str]:
         spec = read(drop)
         make_ready(spec, drop)
         xml = spec.to_xml()
-        if isinstance(drop.model, Chain):
-            add_cut_prints(spec, as_memory(drop.memory))
-        else:
-            show_prints(spec, drop.sand)
+        show_prints(spec, drop.sand)
         model = spec.compile()
         hide_replaced(model, drop.sand)
         place_sun(model)
@@ -377,17 +342,13 @@ def loading(title: object) -> Iterator[None]:
 
 def read(drop: Drop) -> mujoco.MjSpec:
     """Read the model from its file, and set the time step of the run."""
-    if isinstance(drop.model, Chain):
-        spec = drop.model.spec()
-    else:
-        file = robot_path(drop.model)
-        check_regular(file, "the model")
-        if file.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
-            raise InputError(
-                f"cannot read the model {place(file)}: a model is an MJCF or URDF file, .xml "
-                "or .urdf"
-            )
-        spec = mujoco.MjSpec.from_file(str(file))
+    file = robot_path(drop.model)
+    check_regular(file, "the model")
+    if file.suffix.lower() not in (".xml", ".urdf", ".mjz", ".zip"):
+        raise InputError(
+            f"cannot read the model {place(file)}: a model is an MJCF or URDF file, .xml or .urdf"
+        )
+    spec = mujoco.MjSpec.from_file(str(file))
     if drop.timestep is not None:
         spec.option.timestep = drop.timestep
     elif drop.scheme == "explicit":
@@ -396,13 +357,11 @@ def read(drop: Drop) -> mujoco.MjSpec:
 
 
 def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
-    """Give a model scenery, and an integrator that works with sand. A chain has both.
+    """Give a model scenery, and an integrator that works with sand.
 
     Warns:
         GranularWarning: the model asks for RK4.
     """
-    if isinstance(drop.model, Chain):
-        return
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         warn_user(
@@ -415,11 +374,6 @@ def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
 def memory_of(drop: Drop, model: mujoco.MjModel) -> Memory | None:
     """Return the memory of the sand of a run, on its model; None for sand without memory."""
     return as_memory(fitted(model, drop.sand).memory)
-
-
-def surface_drawn(drop: Drop) -> Surface | None:
-    """Return the surface to draw into pictures of a run; None if the model shows it."""
-    return None if isinstance(drop.model, Chain) else drop.surface
 
 
 def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:
@@ -438,15 +392,8 @@ def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None)
 
 
 def _place(drop: Drop, model: mujoco.MjModel, data: mujoco.MjData, sand: Sand) -> None:
-    """Set the state at the start: keyframe, state, height and velocity of the drop."""
+    """Set the state at the start: keyframe, height and velocity of the drop."""
     start_from(model, data, drop.keyframe)
-    if drop.state is not None:
-        if len(drop.state) != model.nq + model.nv:
-            raise InputError(
-                f"the state to start from has {len(drop.state)} numbers, the model has "
-                f"{model.nq} positions and {model.nv} velocities"
-            )
-        data.qpos[:], data.qvel[:] = drop.state[: model.nq], drop.state[model.nq :]
     if drop.height is None and drop.velocity == 0.0:
         return
     roots = _vertical_dofs(model)

@@ -12,7 +12,6 @@ from mjgranular._util.checks import check_kind
 from mjgranular.errors import UnstableError, warn_user
 from mjgranular.experiment.impact import Impact, ImpactResult, Rest, Stop
 from mjgranular.experiment.sampling import Recorder, Sampler
-from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import Trajectory
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch, StopWatch
 
@@ -40,14 +39,8 @@ def run_impact(impact: Impact, *, progress: Callable[[float], None] | None = Non
 
     Warns:
         GranularWarning: the time step is above the bound of the explicit scheme.
-        RangeWarning: a height, a speed or a density that is most likely in a wrong unit.
     """
     check_kind(impact, Impact, "run_impact")
-    warn_of_slips(
-        lengths={"the height of release": impact.height},
-        speed=impact.speed,
-        density=impact.density,
-    )
     bound = impact.largest_step()
     if impact.scheme_taken == "explicit" and impact.timestep > bound:
         warn_user(

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from mjgranular._util import files
-from mjgranular._util.io import checked_fields, is_text, number, read_arrays, read_json
+from mjgranular._util.io import checked_fields, is_text, read_arrays, read_json
 from mjgranular._util.result_folder import CONFIG, SUMMARY, ResultFolder
 from mjgranular.errors import GranularError, OutputError
 from mjgranular.experiment.drop import Drop, DropResult
 from mjgranular.experiment.impact import Impact, ImpactResult
-from mjgranular.experiment.table import write_numbers
-from mjgranular.experiment.trajectory import Trajectory
+from mjgranular.experiment.trajectory import Trajectory, write_numbers
 from mjgranular.render import Tracks
 
 _CSV = "trajectory.csv"
@@ -86,17 +85,16 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
         names = _DROP_ARRAYS
         if drop.sand.memory is not None and Tracks.are_in(file):
             names += Tracks.names()
-        return drop, read_arrays(file, names)
+        arrays = read_arrays(file, names)
+        prints_of(arrays)  # raises if they are damaged
+        if len({len(arrays[name]) for name in _DROP_ARRAYS}) != 1:
+            raise OutputError(f"{file} is damaged: numbers of times and samples differ")
+        return drop, arrays
 
     try:
         drop, arrays = files.read_consistent(path, CONFIG, read)
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved drop ({error})") from None
-    try:
-        prints_of(arrays)
-        _check_samples(arrays, drop.duration)
-    except ValueError as error:
-        raise OutputError(f"{path} holds no saved drop ({_NPZ} is damaged: {error})") from None
     return drop, arrays
 
 
@@ -107,23 +105,6 @@ def prints_of(arrays: dict[str, np.ndarray]) -> Tracks | None:
         ValueError: they are damaged.
     """
     return Tracks.from_arrays(arrays) if Tracks.names()[0] in arrays else None
-
-
-def _check_samples(arrays: dict[str, np.ndarray], duration: float) -> None:
-    """Check the samples of a run of a model.
-
-    Raises:
-        ValueError: they are damaged.
-    """
-    t, force = arrays["t"], arrays["force"]
-    if t.ndim != 1 or not len(t) or force.shape != (len(t), *force.shape[1:2], 3):
-        raise ValueError("it has no samples")
-    if arrays["point"].shape != force.shape:
-        raise ValueError("shapes of points and forces differ")
-    if arrays["qpos"].shape[:1] != t.shape or arrays["qpos"].ndim != 2:
-        raise ValueError("numbers of times and positions differ")
-    if (np.diff(t) <= 0).any() or t[-1] - t[0] > 1.01 * duration:
-        raise ValueError("its times are not those of a run")
 
 
 def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
@@ -143,7 +124,6 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
         summary = read_json(files.latest_path(path, SUMMARY))
         impact = Impact(**checked_fields(Impact, config.get("config"), path / CONFIG))
         trajectory = Trajectory.read_npz(files.latest_path(path, _NPZ))
-        _check_summary(summary, float(trajectory.t[-1]), path / SUMMARY)
         return impact, summary, trajectory
 
     try:
@@ -165,13 +145,3 @@ def read_prints(path: Path) -> Tracks | None:
         return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None
     except (GranularError, ValueError, KeyError, TypeError) as error:
         raise OutputError(f"{path} holds no saved impact ({_NPZ} is damaged: {error})") from None
-
-
-def _check_summary(summary: dict[str, Any], end: float, file: Path) -> None:
-    """Check that a summary has the numbers that figures and films need."""
-    for name in ("speed", "angle_deg", "timestep"):
-        if number(summary, name, file) is None:
-            raise OutputError(f"{file} is damaged: {name} must be a number")
-    stop, touch = (number(summary, name, file) for name in ("stopping_time", "touchdown_time"))
-    if end <= 0 or (stop is not None and (touch is None or not 0 < touch + stop <= 1.01 * end)):
-        raise OutputError(f"{file} is damaged: the stop is not within the run")

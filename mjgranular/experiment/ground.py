@@ -10,7 +10,7 @@ from mjgranular.errors import FloorWarning, InputError, warn_user
 from mjgranular.render.material import NOT_SHOWN
 from mjgranular.sand.chosen import geoms_in_sand
 from mjgranular.sand.spec import SandSpec
-from mjgranular.shape.select import find_all, names_in
+from mjgranular.shape.select import find_all
 from mjgranular.surface import Bed, HeightField, Plane, Surface
 from mjgranular.surface.choice import surface_of
 from mjgranular.surface.floors import CARRIES, WOULD_CARRY, FloorWatch, describe_floors, find_floors
@@ -112,22 +112,6 @@ def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
     model.geom_group[find_all(model, "geom", sand.instead_of)] = NOT_SHOWN
 
 
-def refuse_contradiction(model: mujoco.MjModel, sand: SandSpec) -> None:
-    """Check that `keep_floor` has ground to keep besides what the sand replaces.
-
-    Contacts of geoms that the sand replaces are switched off in the model.
-
-    Raises:
-        InputError: it has not; says which of the two options to omit.
-    """
-    if not _floors(model, sand):
-        names = " ".join(map(str, names_in(sand.instead_of)))
-        raise InputError(
-            f"--keep-floor has no other ground to keep than {names}, which --instead-of replaces "
-            "with sand: omit one of the two"
-        )
-
-
 def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     """Check that no ground of the model carries it at or above the sand's surface.
 
@@ -136,13 +120,10 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     Raises:
         InputError: some does; says which, and which options help.
     """
-    if floors := _floors(model, sand):
-        raise InputError(_about(model, floors, WOULD_CARRY))
-
-
-def _floors(model: mujoco.MjModel, sand: SandSpec) -> list[int]:
     replace_geoms(model, sand.instead_of)
-    return find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
+    floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))
+    if floors:
+        raise InputError(_about(model, floors, WOULD_CARRY))
 
 
 def watch_floors(model: mujoco.MjModel, sand: SandSpec) -> FloorWatch:

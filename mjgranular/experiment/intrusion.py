@@ -13,7 +13,6 @@ import numpy as np
 from mjgranular._util.checks import check_count, check_kind, is_finite
 from mjgranular.errors import InputError, UnknownNameError, shown
 from mjgranular.experiment.drop import loading
-from mjgranular.experiment.slips import warn_of_slips
 from mjgranular.experiment.trajectory import degrees
 from mjgranular.sand import Sand
 from mjgranular.scheme import Explicit
@@ -177,10 +176,6 @@ def run_intrusion(intrusion: Intrusion) -> IntrusionResult:
         UnknownNameError: a name that does not exist.
     """
     check_kind(intrusion, Intrusion, "run_intrusion")
-    warn_of_slips(
-        lengths={"the depth at the end": intrusion.depth, "the path": intrusion.distance},
-        speed=intrusion.speed,
-    )
     model = _model(intrusion)
     sand = Sand(
         model,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ from typing import Any
 
 from mjgranular._util.checks import check_kind
 from mjgranular.errors import GranularError, InputError
-from mjgranular.experiment.baggage import Baggage, pack, unpack
+from mjgranular.experiment.custom import Custom, digest
 from mjgranular.experiment.drop import Drop, run_drop
 from mjgranular.experiment.fall import run_impact
 from mjgranular.experiment.impact import Impact
@@ -23,6 +24,7 @@ from mjgranular.experiment.study import (
     value_in_table,
     with_values,
 )
+from mjgranular.models import robot_path
 from mjgranular.pool import Failure, Journal, Mapped, Workers, map_tasks
 
 Row = dict[str, Any]
@@ -36,11 +38,8 @@ class StudyResult(Mapped):
     Attributes:
         study: the study.
         journal: journal of the finished rows.
-        failures: experiments without a row; the first 1000 of them.
-        failed: number of all failures.
-        lost: number of experiments that were lost with their processes.
-        interrupted: whether the study was interrupted before its end.
-        stopped_by: the signal that interrupted it; None if none did.
+        failures: experiments without a row.
+        stopped_by: the signal that interrupted the study before its end; None if none did.
     """
 
     study: Study
@@ -65,6 +64,13 @@ class StudyResult(Mapped):
             names |= dict.fromkeys(row)
         return [*names]
 
+    def write_csv(self, path: Path) -> None:
+        """Write a CSV file with a line for each row; cells that a row lacks are empty."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, self.columns())
+            writer.writeheader()
+            writer.writerows(self.rows())
+
     def told(self, failure: Failure) -> str:
         """Describe a failure: which experiment, with what values, and why."""
         values = []
@@ -84,8 +90,8 @@ def run_study(
 ) -> StudyResult:
     """Run a study in processes that end with this one, or on Ray. Rows are bit-identical.
 
-    Ctrl-C ends it early and keeps what is finished. A process that dies is replaced, and its chunk
-    repeated, for three attempts at most.
+    Ctrl-C ends it early and keeps what is finished. A process that dies is replaced, and its
+    experiments are repeated, for three attempts at most.
 
     Args:
         study: the experiments.
@@ -100,7 +106,7 @@ def run_study(
     check_kind(study, Study, "run_study", "Study(experiment, {'speed': [1.0, 2.0]})")
     if journal is not None:
         check_kind(journal, Journal, "run_study", "journal_of(study, folder), opened")
-    baggage = pack(study)
+    custom = Custom.of(study)
     if journal is None:
         journal = journal_of(study, None)
         journal.begin()
@@ -109,7 +115,7 @@ def run_study(
     mapped = map_tasks(
         _row,
         study,  # pyright: ignore[reportArgumentType] - it has what is used of a sequence
-        shared=(study.experiment, baggage),
+        shared=(_with_absolute_path(study.experiment), custom),
         on=Workers.of(workers),
         journal=journal,
         progress=progress,
@@ -121,8 +127,8 @@ def journal_of(study: Study, folder: Path | None) -> Journal:
     """Return the journal of a study in a folder; None for a temporary file."""
     check_kind(study, Study, "journal_of")
     # With the contents of files, since an edited model makes another study.
-    asked = {**study.config(), "files": pack(study).digest()}
-    return Journal(folder, asked, len(study), _is_row)
+    asked = {**study.config(), "files": digest(study)}
+    return Journal(folder, asked, len(study))
 
 
 def run_experiment(experiment: Experiment) -> Row:
@@ -155,26 +161,21 @@ def _try(experiment: Experiment) -> None:
             raise
 
 
-_here: dict[str, Experiment] = {}  # what this process has unpacked, by the name of the baggage
+def _with_absolute_path(experiment: Experiment) -> Experiment:
+    """Return the experiment with a path of its model for workers in other folders."""
+    if isinstance(experiment, Impact) or experiment.model is None:
+        return experiment
+    return replace(experiment, model=robot_path(experiment.model).absolute())
 
 
-def _row(shared: tuple[Experiment, Baggage], values: Mapping[str, Value]) -> Row:
+def _row(shared: tuple[Experiment, Custom], values: Mapping[str, Value]) -> Row:
     """Return the row of one experiment, in any process; the varied values come first."""
-    experiment, baggage = shared
-    if baggage.name not in _here:
-        _here.clear()
-        _here[baggage.name] = unpack(baggage, experiment)
+    experiment, custom = shared
+    custom.register()
     varied = {column_of(name): value_in_table(name, value) for name, value in values.items()}
-    row = {**varied, **run_experiment(with_values(_here[baggage.name], values)), **varied}
+    row = {**varied, **run_experiment(with_values(experiment, values)), **varied}
     # Tables have no infinities: the cell is empty.
     return {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in row.items()
     }
-
-
-def _is_row(row: Mapping[str, Any]) -> bool:
-    return all(
-        value is None or (isinstance(value, (str, bool, int, float)) and len(str(value)) < 10_000)
-        for value in row.values()
-    )

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import types
 import typing
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -25,7 +24,6 @@ from mjgranular.medium import get_medium
 
 Experiment = Impact | Drop | Intrusion
 Value = float | int | str
-Method = Literal["latin", "sobol"]
 
 ANGLES = ("angle", "slope", "uphill", "tilt", "direction")
 """Fields in radians, which are in degrees on the command line and in tables."""
@@ -34,7 +32,7 @@ LAW, MEDIUM = "law.", "medium."
 _DENSITY = "medium.density"
 _MOST = 10**9  # tasks; chosen: a larger grid is a mistake
 _CHECKED = 1000  # values of a field that are checked beforehand; of more, both ends
-_NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "state", "keep_floor")
+_NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "keep_floor")
 
 
 @dataclass(frozen=True)
@@ -70,10 +68,8 @@ class Study:
         vary: values of each varied field, or for a sample a range, `Between`. Fields of the
             experiment, in SI units and radians; `law.NAME` is a parameter of the law;
             `medium.density` is the bulk density of the sand [kg/m^3].
-        sample: number of drawn points; None for a grid.
+        sample: number of points of a Latin hypercube, by `scipy.stats.qmc`; None for a grid.
         seed: seed of the sample.
-        method: "latin", a Latin hypercube, or "sobol", a scrambled Sobol sequence, both of
-            `scipy.stats.qmc`. A Sobol sequence is best balanced if `sample` is a power of two.
 
     Raises:
         InputError: nothing is varied, a value is invalid, or a grid has a range.
@@ -85,7 +81,6 @@ class Study:
     vary: Mapping[str, Sequence[Value] | Between] = field(default_factory=dict)
     sample: int | None = None
     seed: int = 0
-    method: Method = "latin"
 
     def __post_init__(self) -> None:
         if not isinstance(self.experiment, get_args(Experiment)):
@@ -98,8 +93,6 @@ class Study:
             )
         if not self.vary:
             raise InputError("a study varies something, such as speed=(1.0, 2.0)")
-        if self.method not in get_args(Method):
-            raise UnknownNameError("way to draw a sample", self.method, get_args(Method))
         if self.sample is not None:
             check_count("sample", self.sample)
         check_count("seed", self.seed, least=0)
@@ -146,7 +139,6 @@ class Study:
             },
             "sample": self.sample,
             "seed": self.seed if drawn else None,
-            "method": self.method if drawn else None,
         }
 
     @property
@@ -158,11 +150,8 @@ class Study:
         """Drawn points in the unit cube, shape (sample, fields)."""
         assert self.sample is not None
         qmc = require("scipy.stats.qmc", extra="sample", purpose="Drawing a sample")
-        kind = qmc.LatinHypercube if self.method == "latin" else qmc.Sobol
-        drawn = kind(len(self.vary), seed=np.random.default_rng(self.seed))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # not a power of two: see `method`
-            return drawn.random(self.sample)
+        cube = qmc.LatinHypercube(len(self.vary), seed=np.random.default_rng(self.seed))
+        return cube.random(self.sample)
 
     def _check_values(self, name: str, values: object) -> None:
         if isinstance(values, Between):

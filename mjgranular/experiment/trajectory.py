@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -12,10 +13,17 @@ import numpy as np
 from mjgranular._util.files import atomic_write
 from mjgranular._util.io import read_arrays
 from mjgranular.errors import OutputError
-from mjgranular.experiment.table import write_numbers
 from mjgranular.models import Link
 from mjgranular.render import Tracks
 from mjgranular.sand.report import BodyReport
+
+
+def write_numbers(path: Path, header: Sequence[str], values: np.ndarray) -> None:
+    """Write an array, shape (rows, columns), as a CSV file with all digits."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([map(repr, row) for row in values.tolist()])
 
 
 @dataclass(frozen=True)
@@ -136,8 +144,6 @@ class Trajectory:
             raise OutputError(
                 f"{path} is damaged: all columns of a trajectory must have the same length"
             )
-        if (np.diff(t) <= 0).any():
-            raise OutputError(f"{path} is damaged: the times of a trajectory must increase")
         return cls(**arrays)
 
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-import mujoco
 import numpy as np
-
-from mjgranular.errors import UnknownNameError
 
 # Rest: every point stays within this distance for this long, 1 mm/s. Chosen, not measured; the
 # explicit scheme creeps and trembles at a speed that grows with the time step.
@@ -94,50 +91,6 @@ class StopWatch:
             if np.median(np.abs(np.diff(v, 2))) > abs(slope):
                 return -value / slope if slope < 0 and value + slope <= 0 else None
         return min(last / (last - now), 1.0) if last > max(now, 0.0) else 0.0
-
-
-class SiteWatch:
-    """Stop of a site of a model.
-
-    After `Sand.step`, positions of sites are those at the beginning of the step, and velocities are
-    those half a step before and half a step after them: their mean is taken.
-
-    Args:
-        model: the model.
-        data: the simulation, before its first step.
-        site: name of the site.
-        height: height of the level surface [m].
-
-    Attributes:
-        stop: time since the site touched the sand [s] and depth [m] at its stop; None until then.
-
-    Raises:
-        UnknownNameError: the model has no such site.
-    """
-
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, site: str, *, height: float
-    ) -> None:
-        self._site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
-        if self._site < 0:
-            known = [model.site(s).name for s in range(model.nsite)]
-            raise UnknownNameError("site of the model", site, known)
-        self._model, self._height = model, height
-        self._jacobian = np.zeros((3, model.nv))
-        self._qvel = data.qvel.copy()
-        self._watch = StopWatch(model.opt.timestep)
-        self.stop: tuple[float, float] | None = None
-
-    def follow(self, data: mujoco.MjData) -> None:
-        """Look at the site; call this after every step."""
-        if self.stop is not None:
-            return
-        mujoco.mj_jacSite(self._model, data, self._jacobian, None, self._site)
-        down = -float(self._jacobian[2] @ (self._qvel + data.qvel)) / 2
-        self._qvel[:] = data.qvel
-        if self._watch.follow(self._height - float(data.site_xpos[self._site, 2]), down):
-            assert self._watch.time is not None
-            self.stop = self._watch.time, self._watch.depth
 
 
 class RestWatch:

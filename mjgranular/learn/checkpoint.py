@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,12 @@ from mjgranular.learn.run import (
     STATE,
     Run,
     curve_text,
-    open_run,
     read_curve,
 )
 from mjgranular.learn.settings import Settings
-from mjgranular.learn.weights import add_spaces, check_size, check_spaces, read_weights
+from mjgranular.learn.weights import add_spaces, check_spaces, read_weights
 
+_NUMBERS = ("count", "clip", "epsilon", "return_mean", "return_variance", "return_count")
 _REPLAY_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 # State of the running episodes, which a checkpoint does not keep: see `callback.restart_episodes`.
@@ -71,9 +71,8 @@ def save_checkpoint(run: Run, model: Any, progress: Progress) -> None:
             _write_replay(folder / REPLAY, model.replay_buffer)
         _write_json(folder / STATE, {"steps": progress.steps, "seconds": progress.seconds})
 
-    folder = run.checkpoint_folder(progress.steps)
-    files.write_folder(folder, fill)
-    run.remove_old_checkpoints(folder)
+    files.write_folder(run.checkpoint_folder(progress.steps), fill)
+    run.remove_old_checkpoints()
 
 
 def load_checkpoint(
@@ -90,11 +89,9 @@ def load_checkpoint(
     Raises:
         GranularError: a file is damaged or of another run, or was written by other versions.
     """
-    check_belongs(folder, run)
     normalizer = Normalizer.read(folder / NORMALIZER, run.settings, env.observation_space.shape)
     weights = read_weights(folder / POLICY)
     check_spaces(weights, env, folder, run.environment)
-    check_size(run.settings, weights, folder / POLICY)
     model = make_model()
     try:
         model.set_parameters(dict(weights.parameters), exact_match=True, device="cpu")
@@ -110,21 +107,9 @@ def load_checkpoint(
         setattr(model, name, value)
     if hasattr(model, "replay_buffer"):
         _read_replay(folder / REPLAY, model.replay_buffer)
-    if folder != run.checkpoint_folder(model.num_timesteps):
-        raise OutputError(f"{folder} is damaged: it holds {model.num_timesteps} steps")
     seconds = number(read_json(folder / STATE), "seconds", folder / STATE) or 0.0
     normalizer.restore(env)  # last: the environment is unchanged if anything was wrong
     return model, Progress(model.num_timesteps, seconds, read_curve(folder / CURVE))
-
-
-def check_belongs(checkpoint: Path, run: Run) -> None:
-    """Check that a checkpoint is of a run: files of several runs may have been mixed."""
-    other = open_run(checkpoint)
-    here, there = (replace(each.settings, total_steps=1) for each in (run, other))
-    if (run.environment, run.seed, here) != (other.environment, other.seed, there):
-        raise OutputError(
-            f"{checkpoint} is of another run ({other.name}) than {run.path / CONFIG} ({run.name})"
-        )
 
 
 def write_policy(run: Run, checkpoint: Path) -> None:
@@ -209,33 +194,21 @@ class Normalizer:
         Raises:
             OutputError: it is missing, damaged, or from another policy.
         """
-        content = read_json(file)
-        scaled = settings.normalize_observations
-        if content.get("observations") is not scaled:
-            raise OutputError(f"{file} is not of this policy: observations must be {scaled}")
-        found: dict[str, Any] = {"observations": scaled}
-        for name in (each.name for each in fields(cls) if each.type == "float"):
-            found[name] = number(content, name, file)
-            if found[name] is None or (name != "return_mean" and found[name] < 0):
-                raise OutputError(f"{file} is damaged: {name} must be a number of at least 0")
-        for name in ("mean", "variance"):
-            found[name] = _vector(content.get(name), name, file, shape if scaled else (0,))
-        if (found["variance"] + found["epsilon"] <= 0).any():
-            raise OutputError(f"{file} is damaged: variance must be positive")
-        return cls(**found)
-
-
-def _vector(content: object, name: str, file: Path, shape: tuple[int, ...]) -> np.ndarray:
-    try:
-        vector = np.array(content, dtype=float)
-    except (ValueError, TypeError, OverflowError):
-        vector = np.array(np.nan)
-    if vector.shape != shape or not np.isfinite(vector).all():
-        raise OutputError(
-            f"{file} is damaged, or not of this policy: {name} must be finite numbers of shape "
-            f"{shape}"
-        )
-    return vector
+        content, scaled = read_json(file), settings.normalize_observations
+        try:
+            arrays = {name: np.array(content[name], float) for name in ("mean", "variance")}
+            numbers: dict[str, Any] = {name: float(content[name]) for name in _NUMBERS}
+        except (KeyError, TypeError, ValueError) as error:
+            raise OutputError(f"{file} is damaged: {type(error).__name__}: {error}") from None
+        expected = shape if scaled else (0,)
+        if content.get("observations") is not scaled or any(
+            array.shape != expected or not np.isfinite(array).all() for array in arrays.values()
+        ):
+            raise OutputError(
+                f"{file} is damaged, or not of this policy: observations must be {scaled}, mean "
+                f"and variance finite numbers of shape {expected}"
+            )
+        return cls(scaled, arrays["mean"], arrays["variance"], **numbers)
 
 
 # Replay buffers of SAC and TD3
@@ -257,14 +230,10 @@ def _read_replay(file: Path, buffer: Any) -> None:
     """Put what `_write_replay` wrote into a new buffer."""
     names = _replay_arrays(buffer)
     arrays = read_arrays(file, [*names, "pos", "full"], most=None)
-    rows, used = len(buffer.rewards), len(arrays["rewards"])
-    pos, full = arrays["pos"], arrays["full"]
-    valid = not (pos.shape or full.shape) and 0 <= pos < rows and used <= rows
-    if not valid or used < (rows if full else pos):
-        raise OutputError(f"{file} is damaged: it is not of a buffer of {rows} rows")
-    for name in names:
-        to, array = getattr(buffer, name), arrays[name]
-        if array.shape != (used, *to.shape[1:]) or array.dtype != to.dtype:
-            raise OutputError(f"{file} is damaged: {name} is not of this run")
-        to[:used] = array
-    buffer.pos, buffer.full = int(pos), bool(full)
+    used = len(arrays["rewards"])
+    try:
+        for name in names:
+            getattr(buffer, name)[:used] = arrays[name]
+        buffer.pos, buffer.full = int(arrays["pos"]), bool(arrays["full"])
+    except (TypeError, ValueError) as error:
+        raise OutputError(f"{file} is damaged, or of another run: {error}") from None

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import signal
-import warnings
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any, TypeVar
 
-import numpy as np
-
-from mjgranular._util.checks import check_count
 from mjgranular._util.extras import require
-from mjgranular.errors import GranularError, GranularWarning, InputError, RenderError
+from mjgranular.errors import GranularError, InputError, RenderError
 
 T = TypeVar("T")
 _PURPOSE = "Training and evaluating policies"
@@ -39,20 +33,14 @@ def one(env_id: str, arguments: Mapping[str, Any]) -> Any:
     return _made(env_id, arguments, lambda given: gym.make(env_id, **given))
 
 
-def several(
-    env_id: str, arguments: Mapping[str, Any], *, num_envs: int, threads: int | None = None
-) -> Any:
+def several(env_id: str, arguments: Mapping[str, Any], *, num_envs: int) -> Any:
     """Return several environments stepped together, a `gymnasium.vector.VectorEnv`.
 
-    Those that have a vector form run in it, on `threads` threads (None: one per core); others run
-    one after another.
+    Those that have a vector form run in it; others run one after another.
     """
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
-    options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": "sync"}
-    if _has_vector_form(env_id):
-        options["vectorization_mode"] = "vector_entry_point"
-        if threads is not None:
-            options["threads"] = threads
+    mode = "vector_entry_point" if _has_vector_form(env_id) else "sync"
+    options: dict[str, Any] = {"num_envs": num_envs, "vectorization_mode": mode}
     return _made(env_id, arguments, lambda given: gym.make_vec(env_id, **{**options, **given}))
 
 
@@ -61,8 +49,6 @@ def for_training(
     arguments: Mapping[str, Any],
     *,
     num_envs: int,
-    processes: bool = False,
-    threads: int | None = None,
     warp: str | None = None,
 ) -> Any:
     """Return environments as a `VecEnv` of Stable-Baselines3 that reports finished episodes.
@@ -71,63 +57,29 @@ def for_training(
         env_id: Gymnasium id.
         arguments: arguments of the environment.
         num_envs: number of environments.
-        processes: whether each is stepped in a separate process.
-        threads: threads that step a batch; None for one per core.
         warp: device of MuJoCo Warp that steps the batch; None for MuJoCo on this machine's cores.
 
     Raises:
-        InputError: the environment does not take the arguments, `processes` is set for environments
-            that step in one batch, or `warp` for others.
+        InputError: the environment does not take the arguments, or `warp` is set for one that does
+            not step in a batch.
     """
     require("stable_baselines3", extra="train", purpose="Training a policy")
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import VecMonitor
 
     batch = _has_vector_form(env_id)
-    if warp is not None and (processes or not batch):
+    if warp is not None and not batch:
         raise InputError(
             "MuJoCo Warp steps environments of mjgranular, such as mjgranular/Hopper-v0, in one "
-            f"batch, not {'in processes' if processes else env_id}: train with --engine local"
+            f"batch, not {env_id}: train with --engine local"
         )
-    if processes and batch:
-        raise InputError(f"{env_id} steps in a batch on all cores: omit processes")
-    if processes:
-        return _in_processes(env_id, arguments, num_envs)
     if not batch:
         return _made(
             env_id, arguments, lambda given: make_vec_env(env_id, num_envs, env_kwargs=given)
         )
     make = importlib.import_module("mjgranular.envs.sb3").make_vec_env
-    options = {} if threads is None else {"threads": threads}
-    env = _made(
-        env_id, arguments, lambda given: make(env_id, num_envs, warp=warp, **{**options, **given})
-    )
+    env = _made(env_id, arguments, lambda given: make(env_id, num_envs, warp=warp, **given))
     return VecMonitor(env)
-
-
-def _in_processes(env_id: str, arguments: Mapping[str, Any], num_envs: int) -> Any:
-    """Return environments in one process each, which import all that they need."""
-    from stable_baselines3.common.vec_env import SubprocVecEnv
-
-    class Processes(SubprocVecEnv):
-        def step_wait(self) -> Any:
-            # Single precision, as the rewards of a DummyVecEnv: results are the same to the bit.
-            observations, rewards, *others = super().step_wait()
-            return observations, np.asarray(rewards, np.float32), *others
-
-    # Spawned rather than forked: MuJoCo and numba may hold threads and locks.
-    make = partial(_monitored, env_id, dict(arguments))
-    return Processes([make] * num_envs, start_method="spawn")
-
-
-def _monitored(env_id: str, arguments: Mapping[str, Any]) -> Any:
-    """Return the environment of a worker process, which reports finished episodes."""
-    from stable_baselines3.common.monitor import Monitor
-
-    # Ctrl-C reaches all processes: the training process decides when to end.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", GranularWarning)  # the training process has shown them
-    return Monitor(one(env_id, arguments))
 
 
 def for_filming(
@@ -161,27 +113,10 @@ def _has_vector_form(env_id: str) -> bool:
 
 
 def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, Any]], T]) -> T:
-    """Call `make`; turn an environment's own errors into one sentence.
-
-    The argument `refine` divides the substeps of a MuJoCo environment by that factor, and
-    multiplies their number between two actions by it: a policy that behaves differently then has
-    learned the time step and not the robot.
-    """
+    """Call `make`; turn an environment's own errors into one sentence."""
     gym = require("gymnasium", extra="train", purpose=_PURPOSE)
-    given = dict(arguments)
-    refine = given.pop("refine", 1)
-    check_count("refine", refine)
     try:
-        if refine == 1:
-            return make(given)
-        coarse = gym.make(env_id, **given)
-        frame_skip = getattr(_inner(coarse), "frame_skip", None)
-        coarse.close()
-        if frame_skip is None or not hasattr(_inner(coarse), "model"):
-            raise InputError(f"refine must be for a MuJoCo environment, got {env_id}")
-        env = make({**given, "frame_skip": refine * frame_skip})
-        _divide_timestep(env, refine)
-        return env
+        return make(dict(arguments))
     except GranularError:
         raise
     except gym.error.DependencyNotInstalled as error:
@@ -191,22 +126,3 @@ def _made(env_id: str, arguments: Mapping[str, Any], make: Callable[[dict[str, A
         kind = "" if expected else f"{type(error).__name__}: "
         text = f"{env_id} cannot be made: {kind}{' '.join(str(error).split())}"
         raise InputError(text) from (None if expected else error)
-
-
-def _inner(env: Any) -> Any:
-    """Return the object with model and time step: a task of mjgranular or a MuJoCo environment."""
-    return getattr(env.unwrapped, "task", env.unwrapped)
-
-
-def _divide_timestep(env: Any, divisor: int) -> None:
-    """Divide the time step of one environment, or of several: a batch, or a vector environment."""
-    batch = getattr(env, "batch", None)
-    if hasattr(batch, "task"):  # `SandVecEnv` around `SandVectorEnv`
-        env = batch
-    for each in getattr(env, "envs", None) or [env]:
-        inner = _inner(each)
-        inner.model.opt.timestep /= divisor
-        inner.__dict__.pop("dt", None)  # a task caches the duration of a step
-        batch = getattr(each, "batch", None)
-        if batch is not None:  # it has copied the model
-            batch.expand("opt.timestep")[:] = inner.model.opt.timestep

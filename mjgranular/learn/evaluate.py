@@ -50,8 +50,6 @@ def run_episodes(
     arguments: Mapping[str, Any],
     make_agent: Callable[[Any], Agent],
     seeds: Sequence[int],
-    *,
-    threads: int | None = None,
 ) -> Episodes:
     """Run one episode for each seed.
 
@@ -60,14 +58,13 @@ def run_episodes(
         arguments: arguments of the environment.
         make_agent: returns the agent for given environments.
         seeds: seeds of the resets.
-        threads: threads of a batch of mjgranular; None for one per core.
     """
     if not seeds:
         raise InputError("at least one seed is needed")
     parts = []
     for first in range(0, len(seeds), AT_ONCE):
         some = list(seeds[first : first + AT_ONCE])
-        env = environments.several(env_id, arguments, num_envs=len(some), threads=threads)
+        env = environments.several(env_id, arguments, num_envs=len(some))
         try:
             parts.append(_step_to_end(env, make_agent(env), some))
         finally:

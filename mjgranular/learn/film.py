@@ -1,29 +1,22 @@
-"""Films of an agent, MP4 or GIF."""
+"""Films of an agent."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mjgranular._util.extras import require
-from mjgranular._util.files import atomic_write
-from mjgranular.errors import GranularError, InputError, RenderError
+from mjgranular.errors import GranularError, RenderError
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 from mjgranular.picture.video import Film
 
-_CODECS: dict[str, dict[str, Any]] = {
-    ".mp4": {"codec": "h264", "crf": 20},
-    ".gif": {"codec": "gif"},
-}
 
-
-def film_episode(
-    path: Path,
+def frames_of_episode(
     env_id: str,
     arguments: Mapping[str, Any],
     make_agent: Callable[[Any], Agent],
@@ -31,57 +24,52 @@ def film_episode(
     *,
     seed: int,
     camera: str | None,
-    progress: Callable[[int], object] | None = None,
-) -> float:
-    """Film one episode in real time, from its beginning, for `film.seconds` at most.
+) -> tuple[Film, int, Iterator[np.ndarray]]:
+    """Return the frames of an episode in real time, from its beginning, for `film.seconds` at most.
 
     Args:
-        path: path of the file; .mp4 or .gif.
         env_id: Gymnasium id.
         arguments: arguments of the environment.
         make_agent: returns the agent for a given environment.
         film: size, frames per second, length.
         seed: seed of the environment's reset.
         camera: camera of the model; None for the environment's default view.
-        progress: called with the number of frames rendered.
 
     Returns:
-        The return up to the film's end.
+        The film with the size and rate of the frames, their largest number, and the frames.
 
     Raises:
-        InputError: another file extension, or no such camera.
+        InputError: no such camera.
         RenderError: the environment cannot be drawn on this machine.
     """
-    if path.suffix not in _CODECS:
-        raise InputError(f"a film must be written as .mp4 or .gif, got {path.name!r}")
-    mediapy = require("mediapy", extra="video", purpose="Writing a video")
-    ffmpeg = require("imageio_ffmpeg", extra="video", purpose="Writing a video")
-    mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
     env = environments.for_filming(
         env_id, arguments, width=film.width, height=film.height, camera=camera
     )
-    try:
-        agent = make_agent(env)
+    with ExitStack() as until_made:
+        until_made.callback(env.close)
         step_time = getattr(env.unwrapped, "dt", None)
         rate = 1 / step_time if step_time else env.metadata.get("render_fps") or film.fps
         every = max(1, math.ceil(rate / film.fps))  # steps from one frame to the next
+        steps = math.ceil(film.seconds * rate)
         observation, _ = env.reset(seed=seed)
-        frames, total, step, over = [_frame(env)], 0.0, 0, False
-        while not over and step < film.seconds * rate:
-            action = agent.act(observation[None], np.array([step]))[0]
-            observation, reward, terminated, truncated, _ = env.step(action)
-            total += float(reward)
-            step += 1
-            over = terminated or truncated
-            if step % every == 0:
-                frames.append(_frame(env))
-                if progress is not None:
-                    progress(len(frames))
-    finally:
-        env.close()
-    with atomic_write(path) as part:
-        mediapy.write_video(part, frames, fps=rate / every, **_CODECS[path.suffix])
-    return total
+        first = _frame(env)
+        height, width = first.shape[:2]
+        agent = make_agent(env)
+        until_filmed = until_made.pop_all()
+
+    def frames(observation: np.ndarray) -> Iterator[np.ndarray]:
+        with until_filmed:
+            yield first
+            for step in range(steps):
+                action = agent.act(observation[None], np.array([step]))[0]
+                observation, _, terminated, truncated, _ = env.step(action)
+                if (step + 1) % every == 0:
+                    yield _frame(env)
+                if terminated or truncated:
+                    break
+
+    shown = replace(film, width=width, height=height, fps=rate / every)
+    return shown, 1 + steps // every, frames(observation)
 
 
 def _frame(env: Any) -> np.ndarray:

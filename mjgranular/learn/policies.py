@@ -13,7 +13,7 @@ import mjgranular.models
 from mjgranular._util import files
 from mjgranular._util.result_folder import CONFIG
 from mjgranular.errors import OutputError, UnknownNameError, warn_user
-from mjgranular.learn.checkpoint import Normalizer, check_belongs
+from mjgranular.learn.checkpoint import Normalizer
 from mjgranular.learn.run import (
     CHECKPOINTS,
     CURVE,
@@ -21,15 +21,12 @@ from mjgranular.learn.run import (
     POLICY,
     Run,
     open_run,
-    read_curve,
 )
 from mjgranular.learn.weights import build_policy, check_spaces, read_weights
 
 SHIPPED = Path(mjgranular.models.__file__).resolve().parent / "policies"
 """Folder of the policies that come with the package, each with the files of `POLICY_FILES`."""
 POLICY_FILES = (CONFIG, POLICY, NORMALIZER, CURVE)
-_LAST_PART = 0.8  # of a learning curve, from here on
-_TRIES = 3
 
 
 @dataclass(frozen=True)
@@ -75,21 +72,10 @@ def load_policy(where: Path | str) -> Policy:
         UnknownNameError: neither a folder nor a name; lists the names.
     """
     folder = _folder(where)
-    tries = _TRIES
-    while True:
-        run = open_run(folder)
-        newest = run.newest_checkpoint() if (folder / CHECKPOINTS).is_dir() else None
-        holder = newest or folder
-        tries -= 1
-        try:
-            policy = files.read_consistent(
-                holder, POLICY, lambda run=run, at=holder: _load(run, at)
-            )
-            break
-        except OutputError:
-            # A running training may have replaced the checkpoint by a newer one.
-            if not tries or newest is None or newest.exists():
-                raise
+    run = open_run(folder)
+    newest = run.newest_checkpoint() if (folder / CHECKPOINTS).is_dir() else None
+    holder = newest or folder
+    policy = files.read_consistent(holder, POLICY, lambda: _load(run, holder))
     trained_with = str(run.versions.get("mujoco"))
     if trained_with.partition(".")[0] != mujoco.__version__.partition(".")[0]:
         warn_user(f"{run.path} was trained with MuJoCo {trained_with}, not {mujoco.__version__}")
@@ -104,8 +90,6 @@ def _load(run: Run, holder: Path) -> Policy:
             f"{run.path} has no policy yet, as its training has written no checkpoint: resume it "
             f"with mjgranular train --resume {run.path}"
         )
-    if holder != run.path:
-        check_belongs(holder, run)
     try:
         model = build_policy(run.settings, read_weights(file), file)
         statistics = files.latest_path(holder, NORMALIZER)
@@ -119,22 +103,6 @@ def shipped_policies() -> dict[str, Run]:
     """Return the policies that come with the package, by name."""
     folders = sorted(file.parent for file in SHIPPED.rglob(POLICY))
     return {folder.relative_to(SHIPPED).as_posix(): open_run(folder) for folder in folders}
-
-
-def last_return(run: Run) -> float | None:
-    """Return the mean return over the last fifth of a run's learning curve; None without one.
-
-    The last row alone would not do: after a checkpoint it has only the few episodes that ended
-    early.
-    """
-    try:
-        rows = read_curve(run.path / CURVE)
-    except OutputError:
-        return None
-    rows = [row for row in rows if row[0] >= _LAST_PART * rows[-1][0] and row[2] > 0]
-    if not rows:
-        return None
-    return float(np.average([row[3] for row in rows], weights=[row[2] for row in rows]))
 
 
 def _folder(where: Path | str) -> Path:

@@ -8,9 +8,9 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from mjgranular.errors import (
     shown,
     warn_user,
 )
-from mjgranular.learn.sands import Sands, changes, read_sands, sands_made
+from mjgranular.learn.sands import Sands, changes, is_sands, sands_made
 from mjgranular.learn.settings import Settings
 
 CHECKPOINTS = "checkpoints"
@@ -57,7 +57,6 @@ class Run:
         sand: sand of its environment when the run started; None if unknown, as for environments
             without a MuJoCo model.
         trusted: whether the user trusts it, so that modules that it names may be imported.
-        restored: arguments that give the environment the sand that it had when the run started.
     """
 
     path: Path
@@ -67,12 +66,11 @@ class Run:
     versions: dict[str, Any]
     sand: Sands | None = None
     trusted: bool = False
-    restored: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def arguments(self) -> dict[str, Any]:
         """Arguments of the environment in training."""
-        return {**self.settings.environment, **self.restored}
+        return dict(self.settings.environment)
 
     @property
     def name(self) -> str:
@@ -112,17 +110,10 @@ class Run:
         """Return the path of the checkpoint after `steps` steps."""
         return self.path / CHECKPOINTS / f"step-{steps:010d}"
 
-    def remove_old_checkpoints(self, written: Path | None = None) -> None:
-        """Keep the newest two complete checkpoints, and damaged ones among them for inspection.
-
-        A checkpoint that was just written need not be checked.
-        """
-        complete = 0
-        for folder in self.checkpoints():
-            if complete == _KEPT:
-                files.remove_folder(folder)
-            elif folder == written or files.find_corruption(folder, _IN_A_CHECKPOINT) is None:
-                complete += 1
+    def remove_old_checkpoints(self) -> None:
+        """Keep the newest two checkpoints."""
+        for folder in self.checkpoints()[_KEPT:]:
+            files.remove_folder(folder)
 
     def extended(self, total_steps: int) -> Run:
         """Return the run with another number of steps, and write that to its folder."""
@@ -146,16 +137,10 @@ class Run:
         """Return the packages that the run was started with, for messages."""
         return ", ".join(f"{name} {self.versions.get(name)}" for name in _PACKAGES)
 
-    def other_sand(self, now: Sands | None, settled: Iterable[str] = ()) -> str | None:
-        """Return how sand differs from that at the start of the run, as the end of a sentence.
-
-        The result is None if nothing differs or a sand is unknown. `settled` are names of arguments
-        that the user has changed.
-        """
-        if now is None or self.sand is None:
-            return None
-        found = changes(self.sand, now, settled)
-        return f"was started on other sand: {', '.join(found)}" if found else None
+    def warn_of_sand(self, now: Sands | None) -> None:
+        """Warn if sand differs from that at the start of the run."""
+        if different := changes(self.sand, now):
+            warn_user(f"{self.path} was started on other sand: {different}")
 
     def check_environment(self) -> None:
         """Check that no module is imported only because an untrusted file names it.
@@ -194,8 +179,7 @@ def begin_run(path: Path | str, environment: str, settings: Settings, *, seed: i
         GranularError: the environment cannot be made; says why.
     """
     path = Path(path)
-    if not 0 <= seed <= _LARGEST_SEED:
-        raise InputError(f"a seed must be an integer from 0 to {_LARGEST_SEED}, got {seed}")
+    _checked_seed(seed)
     if not is_text(environment):
         raise InputError(f"environment must be a printable name, got {shown(environment)}")
     sand = sands_made(environment, settings.environment)
@@ -233,20 +217,17 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
     try:
         content = read_json(path / CONFIG)
         command, environment = content.get("command"), content.get("environment")
-        if command != TRAINING and is_text(command):
+        if command not in (None, TRAINING):
             raise OutputError(f"it is the result of mjgranular {command}")
         if not is_text(environment):
             raise OutputError(f"{CONFIG} must name an environment")
-        seed: Any = content.get("seed")
-        made_with = content.get("versions")
-        if not fits(seed, int) or not 0 <= seed <= _LARGEST_SEED:
-            raise OutputError(f"{CONFIG}: seed must be an integer from 0 to {_LARGEST_SEED}")
-        if not isinstance(made_with, dict) or not all(
-            is_text(name) and fits(version, str | None) for name, version in made_with.items()
-        ):
+        made_with, sand = content.get("versions"), content.get("sand")
+        if not isinstance(made_with, dict):
             raise OutputError(f"{CONFIG}: versions must name packages and their versions")
+        if sand is not None and not is_sands(sand):
+            raise OutputError(f"{CONFIG}: sand must be a list of tables")
+        seed = _checked_seed(content.get("seed"))
         settings = Settings.from_json(content.get("settings"))
-        sand = read_sands(content.get("sand"), CONFIG)
     except MissingExtraError:
         raise
     except GranularError as error:
@@ -255,6 +236,12 @@ def open_run(path: Path, *, trust: bool = False) -> Run:
             f"{path}"
         ) from None
     return Run(path, str(environment), settings, seed, made_with, sand, trust)
+
+
+def _checked_seed(seed: Any) -> int:
+    if not fits(seed, int) or not 0 <= seed <= _LARGEST_SEED:
+        raise InputError(f"a seed must be an integer from 0 to {_LARGEST_SEED}, got {shown(seed)}")
+    return seed
 
 
 def curve_text(rows: Sequence[Sequence[float]]) -> str:

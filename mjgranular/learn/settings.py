@@ -45,8 +45,6 @@ class Settings:
         algorithm: ppo, sac or td3, those of Stable-Baselines3.
         total_steps: steps of all environments together.
         num_envs: environments that are stepped together.
-        processes: whether each of them is stepped in a separate process; for environments that
-            mjgranular does not step in one batch.
         net: widths of the hidden layers, of the policy and of the critic.
         activation: between layers: tanh, relu or elu.
         normalize_observations: by their running mean and variance, which are saved with the policy.
@@ -61,7 +59,6 @@ class Settings:
     algorithm: str
     total_steps: int
     num_envs: int
-    processes: bool = False
     net: tuple[int, ...] = (64, 64)
     activation: str = "tanh"
     normalize_observations: bool = True
@@ -116,6 +113,7 @@ class Settings:
         """
         if not isinstance(content, Mapping):
             raise InputError("settings must be an object")
+        content = {name: value for name, value in content.items() if name != "processes"}  # 0.2
         _check_keys("settings", content, [entry.name for entry in fields(cls)])
         missing = [name for name in ("algorithm", "total_steps", "num_envs") if name not in content]
         if missing:

@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from mjgranular._util import files
 from mjgranular._util.extras import require
 from mjgranular._util.result_folder import CONFIG
-from mjgranular.errors import InputError, OutputError, warn_user
+from mjgranular.errors import InputError, warn_user
 from mjgranular.learn import environments
 from mjgranular.learn.checkpoint import Progress, load_checkpoint, write_policy
 from mjgranular.learn.run import (
@@ -26,7 +26,7 @@ from mjgranular.learn.run import (
     Run,
     current_versions,
 )
-from mjgranular.learn.sands import arguments_for, as_variant, sands_made
+from mjgranular.learn.sands import sands_made
 from mjgranular.learn.settings import Settings, algorithm_class, linear_start
 from mjgranular.learn.weights import policy_arguments
 
@@ -53,7 +53,6 @@ def train(
     run: Run,
     *,
     report: Report | None = None,
-    threads: int | None = None,
     warp: str | None = None,
 ) -> Training:
     """Train until `total_steps`, from the newest checkpoint if there is one.
@@ -65,39 +64,37 @@ def train(
     the run's seed and the number of steps, in the same process as in a new one. So a run that was
     killed and resumed gives the same policy, bit for bit, as one that was not.
 
-    If the environment has other sand now than at the start of the run, because a default has
-    changed for example, training continues on the sand of the start.
-
     Args:
         run: the run to train.
         report: called at every step of the environments.
-        threads: threads of a batch of environments; None for one per core. Results are the same.
         warp: device of MuJoCo Warp that steps the batch, "cuda:0", "cpu" or "auto"; None for MuJoCo
             on this machine's cores. A run may change this at any checkpoint.
 
     Raises:
         InputError: the environment, the algorithm and its arguments do not match.
-        OutputError: the environment's module would be executed only because a file names it; the
-            sand of the run's start cannot be restored; or a checkpoint cannot be written or read;
-            those before it are intact.
+        OutputError: the environment's module would be executed only because a file names it, or a
+            checkpoint cannot be written or read; those before it are intact.
         UnstableError: weights of the policy are not finite.
+
+    Warns:
+        GranularWarning: the run resumes with other packages or on other sand than it started with.
     """
     torch = require("torch", extra="train", purpose="Training a policy")
     require("tensorboard", extra="train", purpose="Training a policy")
     # Networks of this size are faster on one thread; the other cores step environments.
     torch.set_num_threads(1)
     run.check_environment()
-    run = _with_its_sand(run)
     files.finish_publishing(run.path)
     files.remove_leftovers(run.path, (CONFIG, CURVE, POLICY, NORMALIZER))
     files.remove_leftovers(run.path / CHECKPOINTS)
-    env = environments_of(run, threads=threads, warp=warp)
+    env = environments_of(run, warp=warp)
     try:
         newest = run.newest_checkpoint()
         if newest is None:
             model, start = new_model(run, env), Progress(0, 0.0, [])
         else:
             _warn_of_versions(run)
+            run.warn_of_sand(sands_made(run.environment, run.arguments))
             model, start = load_checkpoint(newest, run, env, lambda: new_model(run, env))
         reached, stopped_by = start, None
         if start.steps < run.settings.total_steps:
@@ -125,26 +122,7 @@ def _warn_of_versions(run: Run) -> None:
         warn_user(f"{run.path} was started with {', '.join(changed)}: numbers may differ from now")
 
 
-def _with_its_sand(run: Run) -> Run:
-    """Return the run with arguments that restore the sand of its start, if needed.
-
-    Raises:
-        OutputError: no arguments do.
-    """
-    other = run.other_sand(sands_made(run.environment, run.arguments))
-    if other is None or run.sand is None:
-        return run
-    restored = arguments_for(run.sand, run.environment, run.arguments)
-    if restored is None:
-        raise OutputError(
-            f"{run.path} {other}; its environment cannot have that sand any more: start a new run "
-            "with another --out"
-        )
-    warn_user(f"{run.path} {other}; training continues on {as_variant(restored)}, as it started")
-    return replace(run, restored=restored)
-
-
-def environments_of(run: Run, *, threads: int | None = None, warp: str | None = None) -> Any:
+def environments_of(run: Run, *, warp: str | None = None) -> Any:
     """Return the environments of a run as a `VecNormalize`."""
     from gymnasium import spaces
     from stable_baselines3.common.vec_env import VecNormalize
@@ -154,8 +132,6 @@ def environments_of(run: Run, *, threads: int | None = None, warp: str | None = 
         run.environment,
         run.arguments,
         num_envs=settings.num_envs,
-        processes=settings.processes,
-        threads=threads,
         warp=warp,
     )
     vectors = {"observations": env.observation_space}

@@ -8,7 +8,7 @@ import numpy as np
 
 from mjgranular._util.checks import kind_of
 from mjgranular.errors import InputError, UnknownNameError
-from mjgranular.experiment.drop import DropResult, load, memory_of, surface_drawn
+from mjgranular.experiment.drop import DropResult, load, memory_of
 from mjgranular.experiment.impact import ImpactResult
 from mjgranular.picture.video import (
     Film,
@@ -33,7 +33,7 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         options = Film(camera=camera or "free", fps=fps, seconds=seconds)
         model, _ = load(film.drop)
         motion = Motion(film.t, film.qpos, film.point, film.force)
-        surface, memory = surface_drawn(film.drop), memory_of(film.drop, model)
+        surface, memory = film.drop.surface, memory_of(film.drop, model)
         return list(frames_of_model(options, model, motion, surface, film.prints, memory)[1])
     if isinstance(film, ImpactResult):
         options = Film(camera=camera or "side", fps=fps, seconds=seconds)

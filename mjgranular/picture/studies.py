@@ -11,7 +11,7 @@ import numpy as np
 
 from mjgranular.picture.figures import PALETTE, figure
 
-_BLUE, _, _RED = PALETTE
+_BLUE = PALETTE[0]
 _MOST_MARKERS = 60  # of a line; with more, the line suffices. Chosen
 _MOST_TICKS = 8  # of a grid, one per value; chosen
 
@@ -72,7 +72,6 @@ def draw_study(
     outcomes: Sequence[Axis],
     *,
     joined: bool,
-    printed: Mapping[str, Sequence[float]] | None = None,
     title: str = "",
 ) -> None:
     """Draw two outcomes against one varied field, or over two.
@@ -83,7 +82,6 @@ def draw_study(
         varied: names of the one or two varied columns.
         outcomes: columns to draw.
         joined: whether the values form a grid.
-        printed: the same columns with values of the paper, for one varied field.
         title: title of the figure.
     """
     inputs = [axis_of(name) for name in varied]
@@ -92,11 +90,6 @@ def draw_study(
             axes = drawn.subplots(2, 1, sharex=True)
             for axis, outcome in zip(axes, outcomes, strict=True):
                 _draw_line(axis, columns, inputs[0], outcome, joined=joined)
-                if printed:
-                    values = np.array(printed[outcome.column]) * outcome.scale
-                    at, style = printed[varied[0]], {"s": 60, "marker": "x", "zorder": 3}
-                    axis.scatter(at, values, color=_RED, label="paper", **style)
-                    axis.legend()
             axes[1].set_xlabel(inputs[0].label)
         return
     with figure(path, 9.6, 4.2, title) as drawn:

@@ -48,7 +48,7 @@ class Film:
     camera: str = "side"
     width: int = 640
     height: int = 480
-    fps: int = 30
+    fps: float = 30
     seconds: float = 5.0
     hold: float = 1.0
 

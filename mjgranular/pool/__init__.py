@@ -1,7 +1,7 @@
-"""Independent tasks in chunks, on processes of this machine or on Ray.
+"""Independent tasks on processes of this machine or on Ray.
 
 Callers need only `map_tasks`. Results survive any end of the run: each is written to a `Journal` as
-soon as its chunk is finished, so that memory does not grow with them and a later run, on either
+soon as it exists, so that memory does not grow with them and a later run, on either
 engine, resumes from there.
 """
 

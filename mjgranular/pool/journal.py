@@ -5,23 +5,20 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-import time
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from mjgranular._util.io import check_regular, parse_json
+from mjgranular._util.io import check_regular
 from mjgranular._util.versions import versions
-from mjgranular.errors import OutputError
+from mjgranular.errors import InputError, OutputError
 
 UNFINISHED = "unfinished.jsonl"
 """The file: the request, then a line of JSON for each result. A folder that contains it has an
 unfinished run."""
 
-_FLUSH_EVERY = 1.0  # [s]; a killed process loses nothing, a crashed machine this much
-_LONGEST = 1 << 20  # bytes of a line; far beyond what is written. Chosen, not measured
 _NONE = -1
 _DAMAGED = "it is damaged"
 
@@ -33,28 +30,18 @@ class Journal:
         folder: folder for the result; None for a temporary file, deleted with this object.
         asked: the request, in plain values; a run only resumes from results of the same request.
         size: number of tasks.
-        is_result: returns True if a parsed value can be a result.
 
     Attributes:
         count: number of results.
     """
 
-    def __init__(
-        self,
-        folder: Path | None,
-        asked: Mapping[str, Any],
-        size: int,
-        is_result: Callable[[Mapping[str, Any]], bool] | None = None,
-    ) -> None:
+    def __init__(self, folder: Path | None, asked: Mapping[str, Any], size: int) -> None:
         self.count = 0
         self._path = None if folder is None else folder / UNFINISHED
         # Through JSON, so that it equals what is read: tuples are lists there.
         self._asked = json.loads(json.dumps({"asked": dict(asked), "versions": versions()}))
-        self._is_result = is_result
         self._places = array("q", [_NONE]) * size
         self._file: IO[bytes] | None = None
-        self._flushed = 0.0
-        self._end = 0
 
     def __del__(self) -> None:
         self.close()
@@ -78,13 +65,13 @@ class Journal:
         """Yield the numbers of the tasks without a result, searched lazily."""
         return (index for index in range(len(self)) if index not in self)
 
-    def goes_on(self) -> bool:
-        """Return True if the folder has results, or a start, of the same request."""
-        return self.fault() is None
-
     def fault(self) -> str | None:
         """Return why a run cannot resume from the file in the folder; None if it can."""
         return self._read()[0]
+
+    def can_resume(self) -> bool:
+        """Return True if a run can resume from the file in the folder."""
+        return self.fault() is None
 
     def begin(self) -> None:
         """Open the file: results of the same request stay, all else in it is deleted.
@@ -95,11 +82,11 @@ class Journal:
         if self._path is None:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the journal
             return
-        fault, self._places, self._end = self._read()
+        fault, self._places, end = self._read()
         self.count = len(self) - self._places.count(_NONE)
         try:
             self._file = self._path.open("w+b" if fault else "r+b")
-            self._file.truncate(self._end)  # a partial line, where the process was killed
+            self._file.truncate(end)  # a partial line, where the process was killed
         except OSError as error:
             raise self._as_output_error(error) from None
 
@@ -113,26 +100,17 @@ class Journal:
             return
         if self._file is None:
             self.begin()
-        assert self._file is not None
-        lines = [] if self._end else [_line(self._asked)]
-        end = self._end + sum(map(len, lines))
-        places = []
-        for index, row in results:
-            lines.append(_line({"index": index, "row": row}))
-            places.append(end)
-            end += len(lines[-1])
+        file = self._file
+        assert file is not None
         try:
-            self._file.seek(self._end)
-            self._file.write(b"".join(lines))
-            self._file.flush()
-            if self._path is not None and time.monotonic() - self._flushed > _FLUSH_EVERY:
-                os.fsync(self._file.fileno())
-                self._flushed = time.monotonic()
+            if file.seek(0, os.SEEK_END) == 0:
+                file.write(_line(self._asked))
+            for index, row in results:
+                self._places[index] = file.tell()
+                file.write(_line({"index": index, "row": row}))
+            file.flush()
         except OSError as error:
             raise self._as_output_error(error) from None
-        for (index, _), place in zip(results, places, strict=True):
-            self._places[index] = place
-        self._end = end
         self.count += len(results)
 
     def close(self) -> None:
@@ -143,7 +121,7 @@ class Journal:
             self._file = None
 
     def _read(self) -> tuple[str | None, array[int], int]:
-        """Return any fault of the file, and the positions and the end of its valid results."""
+        """Return any fault of the file, and the positions and the end of its results."""
         none = array("q", [_NONE]) * len(self)
         if self._path is None or not self._path.exists():
             return "there is none", none, 0
@@ -151,38 +129,36 @@ class Journal:
         try:
             check_regular(self._path, "the file")
             with self._path.open("rb") as file:
-                while (line := file.readline(_LONGEST)).endswith(b"\n"):
-                    content = parse_json(line.decode(), UNFINISHED)
+                for line in file:
+                    if not line.endswith(b"\n"):  # where the process was killed
+                        break
+                    content = json.loads(line)
                     if end == 0 and content != self._asked:
                         return _difference(content, self._asked), none, 0
                     if end > 0:
-                        if not self._is_line(content) or places[content["index"]] != _NONE:
-                            return _DAMAGED, none, 0
-                        places[content["index"]] = end
+                        places[_index(content, len(self))] = end
                     end += len(line)
-        except (OutputError, UnicodeDecodeError):
-            return _DAMAGED, none, 0
-        except (OSError, ValueError) as error:
+        except (OSError, InputError) as error:
             return f"it cannot be read ({error})", none, 0
-        return (_DAMAGED, none, 0) if len(line) == _LONGEST else (None, places, end)
-
-    def _is_line(self, content: Mapping[str, Any]) -> bool:
-        """Return True if a line of the file has a task of this journal, and a result."""
-        index, row = content.get("index"), content.get("row")
-        if type(index) is not int or not 0 <= index < len(self) or "row" not in content:
-            return False
-        return self._is_result is None or (isinstance(row, dict) and self._is_result(row))
+        except (ValueError, TypeError, KeyError, RecursionError):
+            return _DAMAGED, none, 0
+        return None, places, end
 
     def _as_output_error(self, error: OSError) -> OutputError:
         return OutputError(f"cannot write {self._path}: {error.strerror or error}")
 
 
-def _difference(there: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
+def _index(content: Any, size: int) -> int:
+    """Return the number of the task of a line of the file."""
+    if "row" not in content or not 0 <= content["index"] < size:
+        raise ValueError
+    return content["index"]
+
+
+def _difference(there: Any, asked: Mapping[str, Any]) -> str:
     """Return the first difference of two requests."""
     for part, of in (("asked", ""), ("versions", "the version of ")):
-        before, now = there.get(part), asked[part]
-        if not isinstance(before, Mapping):
-            return _DAMAGED
+        before, now = there[part], asked[part]
         for name in {**before, **now}:
             if before.get(name) != now.get(name):
                 return f"it was begun with another {of}{str(name)[:50]}"

@@ -1,12 +1,10 @@
-"""The engine `ray`: chunks are Ray tasks, on this machine or on all of its cluster."""
+"""The engine `ray`: tasks are Ray tasks, on this machine or on all of its cluster."""
 
 from __future__ import annotations
 
 import os
 import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -15,18 +13,17 @@ from typing import Any
 
 from mjgranular._util.extras import require
 from mjgranular._util.versions import mismatch, versions
-from mjgranular.errors import GranularError, InputError
-from mjgranular.pool.workers import Chunk, Done, Function, WorkerLostError, Workers, run_chunk
+from mjgranular.errors import InputError
+from mjgranular.pool.workers import Answer, Function, WorkerLostError, Workers, run_task
 
 # Chosen, not measured.
 _CONNECT = 3.0  # [s] for the head's port to open
-_ANSWER = 15.0  # [s] for the head's health check, by a process of Ray
 _STORE = 128 * 2**20  # bytes of the object store of a Ray that we start: shared data and rows
-_AHEAD = 2  # chunks per core, so that no core waits for us
+_AHEAD = 4  # tasks per core, so that no core waits for us
 
 
 class RayPool:
-    """Chunks as Ray tasks.
+    """Tasks on Ray.
 
     An existing session of this process is used and left open; else one is started, and ended with
     the work.
@@ -47,32 +44,30 @@ class RayPool:
         if self._mine:
             _start(self._ray, workers)
         cores = max(1, int(self._ray.cluster_resources().get("CPU", 1)))
-        self.count = min(workers.count or cores, cores)
         # Ray queues tasks beyond its cores; we queue those beyond the requested count.
-        self.slots = self.count if self.count < cores else _AHEAD * cores
+        count = workers.count or cores
+        self.slots = count if count < cores else _AHEAD * cores
         self._work = self._ray.put((function, shared, versions()))
-        # Retries of a chunk are not left to Ray: see `tasks`.
-        self._run = self._ray.remote(num_cpus=1, max_retries=0)(_run)
+        # Ray repeats a task whose node is gone; what `tasks` repeats is for tasks that kill.
+        self._run = self._ray.remote(num_cpus=1, max_retries=1)(_run)
         self._references: dict[Future, Any] = {}
 
-    def submit(self, chunk: Chunk) -> Future:
-        reference = self._run.remote(self._work, chunk)
+    def submit(self, task: Any) -> Future:
+        reference = self._run.remote(self._work, task)
         future = reference.future()
         self._references[future] = reference
         return future
 
-    def result(self, future: Future) -> Done:
+    def result(self, future: Future) -> Answer:
         del self._references[future]
         errors = self._ray.exceptions
         try:
             done = future.result()
         except errors.RayTaskError as error:  # not from a task: those are caught
-            raise InputError(_why(error)) from None
+            last = str(error).strip().splitlines()[-1]
+            raise InputError(f"a worker of Ray cannot begin: {last}") from None
         except errors.RayError as error:
-            reason = " ".join(str(error).split()).partition(". ")[0]
-            raise WorkerLostError(
-                f"its worker is gone ({type(error).__name__}: {reason})"
-            ) from None
+            raise WorkerLostError(f"its worker is gone ({type(error).__name__})") from None
         if isinstance(done, str):
             raise InputError(done)
         return done
@@ -100,7 +95,8 @@ def _start(ray: Any, workers: Workers) -> None:
             "address": "local",  # overrides RAY_ADDRESS
         }
     else:
-        _check_answers(workers.address)
+        if workers.address != "auto":
+            _check_port(workers.address)
         options = {"address": workers.address}
     try:
         with _signals_kept():
@@ -111,8 +107,8 @@ def _start(ray: Any, workers: Workers) -> None:
         raise InputError(f"Ray cannot be used on {where}: {reason}") from None
 
 
-def _run(work: tuple[Function, Any, dict[str, Any]], chunk: Chunk) -> Done | str:
-    """Run a chunk in a Ray worker; return why it cannot, if it has other versions."""
+def _run(work: tuple[Function, Any, dict[str, Any]], task: Any) -> Answer | str:
+    """Run a task in a Ray worker; return why it cannot, if it has other versions."""
     function, shared, expected = work
     different = mismatch(expected, versions())
     if different is not None:
@@ -120,45 +116,11 @@ def _run(work: tuple[Function, Any, dict[str, Any]], chunk: Chunk) -> Done | str
             f"the worker on {socket.gethostname()} has other versions, so its results could be "
             f"other ones: {different}; install the same on all nodes"
         )
-    return run_chunk(function, shared, chunk)
-
-
-def _why(error: Any) -> str:
-    """Return a sentence on why a worker could not begin."""
-    cause = error.cause if isinstance(getattr(error, "cause", None), Exception) else error
-    if isinstance(cause, GranularError):
-        return str(cause)
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    last = lines[-1] if lines else type(error).__name__
-    if "ModuleNotFoundError" in str(error) or isinstance(cause, ImportError):
-        return (
-            f"a worker of Ray lacks a module that the tasks need, install it on all nodes: {last}"
-        )
-    return f"a worker of Ray cannot begin: {last}"
-
-
-def _check_answers(address: str) -> None:
-    """Check within seconds that a cluster answers at an address: Ray itself takes minutes.
-
-    Raises:
-        InputError: it does not; says what was tried.
-    """
-    check = [sys.executable, "-m", "ray.scripts.scripts", "health-check"]
-    if address != "auto":
-        _check_port(address)
-        check += ["--address", address]
-    with suppress(subprocess.TimeoutExpired):
-        if subprocess.run(check, capture_output=True, timeout=_ANSWER, check=False).returncode == 0:
-            return
-    where = "on this machine" if address == "auto" else f"at {address}"
-    raise InputError(
-        f"no Ray cluster answers {where} within {_ANSWER:g} s: ray start --head makes one, "
-        "ray status says how it is"
-    )
+    return run_task(function, shared, task)
 
 
 def _check_port(address: str) -> None:
-    """Check that something listens at HOST:PORT."""
+    """Check within seconds that something listens at HOST:PORT: Ray itself takes minutes."""
     host, colon, port = address.rpartition(":")
     if "://" in address or not (colon and host and port.isdigit() and int(port) < 65536):
         raise InputError(

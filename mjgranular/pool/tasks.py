@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
@@ -14,18 +13,10 @@ from typing import Any
 from mjgranular._util.signals import signal_of
 from mjgranular.pool.journal import Journal
 from mjgranular.pool.local import Processes, ThisProcess
-from mjgranular.pool.workers import Done, Function, Pool, WorkerLostError, Workers
+from mjgranular.pool.workers import Function, Pool, WorkerLostError, Workers
 
 TRIES = 3
-"""Attempts at a chunk; in the last one each of its tasks runs separately."""
-
-# A chunk of one second takes 1.6 % longer on Ray than on local processes (docs/cluster.md), and
-# little is lost with it. Toward the end of a run chunks become smaller, so that all workers end
-# together.
-_SECONDS = 1.0
-_ROUNDS = 2
-_LARGEST = 10_000
-_NAMED = 1000  # failures that are kept; of the others only the number
+"""Attempts at a task whose worker dies; after the first it runs alone."""
 
 
 @dataclass(frozen=True)
@@ -49,19 +40,28 @@ class Mapped:
 
     Attributes:
         journal: the results; `journal.results()` yields them in the order of the tasks.
-        failures: tasks without a result, in order; the first 1000 of them.
-        failed: number of all failures.
-        lost: number of tasks that were lost with their workers.
-        interrupted: whether the run was interrupted before its end.
-        stopped_by: the signal that interrupted it; None if none did.
+        failures: tasks without a result, in order.
+        stopped_by: the signal that interrupted the run before its end; None if none did.
     """
 
     journal: Journal
     failures: list[Failure]
-    failed: int = 0
-    lost: int = 0
-    interrupted: bool = False
     stopped_by: int | None = None
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the run was interrupted before its end."""
+        return self.stopped_by is not None
+
+    @property
+    def failed(self) -> int:
+        """Number of tasks without a result."""
+        return len(self.failures)
+
+    @property
+    def lost(self) -> int:
+        """Number of tasks that were lost with their workers."""
+        return sum(failure.lost for failure in self.failures)
 
 
 def map_tasks(
@@ -73,11 +73,10 @@ def map_tasks(
     journal: Journal | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Mapped:
-    """Call a function for each of many tasks, in chunks. Ctrl-C ends it, and keeps results.
+    """Call a function for each of many tasks. Ctrl-C ends it, and keeps results.
 
-    A worker that dies is replaced, and its chunk is repeated, for three attempts at most: in the
-    last one each of its tasks runs separately, so that a task that ends its process costs no other
-    its result.
+    A worker that dies is replaced, and the tasks that it may have had are repeated at the end, one
+    at a time, for three attempts at most: a task that ends its process costs no other its result.
 
     Args:
         function: `function(shared, task)`, which workers import by its name; returns plain values.
@@ -95,21 +94,21 @@ def map_tasks(
     if journal is None:
         journal = Journal(None, {}, len(tasks))
         journal.begin()
-    run = _Run(tasks, on or Workers(), journal, progress)
+    mapped = Mapped(journal=journal, failures=[])
     todo = len(tasks) - journal.count
     if todo == 0:
-        return run.mapped
+        return mapped
     pool: Pool | None = None
     try:
-        pool = _open(function, shared, run.workers, todo)
-        run.follow(pool)
+        pool = _open(function, shared, on or Workers(), todo)
+        _follow(pool, tasks, mapped, progress)
     except KeyboardInterrupt as stop:
-        run.mapped.interrupted, run.mapped.stopped_by = True, signal_of(stop)
+        mapped.stopped_by = signal_of(stop)
     finally:
         if pool is not None:
             pool.close()
-        run.mapped.failures.sort(key=lambda failure: failure.index)
-    return run.mapped
+        mapped.failures.sort(key=lambda failure: failure.index)
+    return mapped
 
 
 def _open(function: Function, shared: Any, workers: Workers, todo: int) -> Pool:
@@ -121,88 +120,37 @@ def _open(function: Function, shared: Any, workers: Workers, todo: int) -> Pool:
     return ThisProcess(function, shared) if count == 1 else Processes(function, shared, count)
 
 
-@dataclass
-class _Batch:
-    """A chunk being processed: numbers of its tasks, and number of attempts."""
-
-    indices: Sequence[int]
-    tries: int = 0
-
-
-class _Run:
-    """Submits chunks, and collects their results."""
-
-    def __init__(
-        self,
-        tasks: Sequence[Any],
-        workers: Workers,
-        journal: Journal,
-        progress: Callable[[int], None] | None,
-    ) -> None:
-        self.workers = workers
-        self.mapped = Mapped(journal=journal, failures=[])
-        self._tasks = tasks
-        self._journal = journal
-        self._progress = progress
-        self._missing = journal.missing()
-        self._left = len(tasks) - journal.count  # not submitted yet
-        self._again: deque[_Batch] = deque()
-        self._seconds: float | None = None  # of a task, the shortest so far
-
-    def follow(self, pool: Pool) -> None:
-        """Loop until every task has an answer or is lost."""
-        under_way: dict[Future, _Batch] = {}
-        while True:
-            while len(under_way) < pool.slots and (batch := self._next(pool.count)) is not None:
-                batch.tries += 1
-                chunk = tuple((index, self._tasks[index]) for index in batch.indices)
-                under_way[pool.submit(chunk)] = batch
-            if not under_way:
-                return
-            for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-                batch = under_way.pop(future)
-                try:
-                    self._keep(pool.result(future))
-                except WorkerLostError as lost:
-                    self._lose(batch, lost)
-                if self._progress is not None:
-                    self._progress(self._journal.count + self.mapped.failed)
-
-    def _next(self, count: int) -> _Batch | None:
-        if self._again:
-            return self._again.popleft()
-        indices = list(islice(self._missing, self._size(count)))
-        self._left -= len(indices)
-        return _Batch(indices) if indices else None
-
-    def _size(self, count: int) -> int:
-        if self.workers.chunk is not None:
-            return self.workers.chunk
-        if self._seconds is None:  # their duration is still unknown
-            return 1
-        by_time = int(min(_SECONDS / max(self._seconds, 1e-9), _LARGEST))
-        return max(1, min(by_time, math.ceil(self._left / (_ROUNDS * count))))
-
-    def _keep(self, done: Done) -> None:
-        each = done.seconds / len(done.answers)
-        self._seconds = each if self._seconds is None else min(self._seconds, each)
-        self._journal.keep([(one.number, one.result) for one in done.answers if one.error is None])
-        for one in done.answers:
-            if one.error is not None:
-                self._fail(Failure(one.number, one.error))
-
-    def _lose(self, batch: _Batch, lost: WorkerLostError) -> None:
-        batch.tries -= not lost.begun
-        if batch.tries < TRIES - 1:
-            self._again.append(batch)
-        elif batch.tries == TRIES - 1:
-            self._again.extend(_Batch([index], batch.tries) for index in batch.indices)
-        else:
-            for index in batch.indices:
-                self._fail(Failure(index, f"{lost}; tried {TRIES} times", lost=True))
-
-    def _fail(self, failure: Failure) -> None:
-        self.mapped.failed += 1
-        self.mapped.lost += failure.lost
-        if len(self.mapped.failures) < _NAMED:
-            self.mapped.failures.append(failure)
+def _follow(
+    pool: Pool, tasks: Sequence[Any], mapped: Mapped, progress: Callable[[int], None] | None
+) -> None:
+    """Submit tasks and collect their results until each has an answer or is lost."""
+    journal, missing = mapped.journal, mapped.journal.missing()
+    under_way: dict[Future, int] = {}
+    suspects: deque[int] = deque()  # tasks whose worker has died
+    lost: Counter[int] = Counter()  # workers that each of these may have killed
+    while True:
+        for index in islice(missing, pool.slots - len(under_way)):
+            under_way[pool.submit(tasks[index])] = index
+        if not under_way and suspects:  # alone, so that no other task is lost with it
+            index = suspects.popleft()
+            under_way[pool.submit(tasks[index])] = index
+        if not under_way:
+            return
+        for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+            index = under_way.pop(future)
+            try:
+                answer = pool.result(future)
+            except WorkerLostError as error:
+                lost[index] += 1
+                if lost[index] < TRIES:
+                    suspects.append(index)
+                else:
+                    reason = f"{error}; tried {TRIES} times"
+                    mapped.failures.append(Failure(index, reason, lost=True))
+                continue
+            if answer.error is None:
+                journal.keep([(index, answer.result)])
+            else:
+                mapped.failures.append(Failure(index, answer.error))
+            if progress is not None:
+                progress(journal.count + mapped.failed)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Future
@@ -22,9 +21,6 @@ Engine = Literal["local", "ray"]
 Function = Callable[[Any, Any], Any]
 """Takes the shared data and one task, and returns a result; workers import it by its name."""
 
-Chunk = tuple[tuple[int, Any], ...]
-"""Tasks with their numbers."""
-
 _LONGEST = 500  # characters of an error's message; chosen
 
 
@@ -36,14 +32,12 @@ class Workers:
         engine: "local", processes of this machine, or "ray".
         count: number of tasks that run at once; None for one per core. A single local one is this
             process.
-        chunk: number of tasks per chunk; None for chunks of about a second.
         address: address of a Ray cluster: HOST:PORT of its head, or "auto" for the one that this
             machine belongs to. None to start Ray on this machine.
     """
 
     engine: Engine = "local"
     count: int | None = None
-    chunk: int | None = None
     address: str | None = None
 
     def __post_init__(self) -> None:
@@ -51,8 +45,6 @@ class Workers:
             raise UnknownNameError("engine", self.engine, get_args(Engine))
         if self.count is not None and self.count < 1:
             raise InputError(f"a run needs at least 1 worker, got {self.count}")
-        if self.chunk is not None and self.chunk < 1:
-            raise InputError(f"a chunk has at least 1 task, got {self.chunk}")
         if self.address is not None and self.engine != "ray":
             raise InputError(
                 f"an address is that of a Ray cluster, and the engine is {self.engine}: say "
@@ -66,58 +58,28 @@ class Workers:
 
 
 class Answer(NamedTuple):
-    """Outcome of one task.
+    """Outcome of one task: the result of the function, or why there is none."""
 
-    Attributes:
-        number: number of the task.
-        result: return value of the function; None if it raised.
-        error: reason for a missing result; None with a result.
-    """
-
-    number: int
     result: Any
-    error: str | None
-
-
-class Done(NamedTuple):
-    """A finished chunk.
-
-    Attributes:
-        answers: one for each of its tasks.
-        seconds: time that it took.
-    """
-
-    answers: list[Answer]
-    seconds: float
+    error: str | None = None
 
 
 class WorkerLostError(Exception):
-    """A worker died with a chunk.
-
-    Args:
-        reason: the known reason.
-        begun: whether it may have begun the chunk; False if it died before.
-    """
-
-    def __init__(self, reason: str, *, begun: bool = True) -> None:
-        super().__init__(reason)
-        self.begun = begun
+    """A worker died with a task; says why, as far as it is known."""
 
 
 class Pool(Protocol):
-    """An engine with a function and the shared data of its tasks, ready for chunks."""
+    """An engine with a function and the shared data of its tasks, ready for tasks."""
 
     slots: int
-    """Number of chunks that it accepts at a time."""
-    count: int
-    """Number of chunks that it processes at a time."""
+    """Number of tasks that it accepts at a time."""
 
-    def submit(self, chunk: Chunk) -> Future:
-        """Submit a chunk; at most `slots` at a time."""
+    def submit(self, task: Any) -> Future:
+        """Submit a task; at most `slots` at a time."""
         ...
 
-    def result(self, future: Future) -> Done:
-        """Return the outcome of a chunk whose future is done.
+    def result(self, future: Future) -> Answer:
+        """Return the outcome of a task whose future is done.
 
         Raises:
             WorkerLostError: its worker died.
@@ -130,19 +92,13 @@ class Pool(Protocol):
         ...
 
 
-def run_chunk(function: Function, shared: Any, chunk: Chunk) -> Done:
-    """Run the tasks of a chunk in this process. A task that raises affects no other."""
-    begin = time.perf_counter()
-    answers = [_answer(function, shared, number, task) for number, task in chunk]
-    return Done(answers, time.perf_counter() - begin)
-
-
-def _answer(function: Function, shared: Any, number: int, task: Any) -> Answer:
+def run_task(function: Function, shared: Any, task: Any) -> Answer:
+    """Run a task in this process. A task that raises affects no other."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", GranularWarning)  # there may be one per task
-            return Answer(number, function(shared, task), None)
+            return Answer(function(shared, task))
     except GranularError as error:
-        return Answer(number, None, str(error))
+        return Answer(None, str(error))
     except (Exception, SystemExit) as error:  # any code, such as a custom law
-        return Answer(number, None, one_line(f"{type(error).__name__}: {error}")[:_LONGEST])
+        return Answer(None, one_line(f"{type(error).__name__}: {error}")[:_LONGEST])

@@ -166,19 +166,20 @@ def flow_kernel(level: Any, is_flat: bool) -> Any:
             column = k - row * size
             i, j = node_of(middle)
             flowing = 0
-            for q in range(9):
-                di, dj = q // 3 - 1, q % 3 - 1
-                place = wrapped(row + di, size) * size + wrapped(column + dj, size)
-                mark = own_mark(state, size, place, base_beside(middle, di, dj))
-                height = per_cell * state[heights + place] if mark >= 0.0 else 0.0
-                if not is_flat:
-                    height += per_cell * level(relief, (i + di) * cell, (j + dj) * cell)
-                if mark == UNDER or (
-                    has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell)
-                ):
-                    height = math.nan
-                around[q], gained[q] = height, 0.0
-                flowing |= (1 << q) if mark == FLOWS else 0
+            for di in range(-1, 2):
+                begin = wrapped(row + di, size) * size
+                for dj in range(-1, 2):
+                    q, place = 3 * di + dj + 4, begin + wrapped(column + dj, size)
+                    mark = own_mark(state, size, place, base_beside(middle, di, dj))
+                    height = per_cell * state[heights + place] if mark >= 0.0 else 0.0
+                    if not is_flat:
+                        height += per_cell * level(relief, (i + di) * cell, (j + dj) * cell)
+                    if mark == UNDER or (
+                        has_edge and not is_sand(relief, (i + di) * cell, (j + dj) * cell)
+                    ):
+                        height = math.nan
+                    around[q], gained[q] = height, 0.0
+                    flowing |= (1 << q) if mark == FLOWS else 0
             # The first active node of a square handles it.
             if flowing & 0b000001011 == 0:
                 flow_in_square(around, gained, 0, up, tangent, rate)

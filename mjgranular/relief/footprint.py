@@ -27,6 +27,7 @@ FOOT_DTYPE = np.dtype(
         ("end", np.int64),  # one past its last tile of points
         ("middle", np.float64, (3,)),  # center of the box around its points [m], body frame
         ("half", np.float64, (3,)),  # half the extents of that box [m]
+        ("far", np.float64),  # the farthest that a point may be from the body frame [m]
     ]
 )
 
@@ -38,6 +39,7 @@ TILE = 6 * LANES
 """Numbers in a tile: each component of points and normals for all points in turn."""
 
 _GEOM = mujoco.mjtGeom
+_ROUNDING = 1e-9  # far above that of a point's height [m]; chosen
 _BESIDE = 0.5  # extent beyond the bodies themselves, both sides together [m]; chosen
 
 
@@ -47,10 +49,13 @@ class Footprint:
 
     Attributes:
         points: tiles, shape (n, 6, LANES); the last of a geom is padded with its last point.
+        spheres: a sphere around the points of each tile: center and radius [m], body frame, shape
+            (n, 4).
         feet: rows of `FOOT_DTYPE`, one for each geom, body by body.
     """
 
     points: np.ndarray
+    spheres: np.ndarray
     feet: np.ndarray
 
 
@@ -122,8 +127,11 @@ def footprint_of(
         count += len(points[-1])
         check_count(LANES * count)
         low, high = here["point"].min(axis=0), here["point"].max(axis=0)
-        feet.append((model.geom_bodyid[geom], count, (low + high) / 2, (high - low) / 2))
-    return Footprint(aligned(np.concatenate(points)), np.array(feet, FOOT_DTYPE))
+        middle, half = (low + high) / 2, (high - low) / 2
+        far = math.hypot(*middle) + math.hypot(*half)
+        feet.append((model.geom_bodyid[geom], count, middle, half, far))
+    tiles = aligned(np.concatenate(points))
+    return Footprint(tiles, _spheres_around(tiles), np.array(feet, FOOT_DTYPE))
 
 
 def _in_tiles(points: np.ndarray) -> np.ndarray:
@@ -131,6 +139,14 @@ def _in_tiles(points: np.ndarray) -> np.ndarray:
     points = np.concatenate([points, np.repeat(points[-1:], -len(points) % LANES)])
     numbers = np.concatenate([points["point"], points["normal"]], axis=1)
     return numbers.reshape(-1, LANES, 6).transpose(0, 2, 1)
+
+
+def _spheres_around(tiles: np.ndarray) -> np.ndarray:
+    """Return a sphere around the points of each tile, shape (n, 4)."""
+    points = tiles[:, :3]
+    middle = (points.min(axis=2) + points.max(axis=2)) / 2
+    radius = np.linalg.norm(points - middle[:, :, None], axis=1).max(axis=1)
+    return np.column_stack([middle, radius + _ROUNDING])
 
 
 def _on_rod(rod: np.void, cell: float) -> np.ndarray:

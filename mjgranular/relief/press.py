@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.fields import rows
 from mjgranular.kernel.lanes import all_of, choose
-from mjgranular.kernel.memory import scratch
+from mjgranular.kernel.memory import row_of, scratch
 from mjgranular.kernel.vector import Vector, dot, read_vector
 from mjgranular.relief.footprint import LANES
 from mjgranular.relief.grid import (
@@ -76,6 +76,20 @@ def lowest_of(foot, turn, shift):
     n, half = turn.z, read_vector(foot.half, 0)
     reach = abs(n.x) * half.x + abs(n.y) * half.y + abs(n.z) * half.z
     return dot(n, read_vector(foot.middle, 0)) + shift.z - reach
+
+
+@partial(compiled, inline=True)
+def bottom_of(relief, tile, turn, shift):
+    """Return a height over the plane below which no point of a tile is [m].
+
+    Args:
+        relief: record of the surface.
+        tile: number of the tile.
+        turn: axes of the plane in the body frame, a matrix.
+        shift: position of the body frame along them [m].
+    """
+    sphere = row_of(relief.spheres, tile, 4)
+    return dot(turn.z, read_vector(sphere, 0)) + shift.z - sphere[3]
 
 
 @partial(compiled, inline=True)

@@ -25,7 +25,7 @@ def relief_dtype(base: np.dtype) -> np.dtype:
     vectors = [(name, np.float64, (3,)) for name in ("origin", "along", "across", "normal")]
     numbers = ("cell", "slack", "repose", "bulking", "half_along", "half_across")
     # Addresses: of the state (`grid`), of surface points and of bodies (`footprint`).
-    integers = ("size", "blocks", "state", "points", "feet", "foot_count")
+    integers = ("size", "blocks", "state", "points", "spheres", "feet", "foot_count")
     return np.dtype(
         [
             ("base", base),

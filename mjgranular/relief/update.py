@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled, program_address
-from mjgranular.kernel.memory import SCENE, XMAT, XPOS, floats, records, table_at
+from mjgranular.kernel.memory import SCENE, XMAT, XPOS, floats, records, row_of, table_at
 from mjgranular.kernel.options import NO_GRAVITY, options_at
 from mjgranular.kernel.vector import norm, read_matrix, read_vector, vector, write_vector
 from mjgranular.relief.flow import flow_kernel, look_through
@@ -33,7 +33,7 @@ from mjgranular.relief.grid import (
     WAITING,
 )
 from mjgranular.relief.lists import begin_covering, count_at, end_covering
-from mjgranular.relief.press import heap, lowest_of, press_kernel
+from mjgranular.relief.press import bottom_of, heap, lowest_of, press_kernel
 from mjgranular.relief.probe import level_kernel, state_length
 from mjgranular.relief.relief import Relief
 from mjgranular.surface import Surface
@@ -78,8 +78,7 @@ def are_still(table, state, relief, feet):
         first = POSES + POSE * number
         turned = turn - read_matrix(state, first)
         moved = norm(shift - read_vector(state, first + 9))
-        far = norm(read_vector(foot.middle, 0)) + norm(read_vector(foot.half, 0))
-        moved += far * (norm(turned.x) + norm(turned.y) + norm(turned.z))
+        moved += foot.far * (norm(turned.x) + norm(turned.y) + norm(turned.z))
         if not moved <= STILL * relief.cell:
             for row, part in enumerate((turn.x, turn.y, turn.z, shift)):
                 write_vector(state, first + 3 * row, part)
@@ -129,8 +128,9 @@ def update_kernel(probe: Any, is_flat: bool, scene_dtype: np.dtype) -> Any:
             if not is_flat or lowest_of(foot, turn, shift) < state[HIGHEST]:
                 first, volume = count_at(state, size, COVERED), 0.0
                 for n in range(begin, foot.end):
-                    points = floats(relief.points + 8 * TILE * n, TILE)
-                    volume += press(state, relief, turn, shift, points)
+                    if not is_flat or bottom_of(relief, n, turn, shift) < state[HIGHEST]:
+                        points = row_of(relief.points, n, TILE)
+                        volume += press(state, relief, turn, shift, points)
                 state[PRESSED] += volume
                 heap(state, relief, first, relief.bulking * volume)
             begin = foot.end

@@ -93,6 +93,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     scene = make_scene(law, medium, surface, model)
     if footprint is not None:
         scene["surface"]["points"] = footprint.points.ctypes.data
+        scene["surface"]["spheres"] = footprint.spheres.ctypes.data
         scene["surface"]["feet"] = footprint.feet.ctypes.data
         scene["surface"]["foot_count"] = len(footprint.feet)
     kernel = kernel_under(model, chosen, surface, footprint)

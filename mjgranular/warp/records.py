@@ -14,7 +14,7 @@ from mjgranular.warp.grid import Grid
 from mjgranular.warp.structs import struct
 from mjgranular.warp.translate import MATRIX_2X3, struct_of
 
-_UNREAD = ("points", "feet")  # addresses that no kernel reads on a device
+_UNREAD = ("points", "spheres", "feet")  # addresses that no kernel reads on a device
 _ADDRESSES = {"data": wp.array(dtype=wp.float32), "state": Grid}
 _BY_SHAPE = {(): wp.float32, (3,): wp.vec3, (9,): wp.mat33, (3, 3): wp.mat33, (2, 3): MATRIX_2X3}
 

@@ -125,9 +125,17 @@ def test_robots_of_the_package_need_no_words_about_their_sand(robot):
     assert (sand.medium.name, sand.law.name) == DEFAULT
 
 
-@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
-@pytest.mark.parametrize("timestep", [5e-4, 2e-3, 1e-2])
-@pytest.mark.parametrize("name", CAPSULES)
+@pytest.mark.parametrize(
+    ("name", "timestep", "integrator"),
+    [
+        ("lying", 1e-2, "Euler"),
+        ("tilted", 2e-3, "implicitfast"),
+        ("upright", 1e-2, "implicitfast"),
+        ("thin", 5e-4, "Euler"),
+        ("thin", 1e-2, "implicitfast"),
+        ("stubby", 2e-3, "Euler"),
+    ],
+)
 def test_a_free_capsule_comes_to_rest(name, timestep, integrator):
     turn, radius, half = CAPSULES[name]
     model = mujoco.MjModel.from_xml_string(

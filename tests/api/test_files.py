@@ -277,7 +277,7 @@ SWEEP = Study(Impact(timestep=1e-4, duration=0.05), {"speed": [1.0, 5.5, 10.0]})
 def kept(sweep, folder):
     """The rows that a folder keeps of a sweep, by their number; None if there are none of it."""
     journal = journal_of(sweep, folder)
-    if not journal.goes_on():
+    if journal.fault() is not None:
         return None
     journal.begin()
     rows = {index: journal[index] for index in range(len(sweep)) if index in journal}

@@ -52,8 +52,6 @@ def test_a_slip_is_named_in_python_and_in_mjcf(text, options, said):
         (xml(timestep=1), ["--timestep", "0.5"], "0.5 ms is 0.0005 s"),
         (xml(z=-5), [], "starts 4.97"),
         (xml(), ["--surface-height", "30"], "lengths are in"),
-        (xml(), ["--height", "50"], "50 mm is 0.05 m"),
-        (xml(), ["--velocity", "5000"], "5000 mm/s is 5 m/s"),
     ],
 )
 def test_a_slip_is_named_on_the_command_line(tmp_path, capsys, text, options, said):
@@ -119,17 +117,3 @@ def test_a_slope_at_the_angle_of_repose_is_none_to_warn_of():
     Sand(model, surface=Plane(slope=math.radians(32)), memory=True)
     model.opt.gravity[:] = -9.81 * Plane(slope=1.0).normal  # along the normal: level ground
     Sand(model, surface=Plane(slope=1.0))
-
-
-@pytest.mark.parametrize(
-    ("typed", "said"),
-    [
-        ("--density 7.8", "7.8 g/cm^3 is 7800 kg/m^3"),
-        ("--length 200 --diameter 10", "200 mm is 0.2 m"),
-        ("--height 1e9", "the height of release is 1e+09 m: lengths are in"),
-        ("--speed 5e3", "5000 mm/s is 5 m/s"),
-    ],
-)
-def test_a_slip_in_an_impact_is_named(capsys, typed, said):
-    main(["impact", "--duration", "1e-4", *typed.split()])
-    assert said in " ".join(capsys.readouterr().err.split())

@@ -18,7 +18,6 @@ from mjgranular.errors import GranularError, MissedStepWarning
 from mjgranular.experiment import (
     Impact,
     Study,
-    reproduce,
     run_impact,
     run_study,
 )
@@ -677,7 +676,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: run_study(Study(Impact(), {"speed": [1.0]}), journal="out"),  # pyright: ignore[reportArgumentType]
         "run_study takes a Journal, not 'out'; use journal_of(study, folder)",
     ),
-    "time step for the paper": (lambda: reproduce(1e-6), "reproduce takes an Impact, not 1e-06"),  # pyright: ignore[reportArgumentType]
     "path for an intrusion": (
         lambda: run_intrusion("plate"),  # pyright: ignore[reportArgumentType]
         "run_intrusion takes an Intrusion, not 'plate'",

@@ -43,7 +43,6 @@ ORDER = (
     "experiment",
     "calibrate",
     "picture",
-    "studio",
     "learn",
     "cli",
 )

@@ -167,7 +167,7 @@ def test_a_geom_that_is_sand_looks_so_unless_it_has_a_look(ground: str, surface:
     for look, material in (("", MATERIAL), ('rgba="1 0 0 1"', "")):
         spec = spec_of(ground.format(look=look))
         spec.add_hfield(name="h", nrow=3, ncol=3, size=[1, 1, 0.1, 0.1], userdata=[0.0] * 9)
-        add_sand(spec, surface=surface, **SAND)
+        add_sand(spec, surface=surface, law="rft3d", scheme="explicit", **SAND)
         assert spec.geom("bed").material == material
         model = spec.compile()
         data = mujoco.MjData(model)

@@ -139,14 +139,14 @@ def test_height_moves_the_surface_along_its_normal() -> None:
 
 
 def test_height_moves_a_height_field_along_its_own_axis() -> None:
-    law, rise = DepthVelocityLaw(**DEEP), 0.03
-    model = made(law=law, surface=HeightField("dunes"))
+    rise, sand = 0.03, {"law": DepthVelocityLaw(**DEEP), "surface": HeightField("dunes")}
+    model = made(scheme="explicit", **sand)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     spec = mujoco.MjSpec.from_string(ROD)
     dunes = spec.geom("dunes")
     dunes.pos = np.array(dunes.pos) + rise * data.geom("dunes").xmat.reshape(3, 3)[:, 2]
-    raised = made(False, spec, law=law, surface=HeightField("dunes"))
+    raised = made(False, spec, scheme="explicit", **sand)
     np.testing.assert_allclose(end_of(model, height=rise), end_of(raised), atol=1e-12)
     assert np.abs(end_of(model) - end_of(raised)).max() > 1e-5
 

@@ -22,7 +22,8 @@ EVERYTHING = SandRanges(
     strength=(0.5, 2.0),
     density=(0.8, 1.2),
     slope=(-0.1, 0.2),
-    media=("quikrete_medium", "glass_beads"),
+    media=("quikrete_medium", "poppy_seed_loose"),
+    laws=("rft3d",),
     surfaces=("plane", "dunes"),
 )
 
@@ -54,11 +55,16 @@ def test_what_is_drawn_is_in_range_and_differs_and_is_told():
 
 
 def test_a_seed_decides_it():
-    first, second = (SandEnv("ChainSwim", randomise=EVERYTHING) for _ in range(2))
-    for seed in (0, None, None, 4):
+    # The default laws of these two differ.
+    ranges = SandRanges(strength=(0.5, 2.0), media=("quikrete_medium", "glass_beads"))
+    first, second = (SandEnv("ChainSwim", randomise=ranges) for _ in range(2))
+    laws = set()
+    for seed in (0, None, None, 4, *range(5, 15)):
         one, other = first.reset(seed=seed)[1], second.reset(seed=seed)[1]
         assert one["sand/strength"] == other["sand/strength"]
         assert one["sand/medium"] == other["sand/medium"]
+        laws.add(one["sand/law"])
+    assert laws == {"rft3d_dynamic", "rft2d_dynamic"}
 
 
 @batches

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 
 import gymnasium as gym
@@ -20,7 +21,6 @@ from mjgranular.envs import SandEnv, on_sand, tasks
 from mjgranular.envs.gaits import gait, gaits
 from mjgranular.envs.ids import id_of
 from mjgranular.law.validity import findings_of, found_at
-from mjgranular.learn import environments
 from mjgranular.models import Link
 
 ROBOTS = ("Hopper", "Walker2d", "HalfCheetah", "Ant", "Humanoid")
@@ -55,6 +55,12 @@ def rollout(env, actions, seed=0):
     return seen
 
 
+@cache
+def made(name):
+    """An environment that tests share: any that steps it begins with a reset."""
+    return gym.make(id_of(name))
+
+
 def same(first, second):
     return all(
         np.array_equal(a[0], b[0]) and a[1] == b[1] and a[2] == b[2]
@@ -69,14 +75,14 @@ def samples(env, count, seed=0):
 
 @pytest.mark.parametrize("name", tasks)
 def test_gymnasium_and_stable_baselines_find_nothing(name):
-    env = gym.make(id_of(name)).unwrapped
+    env = made(name).unwrapped
     check_env(env, skip_render_check=True)
     check_for_sb3(env)
 
 
 @pytest.mark.parametrize("name", tasks)
 def test_a_seed_decides_all_and_nothing_is_constant(name):
-    first, second = gym.make(id_of(name)), gym.make(id_of(name))
+    first, second = made(name), gym.make(id_of(name))
     actions = samples(first, 12)
     one, other = rollout(first, actions), rollout(second, actions)
     assert same(one, other)
@@ -93,7 +99,7 @@ def test_a_seed_decides_all_and_nothing_is_constant(name):
 def test_the_docstring_is_the_specification(name):
     task = tasks[name]
     assert re.findall(r"^ *## (.*)$", task.__doc__, re.MULTILINE) == list(SECTIONS)
-    env = gym.make(id_of(name))
+    env = made(name)
     text = " ".join(task.__doc__.split())
     size = env.observation_space.shape[0]
     if "links" in text:
@@ -233,11 +239,11 @@ def test_a_wave_from_the_tail_swims_backwards_as_fast(frequency):
      ("Hexapod", 1.5), ("Hexapod", 3.0)],
 )  # fmt: skip
 def test_gaits_are_as_fast_in_steps_half_as_long(name, frequency):
-    coarse, fine = (
-        environments.one(id_of(name), {"refine": times, "reset_noise_scale": 0.0}).unwrapped
-        for times in (1, 2)
-    )
-    assert fine.model.opt.timestep == coarse.model.opt.timestep / 2
+    coarse = SandEnv(name, reset_noise_scale=0.0)
+    fine = SandEnv(name, reset_noise_scale=0.0, frame_skip=2 * coarse.task.frame_skip)
+    fine.model.opt.timestep /= 2
+    fine.task.__dict__.pop("dt", None)  # a task caches the duration of a step
+    assert fine.task.dt == coarse.task.dt
     first, second = (speed(env, gait(env.task, frequency=frequency)) for env in (coarse, fine))
     assert first == pytest.approx(second, rel=0.08)
 

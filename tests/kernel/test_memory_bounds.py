@@ -237,8 +237,14 @@ def test_the_implicit_scheme_stays_within_its_arrays(tmp_path):
     assert (done.returncode, done.stdout.split()) == (0, ["True", "20", "False", "20"]), done.stderr
 
 
-# With bounds checks. A program of its own: the first number is read by itself, the others as
-# vectors are.
+# With bounds checks. One program for each way to read: the first number is read by itself,
+# the others as vectors are. After each, the last index that is right.
+KINDS = {
+    "numbers[index]": 7,
+    "read_column(numbers, index)[1]": 4,
+    "total_of(read_four(numbers, index)[0])": 4,
+    "numbers[index + len(read_rows(numbers, index))]": 4,
+}
 FAULTY = """
 import sys
 import numpy as np
@@ -248,46 +254,40 @@ from mjgranular.kernel.lanes import total_of
 from mjgranular.kernel.memory import floats
 
 read_column, read_rows, read_four = column(2, 3).read, rows(2, 2).read, rows(1, 4).read
-
-@compiled
-def part(address, index):
-    numbers = floats(address, 8)
-    return KIND
-
-@compiled
-def look(address, index):
-    return np.int64(part(address, index))
-
 room = np.arange(1000.0)
-print(entry(look, "int64(int64, int64)")(room.ctypes.data, int(sys.argv[1])))
+
+def answer(look, index):
+    try:
+        entry(look, "int64(int64, int64)")(room.ctypes.data, index)
+    except IndexError as error:
+        return error
+    return "read"
+"""
+LOOK = """
+@compiled
+def part_{number}(address, index):
+    numbers = floats(address, 8)
+    return {kind}
+
+@compiled
+def look_{number}(address, index):
+    return np.int64(part_{number}(address, index))
+
+print(answer(look_{number}, {last}), answer(look_{number}, {last} + 1), sep="; ")
 """
 
 
-# How it is read, and the last index that is right.
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "last"),
-    [
-        pytest.param("numbers[index]", 7, id="plain"),
-        pytest.param("read_column(numbers, index)[1]", 4, id="column"),
-        pytest.param("total_of(read_four(numbers, index)[0])", 4, id="sum"),
-        pytest.param("numbers[index + len(read_rows(numbers, index))]", 4, id="rows"),
-    ],
-)
-def test_bounds_checks_are_alive(kind, last, tmp_path):
-    code = FAULTY.replace("KIND", kind)
-
-    def look(index, **environment):
-        return run(tmp_path, code, index, NUMBA_CACHE_DIR=str(tmp_path), **environment)
-
-    checked = {"NUMBA_BOUNDSCHECK": "1"}
-    assert look(last, **checked).returncode == 0
-    beyond = look(last + 1, **checked)
-    assert beyond.returncode != 0
-    assert beyond.stdout == ""
-    assert "index is out of bounds" in beyond.stderr
-    # The program without checks is another, also on disk.
-    assert look(last + 1, NUMBA_BOUNDSCHECK="0").returncode == 0
+def test_bounds_checks_are_alive(tmp_path):
+    looks = [
+        LOOK.format(number=number, kind=kind, last=last)
+        for number, (kind, last) in enumerate(KINDS.items())
+    ]
+    code = FAULTY + "".join(looks)
+    # The programs without checks are others, also on disk.
+    for checks, beyond in (("1", "index is out of bounds"), ("0", "read")):
+        done = run(tmp_path, code, NUMBA_BOUNDSCHECK=checks, NUMBA_CACHE_DIR=str(tmp_path))
+        assert done.stdout.splitlines() == [f"read; {beyond}"] * len(KINDS), done.stderr
 
 
 WITHIN = """

@@ -15,7 +15,12 @@ from mjgranular.experiment import Impact, run_impact
 from mjgranular.models import Link
 
 STEPS = [1e-4, 5e-5, 2.5e-5, 1.25e-5, 6.25e-6]
-CASES = [(10, 45), (5, 45), (1, 45), (2, 60), (2, 45), (2, 30)]
+CASES = [
+    (10, 45),
+    (1, 45),
+    (2, 60),
+    (2, 30),
+]  # the fastest, the slowest, the steepest and the flattest
 
 
 def stop(timestep, speed, angle_deg, *, early=False, integrator="EULER", **sand):
@@ -70,21 +75,6 @@ def test_first_order_without(reference, speed, angle):
     assert orders(deviation) == pytest.approx(np.ones((4, 2)), abs=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("speed", "angle"), CASES)
-def test_result_of_a_drop_converges(reference, speed, angle):
-    solved = reference.solve(reference.Drop(speed=speed, angle=math.radians(angle)))
-    found = []
-    for timestep in STEPS:
-        stop = run_impact(Impact(speed=speed, angle=math.radians(angle), timestep=timestep)).stop
-        found.append((stop.time, stop.depth))
-    deviation = np.abs(np.array(found) - [solved.time, solved.depth])
-    assert (np.diff(deviation, axis=0) < 0).all()
-    # Measured: time 1.0, depth 1.0 (1 m/s) to 2.2 (10 m/s).
-    assert (orders(deviation) > 0.9).all()
-    assert deviation[0] / [solved.time, solved.depth] == pytest.approx([0, 0], abs=6e-3)
-
-
 @pytest.mark.parametrize("integrator", ["IMPLICIT", "IMPLICITFAST"])
 def test_other_integrators_are_the_same(integrator):
     # The link's joints are undamped: there is nothing to treat implicitly.
@@ -108,16 +98,17 @@ def test_distributed_law_converges_with_its_pieces(reference):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("speed", "angle_deg"), CASES)
-def test_a_run_is_of_second_order(reference, speed, angle_deg):
-    condition = {"speed": speed, "angle": math.radians(angle_deg)}
+@pytest.mark.parametrize(("speed", "angle"), CASES)
+def test_a_run_is_of_second_order(reference, speed, angle):
+    condition = {"speed": speed, "angle": math.radians(angle)}
     solved = reference.solve(reference.Drop(**condition))
-    errors = []
-    for step in STEPS:
+    deviation = []
+    for step in STEPS[:4]:
         found = run_impact(Impact(timestep=step, **condition)).stop
-        errors.append((abs(found.time - solved.time), abs(found.depth - solved.depth)))
-    errors = np.array(errors)
-    assert (np.diff(errors, axis=0) < 0).all()
-    order = np.log2(errors[0] / errors[-1]) / 4
-    assert (order > 1.7).all()
-    assert (order < 2.5).all()
+        deviation.append((abs(found.time - solved.time), abs(found.depth - solved.depth)))
+    deviation = np.array(deviation)
+    assert deviation[0] / [solved.time, solved.depth] == pytest.approx([0, 0], abs=6e-3)
+    assert (orders(deviation) > 0.9).all()
+    overall = orders(deviation).mean(axis=0)
+    assert (overall > 1.7).all()
+    assert (overall < 2.5).all()

@@ -12,7 +12,6 @@ from mjgranular import Sand
 from mjgranular.shape import facets_from_model
 from mjgranular.shape.rigid import exposures, in_own_frames
 
-LAWS = ["rft3d", "rft3d_dynamic"]
 MOTIONS = {"x": (0.1, 0, 0), "y": (0, 0.1, 0), "up": (0, 0, 0.1), "down": (0, 0, -0.1)}
 TANDEM = Path(__file__).parents[2] / "referee" / "data" / "tandem" / "upright.csv"
 
@@ -51,10 +50,11 @@ def along(found):
     return np.array([-force @ np.sign(v) for force, v in zip(found, MOTIONS.values(), strict=True)])
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("gap", [0.0, 1e-6, 1e-4, 5e-4])
+@pytest.mark.parametrize(
+    ("law", "gap"), [("rft3d", 0.0), ("rft3d", 1e-6), ("rft3d", 5e-4), ("rft3d_dynamic", 5e-4)]
+)
 def test_narrow_gaps_leave_a_bar_what_it_is(law, gap):
-    ratio = along(forces(law, bar(20, gap))) / along(forces(law, bar(1, 0.0)))
+    ratio = along(forces(law, bar(12, gap))) / along(forces(law, bar(1, 0.0)))
     assert ratio == pytest.approx(np.ones(4), abs=0.02)
 
 
@@ -71,7 +71,7 @@ def test_inertia_acts_on_what_is_in_the_sand(depth):
     assert found[0] == pytest.approx(found[1], rel=0.01, abs=1e-3)
 
 
-@pytest.mark.parametrize("gap", [1e-5, 3e-4, 1e-3])
+@pytest.mark.parametrize("gap", [1e-5, 1e-3])
 def test_a_slit_in_a_mesh_is_one_between_boxes(gap):
     corners = np.array([(x, y, z) for x in (0, 0.01) for y in (-0.02, 0.02) for z in (0, 0.04)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -134,8 +134,7 @@ def leg_of_a_mesh(count=48):
     return '<geom type="mesh" mesh="leg"/>', asset
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("count", [12, 24])
+@pytest.mark.parametrize(("law", "count"), [("rft3d", 24), ("rft3d_dynamic", 12)])
 def test_a_hollow_leg_of_boxes_is_one_of_a_mesh(law, count):
     ratio = along(forces(law, leg_of_boxes(count))) / along(forces(law, *leg_of_a_mesh()))
     assert ratio == pytest.approx(np.ones(4), abs=0.1)
@@ -157,7 +156,7 @@ def foot(count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("speed", [0.3, 1.0, 2.0])
+@pytest.mark.parametrize("speed", [0.3, 2.0])
 def test_a_foot_in_pieces_sinks_as_one(speed):
     depths = []
     for count in (1, 2, 6, 0):
@@ -285,7 +284,7 @@ def test_widths_are_those_of_faces():
         facets = facets_from_model(model, range(model.ngeom))
         return facets["face"], np.abs(facets["normal"]).argmax(axis=1)
 
-    for geoms in (bar(1, 0.0), bar(5, 0.0), bar(20, 1e-4)):
+    for geoms in (bar(1, 0.0), bar(5, 0.0), bar(10, 1e-4)):
         face, axis = widths(geoms)
         assert face[axis == 0] == pytest.approx(0.01, rel=0.02)
         assert face[axis == 1] == pytest.approx(0.01, rel=0.02)

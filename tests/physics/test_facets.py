@@ -198,7 +198,7 @@ def test_area_and_volume_of_a_box_are_exact(name):
     assert volume(cut) == pytest.approx(inside, rel=1e-13)
 
 
-@pytest.mark.parametrize("resolution", [2, 3, 8, 9])
+@pytest.mark.parametrize("resolution", [2, 9])
 @pytest.mark.parametrize("name", SHAPES)
 def test_skin_is_closed(name, resolution):
     cut = facets(name, resolution)
@@ -221,7 +221,7 @@ def second_moment(name):
     return side + 4 / 3 * math.pi * r * ((h + r) ** 3 - h**3)  # dA = 2 pi r dz on a sphere
 
 
-@pytest.mark.parametrize("resolution", [4, 12, 48])
+@pytest.mark.parametrize("resolution", [4, 48])
 @pytest.mark.parametrize("name", [name for name in SHAPES if SHAPES[name][0] != "ellipsoid"])
 def test_moments(name, resolution):
     cut = facets(name, resolution)
@@ -231,12 +231,12 @@ def test_moments(name, resolution):
     own = (cut["edges"][:, :, 2] ** 2).sum(axis=1) / 3
     moment = ((cut["point"][:, 2] ** 2 + own) * cut["area"]).sum()
     error = abs(moment / second_moment(name) - 1)
-    assert error < {4: 3e-3, 12: 1.2e-3, 48: 1.6e-4}[resolution]
+    assert error < {4: 3e-3, 48: 1.6e-4}[resolution]
     if SHAPES[name][0] == "box":
         assert error < 1e-13
 
 
-@pytest.mark.parametrize("resolution", [2, 3, 12])
+@pytest.mark.parametrize("resolution", [2, 12])
 @pytest.mark.parametrize("name", SHAPES)
 def test_edges_lie_in_the_facet(name, resolution):
     cut = facets(name, resolution)
@@ -302,11 +302,10 @@ def test_normals_are_those_of_the_skin(name):
     assert largest[2] < largest[1] / 2.5 < largest[0] / 6
 
 
-@pytest.mark.parametrize("resolution", [5, 8])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("name", SHAPES)
-def test_mirror_images(name, axis, resolution):
-    cut = facets(name, resolution)
+def test_mirror_images(name, axis):
+    cut = facets(name, 5)
     scale = np.abs(cut["point"]).max()
     mirror = np.ones(3)
     mirror[axis] = -1
@@ -340,8 +339,7 @@ def test_geom_away_from_the_origin_of_its_body(name):
         assert np.abs(moved[key] - plain[key] @ R.T).max() < 1e-15
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", ["needle", "ellipsoid", "brick"])
+@pytest.mark.parametrize(("name", "law"), [("needle", "rft2d"), ("brick", "rft3d")])
 def test_where_in_its_body_a_geom_is_does_not_matter(name, law):
     # The same place in the world; the moment is about the body's centre of mass, so it moves.
     rng = np.random.default_rng(8)
@@ -397,8 +395,16 @@ INNER = {
 }
 
 
-@pytest.mark.parametrize("inner", INNER)
-@pytest.mark.parametrize("outer", ["sphere", "cube", "cylinder", "capsule", "ellipsoid"])
+# Each as the inner and as the outer one, twice.
+OUTER = ("sphere", "cube", "cylinder", "capsule", "ellipsoid")
+PAIRS = [
+    (outer, inner)
+    for k in (0, 2)
+    for outer, inner in zip(OUTER, [*INNER][k:] + [*INNER][:k], strict=True)
+]
+
+
+@pytest.mark.parametrize(("outer", "inner"), PAIRS)
 def test_what_pokes_out_is_what_is_left(inner, outer):
     model = body(geom(outer), INNER[inner])
     cut = facets_from_model(model, [0, 1], sheltered="keep")
@@ -715,19 +721,20 @@ def rms(values):
 both_depths = pytest.mark.parametrize(
     "submerged", [True, False], ids=["all in the sand", "a quarter to all"]
 )
-each_law = pytest.mark.parametrize("law", LAWS)
-# One of each kind is fast.
+# The cut is the same for both laws: all shapes by one, the flattest of each kind by the other.
 each_shape = pytest.mark.parametrize(
-    "name",
+    ("name", "law"),
     [
-        pytest.param(name, marks=() if name in (kind, "cube") else pytest.mark.slow)
-        for name, (kind, _) in SHAPES.items()
+        *((name, "rft3d") for name in SHAPES),
+        *((name, "rft2d") for name in ("needle", "disc", "lentil", "plate")),
     ],
+)
+each_box = pytest.mark.parametrize(
+    ("name", "law"), [*((name, "rft3d") for name in BOXES), ("plate", "rft2d")]
 )
 
 
-@pytest.mark.parametrize("name", BOXES)
-@each_law
+@each_box
 def test_box_wholly_in_the_sand_is_exact(name, law):
     # Flat faces, stress linear in depth: all that is left is the mesh's single precision.
     own, _ = force_errors(name, law, submerged=True)
@@ -743,28 +750,12 @@ def test_the_default_is_as_good_as_a_fine_mesh(name):
 
 @pytest.mark.slow
 @each_shape
-@each_law
 @both_depths
-def test_default_is_within_two_percent_of_a_fine_mesh(name, law, submerged):
-    own, _ = force_errors(name, law, submerged=submerged)
-    assert own.max() <= 0.02
-
-
-@pytest.mark.slow
-@each_shape
-@each_law
-@both_depths
-def test_default_is_near_a_fine_mesh(name, law, submerged):
+def test_default_is_near_a_fine_mesh_and_three_times_it_nearer(name, law, submerged):
     own, pressed = force_errors(name, law, submerged=submerged)
+    assert own.max() <= 0.02
     assert rms(own) < 0.01
     assert pressed.max() < 0.01
-
-
-@pytest.mark.slow
-@each_shape
-@each_law
-@both_depths
-def test_three_times_the_default_is_nearer(name, law, submerged):
     # On average; at worst of the resistance to being pressed down in that pose.
     own, pressed = force_errors(name, law, 3 * RESOLUTION, submerged=submerged)
     assert rms(own) < 0.005
@@ -772,8 +763,9 @@ def test_three_times_the_default_is_nearer(name, law, submerged):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", CURVED)
-@each_law
+@pytest.mark.parametrize(
+    ("name", "law"), [("needle", "rft3d"), ("disc", "rft2d"), ("ellipsoid", "rft3d")]
+)
 def test_total_force_converges(name, law):
     # To a still finer cut: the fine mesh itself is up to 0.2 % off.
     states = [state for state, _, _ in true_forces(name, law, True)]
@@ -786,8 +778,7 @@ def test_total_force_converges(name, law):
     assert math.log2(errors[0] / errors[1]) / 2 > 1.3
 
 
-@pytest.mark.parametrize("name", BOXES)
-@each_law
+@each_box
 def test_box_in_part_in_the_sand_is_nearly_exact(name, law):
     own, _ = force_errors(name, law, submerged=False)
     assert own.max() < 5e-3
@@ -962,8 +953,16 @@ def test_mesh_of_needles():
         Sand(model, law=GENERIC)
 
 
-@pytest.mark.parametrize("bad", [0.0, -0.01, math.nan])
-@pytest.mark.parametrize("name", ["sphere", "capsule", "cylinder", "ellipsoid", "brick"])
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [
+        ("sphere", 0.0),
+        ("capsule", -0.01),
+        ("cylinder", math.nan),
+        ("ellipsoid", 0.0),
+        ("brick", -0.01),
+    ],
+)
 def test_geom_of_size_zero(name, bad):
     # MuJoCo refuses such a file; a program can still write one.
     model = body(geom(name))
@@ -994,7 +993,7 @@ def test_resolution_is_at_least_two(resolution):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("resolution", [FINEST + 1, 2000, 10**9])
+@pytest.mark.parametrize("resolution", [FINEST + 1, 10**9])
 def test_resolution_is_at_most_what_fits_into_memory(resolution):
     with pytest.raises(InputError, match=f"at most {FINEST}, not {resolution}"):
         Sand(body(geom("capsule")), law=GENERIC, resolution=resolution)

@@ -10,7 +10,7 @@ from mjgranular import GranularWarning, LinkLaw, Medium, Quantity
 from mjgranular.experiment import Impact, run_impact
 
 BAR = 1e-3
-SLOW = [(angle, speed) for angle in (10, 15, 20, 25) for speed in (0.5, 1.0, 2.0)]
+SLOW = [(angle, speed) for angle in (10, 25) for speed in (0.5, 2.0)]
 
 
 def drawn(seed, count):
@@ -40,7 +40,7 @@ def deviations(reference, condition):
 @pytest.mark.slow
 def test_drawn_conditions(reference):
     grazing = 0
-    for condition in drawn(seed=2024, count=50):
+    for condition in drawn(seed=2024, count=20):
         time, depth, solved = deviations(reference, condition)
         assert depth < BAR, condition
         # A link that hangs in the sand at E (v_Ey = 0) and turns about it has v_Ty reach zero at a
@@ -62,11 +62,11 @@ def test_slow_steep_drops_that_slide(reference):
         time, depth, solved = deviations(reference, condition)
         assert max(time, depth) < BAR / 10, condition
         slid += solved.slides_x > 0.2
-    assert slid >= 9
+    assert slid >= 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("eta_h", [0.0, 2.0, 20.0])
+@pytest.mark.parametrize("eta_h", [0.0, 20.0])
 def test_other_sands(reference, register, eta_h):
     constants = {"eta_d": 3.0, "eta_h": eta_h, "eta_v": 10.0, "exponent": 1.4}
     quantities = {key: Quantity(value, "", "chosen") for key, value in constants.items()}
@@ -111,7 +111,7 @@ def test_bound_on_the_time_step_is_safe(reference):
     # 0.05 %, at worst 5 %, and no run is lost before 16 times the bound.
     with warnings.catch_warnings():
         warnings.simplefilter("error", GranularWarning)
-        for condition in drawn(seed=7, count=40):
+        for condition in drawn(seed=7, count=20):
             step = Impact(**condition).largest_step()
             stop = run_impact(Impact(timestep=step, **condition)).stop
             solved = reference.solve(reference.Drop(**condition))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mjgranular.experiment import Impact, Study, run_study
-from mjgranular.experiment.paper import cases_beside
 
 POINTS = 21
 
@@ -41,11 +40,3 @@ def test_faster_sinks_less_than_in_proportion():
     _, depth = sweep("speed", 1.0, 10.0)
     assert (np.diff(depth, 2) < 0).all()
     assert depth[-1] < 2 * depth[0]
-
-
-def test_printed_values_stand_beside_what_they_compare_with():
-    assert [case.speed for case in cases_beside(Impact(timestep=1e-4), "speed")] == [10, 5, 1, 2]
-    steep = cases_beside(Impact(speed=2.0), "angle")
-    assert [case.angle_deg for case in steep] == [60, 45, 30]
-    assert cases_beside(Impact(length=0.3), "speed") == []
-    assert cases_beside(Impact(angle=0.3), "speed") == []

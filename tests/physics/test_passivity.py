@@ -114,7 +114,7 @@ def step(sand, data):
 
 @pytest.mark.parametrize(
     ("seed", "integrator"),
-    [*((seed, "") for seed in range(60)), *((seed, "discrete") for seed in range(1000, 1040))],
+    [*((seed, "") for seed in range(30)), *((seed, "discrete") for seed in range(1000, 1018))],
 )
 def test_the_sand_takes_energy_and_gives_none(seed, integrator):
     drawn = Drawn(seed, integrator=integrator)
@@ -124,7 +124,7 @@ def test_the_sand_takes_energy_and_gives_none(seed, integrator):
     assert np.isfinite(data.qpos).all()
 
 
-@pytest.mark.parametrize("seed", range(100, 130))
+@pytest.mark.parametrize("seed", range(100, 112))
 def test_a_step_in_sand_ends_with_less_than_one_without(seed):
     # In the norm of A, which is M plus the integrator's damping: with A (v' - v_free) = p,
     # |v'|^2 - |v_free|^2 = 2 p v' - |v' - v_free|^2, and p v' is the work of the sand.
@@ -143,7 +143,7 @@ def test_a_step_in_sand_ends_with_less_than_one_without(seed):
         assert with_sand <= without * (1 + 1e-9) + 1e-12
 
 
-@pytest.mark.parametrize("seed", range(200, 230))
+@pytest.mark.parametrize("seed", range(200, 212))
 @pytest.mark.parametrize("integrator", ["", "discrete"])
 def test_random_steps_are_foreseen(seed, integrator):
     drawn = Drawn(seed, contacts=False, integrator=integrator)
@@ -212,7 +212,7 @@ def energy(model, data):
     return 0.5 * mass * data.qvel @ data.qvel + 9.81 * mass * data.qpos[2]
 
 
-@pytest.mark.parametrize("timestep", TIMESTEPS[1:])
+@pytest.mark.parametrize("timestep", [TIMESTEPS[1], TIMESTEPS[-1]])
 @pytest.mark.parametrize(("shape", "options"), FALLING, ids=lambda value: str(value)[:40])
 def test_energy_never_grows_in_translation(shape, options, timestep):
     # There E' - E = W - |v' - v|^2/2 in the norm of M: the sand's work and a loss of Euler's.
@@ -234,8 +234,8 @@ def test_energy_never_grows_in_translation(shape, options, timestep):
 
 
 @pytest.mark.parametrize("law", ["link", "link_distributed"])
-@pytest.mark.parametrize("timestep", TIMESTEPS[1:])
-@pytest.mark.parametrize("angle", [0, 30, 60, 85])
+@pytest.mark.parametrize("timestep", [TIMESTEPS[1], TIMESTEPS[-1]])
+@pytest.mark.parametrize("angle", [0, 60, 85])
 def test_energy_of_the_link_never_grows(law, timestep, angle):
     # Its inertia does not change either: x and z of C and an angle.
     link, q = Link(), math.radians(angle)

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numba import njit
 
@@ -478,8 +478,8 @@ def test_level_plate_in_numbers():
 
 
 @each_law
-@pytest.mark.parametrize("turn", [45, -45, 135, 30])
-@pytest.mark.parametrize("velocity", [[0, 0, -1], [0, 0, 1], [1, 0, 0], [-1, 0, -2], [1, 0, 0.5]])
+@pytest.mark.parametrize("turn", [-45, 135, 30])
+@pytest.mark.parametrize("velocity", [[0, 0, 1], [-1, 0, -2], [1, 0, 0.5]])
 def test_tilted_plate(law, turn, velocity):
     sizes, depth = (SIDE, SIDE, THICK), 0.12
     quaternion = about([0, 1, 0], math.radians(turn))
@@ -542,7 +542,7 @@ def test_calibration_by_one_measurement():
     assert dataclasses.replace(law, scale=1.0) == QUIKRETE
 
 
-@pytest.mark.parametrize("mu", [0.0, 0.2, 0.4, 0.9, 100.0])
+@pytest.mark.parametrize("mu", [0.0, 0.4, 100.0])
 def test_friction_is_capped(mu):
     law = dataclasses.replace(QUIKRETE, surface_friction=mu)
     free = dataclasses.replace(QUIKRETE, surface_friction=1e9)
@@ -717,7 +717,7 @@ def test_surface_is_lowered_behind_a_paddle(law):
     # r (r w^2 / g) of the element's own distance from the axle, which is along y.
     turn, (position, _, velocity) = -18.0, PADDLING
     kind = of_triangles(LAWS[law])
-    plain = Moved(paddle_of_triangles(20), kind)
+    plain = Moved(paddle_of_triangles(10), kind)
     risen = Moved(plain.sand.model, dataclasses.replace(kind, rise=True))
     lowered = dried = same = 0
     for before, after in zip(
@@ -901,7 +901,7 @@ def test_power_of_the_wrench_is_that_of_the_elements(law, shape, state):
 )
 def test_every_element_takes_power(law, worst):
     ratios = []
-    for n, v in units(3000, seed=5):
+    for n, v in units(1000, seed=5):
         force = stress(law, n, v)
         assert force @ v <= ROUNDING * np.linalg.norm(force)
         if np.linalg.norm(force) > 0:
@@ -1012,6 +1012,7 @@ def test_mirror_image(law, shape, state):
 
 @pytest.mark.slow
 @each_law
+@settings(max_examples=30)
 @given(
     shape=SHAPES,
     state=STATES,
@@ -1047,9 +1048,8 @@ def test_gravity(gravity):
         assert found == pytest.approx(factor * moved("box", law).wrench(*state), rel=1e-12)
 
 
-@pytest.mark.parametrize("name", PLANAR["sets"])
-def test_scale(name):
-    law = SETS[name]
+def test_scale():
+    law = GENERIC
     double = dataclasses.replace(law, scale=2 * law.scale)
     for n, v in units(20):
         assert stress(double, n, v) == pytest.approx(2 * stress(law, n, v), rel=1e-12)

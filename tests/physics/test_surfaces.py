@@ -37,7 +37,8 @@ LAWS = {
     "rft3d": Rft3dLaw.from_medium(media["quikrete_medium"]),
     "depth_velocity": DepthVelocityLaw(1.0, 200.0, 1.3, 0.5, 2.0),
 }
-each_law = pytest.mark.parametrize("law", LAWS)
+# One law of each kind of element: rods, facets, whole bodies.
+each_law = pytest.mark.parametrize("law", ["link_distributed", "rft3d", "depth_velocity"])
 
 # Every law has elements for a capsule.
 PILL = "<geom name='pill' type='capsule' fromto='-0.02 0.01 -0.03 0.03 0 0.04' size='0.012'/>"
@@ -436,7 +437,7 @@ def test_heights_lie_where_mujoco_draws_them():
             assert depth == pytest.approx(0, abs=1e-3)
 
 
-@pytest.mark.parametrize("shape", [(2, 2), (5, 7), (3, 11)])
+@pytest.mark.parametrize("shape", [(2, 2), (3, 11)])
 @each_law
 def test_tilted_plane_in_a_height_field_is_the_plane(law, shape):
     slope, uphill = 0.25, 0.8

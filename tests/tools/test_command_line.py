@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from mjgranular.cli import main
-from mjgranular.experiment import CASES
 from mjgranular.pool import UNFINISHED
 
 REQUIRED = {
@@ -58,18 +57,6 @@ def test_a_drop_that_does_not_stop_says_so(capfd):
     printed = json.loads(capfd.readouterr().out)
     assert printed["stopped"] is False
     assert printed["stopping_time"] is None
-
-
-def test_paper_prints_the_six_cases_beside_the_paper(capfd):
-    assert main(["impact", "--paper", "--json"]) == 0
-    rows = json.loads(capfd.readouterr().out)
-    assert [(row["speed"], row["angle_deg"]) for row in rows] == [
-        (case.speed, case.angle_deg) for case in CASES
-    ]
-    for row, case in zip(rows, CASES, strict=True):
-        assert row["paper_stopping_time"] == case.stopping_time
-        assert row["paper_depth"] == case.depth
-        assert row["stopping_time"] == pytest.approx(case.stopping_time, rel=2e-3)
 
 
 def test_impact_writes_what_it_promises(tmp_path, capfd):

@@ -82,15 +82,11 @@ def prepare(page, place):
 def shortened(command):
     """The words of a command, and what makes it short."""
     words = shlex.split(command)
-    if words == ["warm"]:  # all there is
-        return [*words, "--law", "link", "--scheme", "explicit"]
     if "--resume" in words:
         return with_options(words, "--total-steps 128") if "--total-steps" in words else words
     if words[0] == "sweep":
         words = words if "--of" in words else [*words, "--of", "impact --timestep 5e-5"]
         words = with_options(words, "--sample 3") if "--sample" in words else words
-    if "--paper" in words:
-        return with_options(words, "--timestep 2e-5")
     return with_options(words, SHORT.get(words[0], ""))
 
 

@@ -17,7 +17,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from mjgranular._util import files
 from mjgranular.cli import main
-from mjgranular.cli.agents import find_actor
 from mjgranular.errors import (
     GranularWarning,
     InputError,
@@ -25,9 +24,7 @@ from mjgranular.errors import (
     OutputError,
     UnknownNameError,
 )
-from mjgranular.learn import environments
 from mjgranular.learn.agents import Random, Zero
-from mjgranular.learn.blocks import Evaluation, Job
 from mjgranular.learn.checkpoint import Normalizer
 from mjgranular.learn.evaluate import evaluate, mean_of, parse_variant, run_episodes
 from mjgranular.learn.policies import POLICY_FILES, load_policy
@@ -147,17 +144,6 @@ def test_damaged_checkpoints_are_skipped_with_one_sentence(tmp_path):
     assert run.newest_checkpoint() == newest  # made anew
 
 
-def test_damaged_checkpoints_do_not_count_among_the_newest_two(tmp_path):
-    run = begin_run(tmp_path / "run", ID, quick("ppo", "checkpoint_every=256"), seed=0)
-    train(run)
-    whole = [folder.name for folder in run.checkpoints()]
-    assert whole == ["step-0000001152", "step-0000001024"]
-    for steps in (2000, 3000):  # newer, and damaged
-        run.checkpoint_folder(steps).mkdir()
-    run.remove_old_checkpoints()
-    assert [folder.name for folder in run.checkpoints()][2:] == whole
-
-
 def test_one_of_two_that_begin_the_same_run_is_refused(tmp_path):
     """The folder is locked before it is looked at: no configuration over others' checkpoints."""
     with files.locked(tmp_path / "run"), pytest.raises(OutputError, match="in use by another"):
@@ -199,26 +185,15 @@ def test_a_signal_after_the_last_step_stops_nothing(tmp_path, monkeypatch):
     assert (run.path / "policy.zip").exists()
 
 
-def test_a_checkpoint_of_another_run_is_refused(trained, tmp_path):
-    folder = tmp_path / "run"
-    shutil.copytree(trained.path, folder)
-    file = folder / "config.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), "seed": 4}))
-    for read in (load_policy, lambda path: train(open_run(path))):
-        with pytest.raises(OutputError, match=r"is of another run .* seed 3"):
-            read(folder)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (None, "normalizer.json cannot be read"),
-        ({"mean": [0.0]}, r"mean must be .* \(3,\)"),
-        ({"mean": 0.0}, "mean must be"),
-        ({"variance": [1.0, -1.0, 1.0]}, "variance must be positive"),
-        ({"variance": ["x"] * 3}, "variance must be"),
+        ({"mean": [0.0]}, r"mean and variance finite numbers of shape \(3,\)"),
+        ({"mean": 0.0}, "mean and variance finite"),
+        ({"variance": ["x"] * 3}, "is damaged"),
         ({"observations": False}, "observations must be True"),
-        ({"clip": None}, "clip must be a number"),
+        ({"clip": None}, "is damaged"),
     ],
 )
 def test_a_policy_without_its_normaliser_does_not_act(change, message, trained, tmp_path):
@@ -495,33 +470,6 @@ def test_evaluate_prints_means_and_writes_them(trained, tmp_path, capfd):
     assert ID in capfd.readouterr().out
 
 
-def test_an_evaluation_goes_on_and_that_of_another_policy_does_not(trained, tmp_path, capfd):
-    command = ["evaluate", str(trained.path), "--on", "g=5.0", "--seeds", "2", "--json"]
-    kept = [*command, "--out", str(tmp_path / "scores"), "--resume"]
-    assert main(kept) == 2
-    assert "nothing to resume" in capfd.readouterr().err
-    assert main([*command, "--resume"]) == 2
-    assert "--resume continues in the folder of --out" in capfd.readouterr().err
-    actor = find_actor(str(trained.path))
-    evaluation = Evaluation([Job(actor), Job(actor, "g=5.0")], 2)
-    (tmp_path / "scores").mkdir()
-    journal = evaluation.journal(tmp_path / "scores")
-    journal.keep([(1, {"returns": ["-1.0", "-2.0"], "lengths": [200, 200], "figures": {}})])
-    journal.close()
-    assert main([*kept, "--first-seed", "5"]) == 2
-    assert "another first_seed" in capfd.readouterr().err
-    assert main(kept) == 0
-    captured = capfd.readouterr()
-    assert "1 of 2 are finished" in captured.err
-    first, second = json.loads(captured.out)
-    assert second["return"]["values"] == [-1.0, -2.0]  # not computed again
-    alone = evaluate("", actor.make, ID, {}, seeds=2)
-    assert first["return"]["values"] == list(alone.returned.values)
-    names = {file.name for file in (tmp_path / "scores").iterdir()}
-    assert names >= {"config.json", "summary.json"}
-    assert "unfinished.jsonl" not in names
-
-
 def test_a_policy_for_another_environment_is_refused(trained, capfd):
     assert main(["evaluate", str(trained.path), "--env", "Swimmer-v5"]) == 2
     said = capfd.readouterr().err
@@ -586,8 +534,7 @@ def test_a_training_run_is_filmed(tmp_path):
     small = ["--seconds", "0.4", "--width", "64", "--height", "48"]
     assert main(["render", str(run.path), *small]) == 0
     assert (run.path / "policy.mp4").stat().st_size > 500
-    assert main(["render", str(run.path), *small, "--out", str(tmp_path / "a.gif")]) == 0
-    assert (tmp_path / "a.gif").read_bytes()[:4] == b"GIF8"
+    assert main(["render", str(run.path), *small, "--out", str(tmp_path / "a.gif")]) == 2
     assert main(["render", str(run.path), *small]) == 2  # not twice
 
 
@@ -606,7 +553,6 @@ def test_a_batch_trains_as_its_copy_does(tmp_path):
             *("num_envs=2", "total_steps=256", "checkpoint_every=128"),
             *("n_steps=32", "batch_size=64", "n_epochs=1"),
             *("environment.randomise={strength=[0.5, 2]}", "use_sde=true", "sde_sample_freq=4"),
-            "environment.refine=2",
         ],
     )
     whole = begin_run(tmp_path / "whole", "mjgranular/ChainCrawl-v0", settings, seed=1)
@@ -616,46 +562,3 @@ def test_a_batch_trains_as_its_copy_does(tmp_path):
         train(broken, report=kill_after(200))
     train(open_run(broken.path))
     np.testing.assert_array_equal(weights(broken), weights(whole))
-
-
-# Finer steps
-
-
-@pytest.mark.parametrize("name", ["Swimmer-v5", "mjgranular/ChainCrawl-v0"])
-def test_refined_environments_have_shorter_substeps_and_the_same_steps(name):
-    coarse, fine = environments.one(name, {}), environments.one(name, {"refine": 4})
-    a, b = coarse.unwrapped, fine.unwrapped
-    assert b.model.opt.timestep == a.model.opt.timestep / 4
-    assert b.dt == pytest.approx(a.dt)
-    fine.reset(seed=0)
-    x = 0.0
-    for _ in range(3):
-        x = fine.step(fine.action_space.sample())[-1]["x_position"]
-    before = x
-    *_, info = fine.step(fine.action_space.sample())
-    assert b.data.time == pytest.approx(4 * a.dt)
-    assert info["x_velocity"] * a.dt == pytest.approx(info["x_position"] - before)
-    coarse.close()
-    fine.close()
-
-
-def test_a_refined_batch_is_the_refined_environment():
-    name = "mjgranular/ChainCrawl-v0"
-    one = environments.one(name, {"refine": 2})
-    many = environments.several(name, {"refine": 2}, num_envs=2)
-    first, _ = one.reset(seed=3)
-    both, _ = many.reset(seed=[3, 4])
-    np.testing.assert_array_equal(first, both[0])
-    for k in range(5):
-        action = np.full(6, np.sin(k), np.float32)
-        seen, reward, *_ = one.step(action)
-        all_seen, rewards, *_ = many.step(np.array([action, -action]))
-        np.testing.assert_array_equal(seen, all_seen[0])
-        assert reward == rewards[0]
-
-
-def test_what_cannot_be_refined_says_so():
-    with pytest.raises(InputError, match=r"refine must be .* CartPole-v1"):
-        environments.one("CartPole-v1", {"refine": 2})
-    with pytest.raises(InputError, match="refine must be"):
-        environments.one("Swimmer-v5", {"refine": 0.5})

@@ -192,19 +192,6 @@ def test_a_sphere_dropped_as_katsuragi_and_durian_did(capfd):
     assert row["depth"] == pytest.approx(0.0336, rel=2e-3)
 
 
-@pytest.mark.slow
-def test_a_chain_of_one_is_the_link(tmp_path, capfd):
-    common = ["--speed", "2", "--duration", "0.03", "--json"]
-    assert main(["impact", *common]) == 0
-    link = json.loads(capfd.readouterr().out)
-    assert main(["impact", "--body", "chain:1", *common, "--out", str(tmp_path / "run")]) == 0
-    chain = json.loads(capfd.readouterr().out)
-    for key in ("stopping_time", "depth"):
-        assert chain[key] == pytest.approx(link[key], rel=1e-9)
-    assert main(["impact", "--body", "chain:0"]) == 2
-    assert "chain:2" in capfd.readouterr().err
-
-
 def test_a_body_that_comes_to_rest_has_stopped():
     # Under the implicit scheme its velocity ends at 1e-13 m/s, of either sign.
     options = {"medium": "quikrete_medium", "law": "rft3d", "body": "box"}

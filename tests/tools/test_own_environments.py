@@ -14,12 +14,9 @@ import pytest
 from mjgranular._util.user_modules import import_own
 from mjgranular.cli import main
 from mjgranular.envs import on_sand
-from mjgranular.errors import InputError, UnknownArgumentError, UnknownNameError
+from mjgranular.errors import UnknownArgumentError, UnknownNameError
 from mjgranular.learn import environments
-from mjgranular.learn.policies import load_policy
-from mjgranular.learn.run import begin_run
 from mjgranular.learn.settings import change, find_settings
-from mjgranular.learn.train import train
 
 # A robot of somebody's own, beside a helper of his: two legs' worth of hopper.
 HELPER = 'NAME = "MyQuadSand-v0"\n'
@@ -116,30 +113,11 @@ def test_the_command_finds_what_lies_beside_the_user(beside: Path) -> None:
         )
 
     changes = ("num_envs=2", "n_steps=32", "batch_size=32", "n_epochs=1")
-    done = run("train", OWN, "--total-steps", "64", "--set", *changes, "--processes", "--json")
+    done = run("train", OWN, "--total-steps", "64", "--set", *changes, "--json")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["settings"]["processes"] is True
     done = run("evaluate", OWN, "--agent", "zero", "--seeds", "2", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)[0]["length"]["mean"] == 20
-    assert run("warm", "--env", OWN).returncode == 0
-
-
-@pytest.mark.slow
-def test_processes_learn_what_one_process_does(beside: Path) -> None:
-    weights = []
-    for processes in ("true", "false"):
-        settings = few(f"processes={processes}")
-        run = begin_run(beside / processes, OWN, settings, seed=1)
-        train(run)
-        parameters = load_policy(run.path).model.state_dict().values()
-        weights.append(np.concatenate([one.numpy().ravel() for one in parameters]))
-    np.testing.assert_array_equal(*weights)
-
-
-def test_what_steps_in_a_batch_needs_no_processes() -> None:
-    with pytest.raises(InputError, match="steps in a batch on all cores"):
-        environments.for_training("mjgranular/LinkDrop-v0", {}, num_envs=2, processes=True)
 
 
 @pytest.mark.parametrize("named", ["my_quad:MyQuad-v0", "my_quad:MyQuadClass-v0", "class"])

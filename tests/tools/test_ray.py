@@ -7,16 +7,12 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from mjgranular._util.versions import versions
 from mjgranular.envs.rllib import register_env
 from mjgranular.errors import InputError, MissingExtraError
 from mjgranular.experiment import Between, Impact, Study, journal_of, run_study
-from mjgranular.experiment.table import write_csv
-from mjgranular.learn.blocks import Actor, Evaluation, Job, run_evaluation
-from mjgranular.learn.policies import load_policy
 from mjgranular.pool import Workers, map_tasks, on_ray
 
 ray = pytest.importorskip("ray", reason="the extra ray is not installed")
@@ -46,7 +42,7 @@ def other_node():
 
 
 def table(result, path):
-    write_csv(path, result.columns(), result.rows)
+    result.write_csv(path)
     return path.read_bytes()
 
 
@@ -56,22 +52,10 @@ def expected(tmp_path_factory):
 
 
 def test_tables_are_the_same_to_the_bit(expected, tmp_path):
-    for workers, chunk in ((1, 5), (2, None)):
-        result = run_study(STUDY, workers=Workers("ray", workers, chunk))
+    for workers in (1, 2):
+        result = run_study(STUDY, workers=Workers("ray", workers))
         assert table(result, tmp_path / "table.csv") == expected
     assert ray.is_initialized()  # the session that was there is left as it was
-
-
-def test_evaluations_are_the_same_to_the_bit():
-    short = {"frame_skip": 2}
-    policy = Actor("one", "mjgranular/ChainCrawl-v0", short, load_policy("ChainCrawl-v0/ppo-1"))
-    jobs = [Job(policy, "max_episode_steps=20"), Job(Actor("two", "Pendulum-v1", {}, "random"))]
-    expected = run_evaluation(Evaluation(jobs, 3))
-    for on in (Workers("local", 2), Workers("ray", 2)):
-        scores = run_evaluation(Evaluation(jobs, 3), on=on)
-        for mine, theirs in zip(scores, expected, strict=True):
-            assert mine.as_json() == theirs.as_json()
-            assert np.array_equal(mine.episodes.returns, theirs.episodes.returns)
 
 
 def test_without_ray_rllib_is_told_with_the_install_line(monkeypatch):
@@ -90,7 +74,7 @@ def test_a_sweep_goes_on_on_the_other_engine(expected, tmp_path):
         stopped.append(engine)
         journal = journal_of(STUDY, tmp_path)
         journal.begin()
-        on = Workers(engine, 1, 2)
+        on = Workers(engine, 1)
         result = run_study(STUDY, workers=on, journal=journal, progress=stop)
         assert result.interrupted
         assert 0 < result.finished < 24
@@ -115,7 +99,7 @@ def test_a_worker_that_is_killed_costs_nothing(tmp_path):
             os.kill(int(place.read_text()), signal.SIGKILL)
             killed.append(1)
 
-    on = Workers("ray", count=1, chunk=1)
+    on = Workers("ray", count=1)
     mapped = map_tasks(operator.call, tasks, shared=eval, on=on, progress=kill)
     assert list(mapped.journal.results()) == list(range(12))
     assert mapped.failures == []
@@ -123,7 +107,7 @@ def test_a_worker_that_is_killed_costs_nothing(tmp_path):
 
 def test_a_task_that_ends_its_worker_is_named_and_the_rest_is_there():
     tasks = ["0", "__import__('os')._exit(3)", "2"]
-    on = Workers("ray", count=1, chunk=3)
+    on = Workers("ray", count=1)
     mapped = map_tasks(operator.call, tasks, shared=eval, on=on)
     assert list(mapped.journal.results()) == [0, 2]
     assert [(one.index, one.lost) for one in mapped.failures] == [(1, True)]
@@ -147,7 +131,7 @@ def test_a_node_that_goes_costs_nothing(expected, other_node, tmp_path):
             gone.append(done)
             other_node()
 
-    result = run_study(STUDY, workers=Workers("ray", chunk=2), progress=go)
+    result = run_study(STUDY, workers=Workers("ray"), progress=go)
     assert gone
     assert result.failed == 0
     assert table(result, tmp_path / "table.csv") == expected

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mjgranular import Bed, HeightField, Plane
-from mjgranular.experiment.drop import Drop, load, run_drop, surface_drawn
+from mjgranular.experiment.drop import Drop, load, run_drop
 from mjgranular.picture.video import Film, Motion, frames_of_model
 from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
 from mjgranular.render.scenery import add_scenery
@@ -54,7 +54,7 @@ def film_of(drop: Drop, pictures: int = 3) -> list[np.ndarray]:
     model, _ = load(drop)
     film = Film(camera="free", width=160, height=120, fps=pictures * 2, seconds=0.5)
     motion = Motion(result.t, result.qpos, result.point, result.force)
-    return list(frames_of_model(film, model, motion, surface_drawn(drop))[1])
+    return list(frames_of_model(film, model, motion, drop.surface)[1])
 
 
 def sandy(picture: np.ndarray) -> np.ndarray:

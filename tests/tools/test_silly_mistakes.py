@@ -126,7 +126,6 @@ drop block.xml --bed tray --height-field dune | the sand is either a bed or a he
 drop block.xml --height-field block | geom 'block' is a box: a height field is made of a hfield geom
 drop block.xml --keyframe stand | no keyframe of the model 'stand'
 drop block.xml --instead-of floor | no geom of the model 'floor'
-drop floor.xml --instead-of floor --keep-floor | --keep-floor has no other ground to keep than floor
 drop block.xml --bed tray --slope 10 | --slope is for a plane
 drop block.xml --uphill 90 | --uphill is the direction of a slope: add --slope
 drop block.xml --law link --medium play_sand | choose them with --geoms NAME or --bodies NAME
@@ -137,7 +136,7 @@ drop block.xml --out notes.txt | cannot write to notes.txt: File exists; choose 
 drop block.xml --out /proc/nowhere | cannot write to /proc/nowhere
 drop block.xml --out results --video --camera up | no camera 'up'; there are:
 drop block.xml --hieght 0.1 | Unrecognized options: --hieght
-dorp block.xml | no command 'dorp'; did you mean drop? There are
+dorp block.xml | no command 'dorp'; there are: impact, ... did you mean drop?
 drop block.xml floor.xml | Unrecognized options: floor.xml
 view block.xml --speed 0 | the speed must be positive and finite
 view block.xml --draw arrows | invalid choice 'arrows' for argument '--draw'. Expected one of
@@ -148,13 +147,9 @@ elements block.xml --color red | invalid choice 'red' for argument '--color'. Ex
 elements block.xml --law link --medium glass_beads | no constants in medium 'glass_beads' for law
 impact --speed -1 | the speed of T is downward and must not be negative
 impact --angle 90 | the angle from the vertical must be less than 90 degrees
-impact --body cube | no body 'cube'; there are: link, sphere, box, cylinder,
+impact --body cube | invalid choice 'cube' for argument '--body'. Expected one of
 impact --body sphere --length 0.3 | a sphere has no --length: its size is its --diameter
-impact --body chain:2 --until rest | --until is for one body: a chain is followed for its --duration
 impact --camera close | --camera is for a film: add --video
-impact --body chain:2 --video --out film --camera up | no camera 'up'; there are: free,
-impact --body chain:0 | chain:N
-impact --body chain:two | chain:N
 impact --until never | invalid choice 'never' for argument '--until'. Expected one of
 impact --length 20 --diameter 30 | the link must be longer than it is thick: length 20.0 m
 impact --density 0 | the link's density must be positive and finite
@@ -169,7 +164,6 @@ intrude --model block.xml --intruder sphere | the intruder is a shape or of a mo
 sweep --vary mass=1,2 | no field to vary 'mass'; there are:
 sweep --vary speed=2:2:3 | a range goes from its lower to its upper end
 sweep --vary speed=1:2:1 | 2 to 1000000 values
-impact --paper --timestep nan | the time step must be positive and finite
 render nowhere | nowhere holds no saved run (nowhere/config.json cannot be
 render old | old holds no saved run (config.json
 render notes.txt | notes.txt holds no saved run
@@ -225,26 +219,12 @@ evaluate CartPole-v1 --agent zero --on medium | NAME=VALUE,NAME=VALUE ... 'mediu
 evaluate CartPole-v1 --agent zero --gait waves=1 | --gait is for --agent
 evaluate Hexapod-v0/ppo-0 --env CartPole-v1 | observations of CartPole-v1 must be
 evaluate Hexapod-v0/ppo-0 --on medium=moon | no medium 'moon'; there are: glass_beads, glass
-warm blok.xml | MuJoCo cannot load blok.xml
-warm block.xml --env Ant-v5 | name a MODEL.xml or --env ID
-warm --env Nobody-v0 | no environment 'Nobody-v0'; there are: ... mjgranular/Ant-v0,
-warm --env mjgranular/Hexapd-v0 | did you mean mjgranular/Hexapod-v0
-warm --env quad:Quad-v0 | quad:Quad-v0 cannot be made
-warm --law rtf3d | no law 'rtf3d'; there are: depth_velocity, link, ... did you mean rft3d?
-warm --over dune | invalid choice 'dune' for argument '--over'. Expected one of
-warm block.xml --over bed | --over has no effect here
-warm --bodies block | --bodies ... name a MODEL.xml
-warm --bed tray | --bed ... name a MODEL.xml
-warm --env mjgranular/Hexapod-v0 --law rft3d | --law ... an environment has its own sand
 sweep --speed 3 | Unrecognized or misplaced options: --speed
 sweep --of "impact --speed 2" | speed is varied, and --speed 2.0 fixes it: omit one of the
 sweep --vary angle=10:30:3 --of "impact --angle 20" | angle is varied, and --angle 20.0 fixes it
 sweep --vary height=1:3:3 --of "impact --height 2" | height is varied, and --height 2.0 fixes it
 sweep --of "drop block.xml --velocity 3" --vary velocity=1,2 | --velocity 3.0 fixes it: omit one
-sweep --of "impact --paper" | --paper has its own drops: a sweep takes one experiment
 sweep --workers -1 | at least 1 worker ... -1
-impact --paper --speed 3 | --paper has its own drops: omit --speed
-impact --paper --length 0.1 | --paper has its own drops: omit --length
 intrude --tilt 400 | the tilt must be within 180 degrees (pi = 3.1416 rad) either way ... 400
 intrude --direction 400 | the direction must be within 180 degrees (pi = 3.1416 rad)
 intrude --depth 0.05 --distance 0.2 | --depth and --distance both

@@ -10,11 +10,9 @@ from typing import Any
 
 import pytest
 
-from mjgranular.cli import main
-from mjgranular.studio import PLUGIN
-
 pytest.importorskip("mujoco.studio.launch_web", reason="MuJoCo Studio is not installed")
 
+PLUGIN = Path(__file__).parents[2] / "scripts" / "studio" / "sand_plugin.py"
 MODEL = """
 <mujoco>
   <option timestep="0.002"/>
@@ -113,9 +111,3 @@ def test_the_plugin_puts_sand_under_a_model(tmp_path: Path) -> None:
 
 def test_the_panel_is_drawn(tmp_path: Path) -> None:
     assert run(tmp_path, PANEL, PLUGIN)["drawn"].startswith("SandWanted(medium=None, law=None")
-
-
-def test_the_command_prints_its_place(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["studio"]) == 0
-    assert Path(capsys.readouterr().out.strip()) == PLUGIN
-    assert PLUGIN.is_file()

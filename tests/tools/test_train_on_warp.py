@@ -18,7 +18,7 @@ HOPPER = "mjgranular/Hopper-v0"
     [
         ([HOPPER, "--device", "cpu"], "--device is for --engine warp"),
         ([HOPPER, "--engine", "warp", "--device", "gpu9"], "no device 'gpu9' .* there is: cpu"),
-        ([HOPPER, "--engine", "warp", "--num-envs", "0"], "num_envs"),
+        ([HOPPER, "--engine", "warp", "--set", "num_envs=0"], "num_envs"),
         (
             ["Pendulum-v1", "--engine", "warp"],
             "environments of mjgranular.* not Pendulum-v1",
@@ -43,8 +43,15 @@ def test_a_run_goes_on_here_and_there_and_needs_no_warp_to_be_evaluated(
 ):
     monkeypatch.chdir(tmp_path)
     there = ["--engine", "warp", "--device", "cpu"]
-    small = ["--set", "n_steps=16", "batch_size=64", "checkpoint_every=256", "n_epochs=2"]
-    assert main(["train", HOPPER, *there, "--num-envs", "8", "--total-steps", "256", *small]) == 0
+    small = [
+        "--set",
+        "num_envs=8",
+        "n_steps=16",
+        "batch_size=64",
+        "checkpoint_every=256",
+        "n_epochs=2",
+    ]
+    assert main(["train", HOPPER, *there, "--total-steps", "256", *small]) == 0
     out, error = capfd.readouterr()
     assert "256 steps" in out
     # One line in place of one for each of Warp's modules.

@@ -23,6 +23,7 @@ from mjgranular.learn.run import Run, begin_run, open_run
 from mjgranular.learn.train import train
 
 ID = "Pendulum-v1"
+BALL = "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
 QUICK = {
     "ppo": ("n_steps=64", "batch_size=64", "n_epochs=2"),
     "sac": ("learning_starts=100", "buffer_size=2000", "train_freq=32", "net=[16, 16]"),
@@ -177,25 +178,7 @@ def test_a_policy_that_squashes_its_actions_acts_as_stable_baselines_has_it(tmp_
 )
 def test_spaces_are_kept_as_they_are(space):
     described = json.loads(json.dumps(weights.space_as_json(space)))
-    assert weights.space_from_json(described, 1000) == space
-    with pytest.raises(ValueError, match=r"shape|actions"):
-        weights.space_from_json(described, 1)  # more than there are weights
-
-
-def test_settings_of_a_net_that_would_fill_the_memory_are_refused(tmp_path):
-    run = trained(tmp_path / "run", "ppo")
-    for name in ("", run.checkpoints()[0].name):
-        folder = run.path / "checkpoints" / name if name else run.path
-        config = json.loads((folder / "config.json").read_text())
-        config["settings"]["net"] = [1_000_000, 1_000_000]
-        (folder / "config.json").write_text(json.dumps(config))
-    (run.checkpoints()[1]).rename(tmp_path / "away")
-    newest = run.checkpoints()[0]
-    newest.rename(tmp_path / "old")
-    files.write_folder(newest, lambda to: copy(tmp_path / "old", to))
-    for read in (load_policy, lambda path: train(open_run(path))):
-        with pytest.raises(OutputError, match="they ask for a net of"):
-            read(run.path)
+    assert weights.space_from_json(described) == space
 
 
 @pytest.mark.parametrize(
@@ -204,7 +187,7 @@ def test_settings_of_a_net_that_would_fill_the_memory_are_refused(tmp_path):
         ("config.json", {"versions": None}, "versions must name packages"),
         ("config.json", {"environment": 7}, "environment"),
         ("config.json", {"environment": "\x1b[2J"}, "environment"),
-        ("config.json", {"seed": "0"}, "seed must be"),
+        ("config.json", {"seed": "0"}, "seed must be an integer"),
         ("config.json", {"settings": []}, "settings must be an object"),
         ("config.json", {"command": "impact"}, "it is the result of mjgranular impact"),
         ("config.json", b"[]", "must be an object, not a list"),
@@ -228,11 +211,13 @@ def test_a_damaged_run_is_told_of_in_one_sentence(name, change, message, tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("body", ["link", "chain:2"])
-def test_a_damaged_result_is_told_of_in_one_sentence(body, tmp_path, capfd):
+@pytest.mark.parametrize("command", [["impact"], ["drop", "ball.xml"]])
+def test_a_damaged_result_is_told_of_in_one_sentence(command, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    Path("ball.xml").write_text(BALL)
     folder = tmp_path / "run"
     quick = ["--timestep", "1e-4", "--duration", "0.02", "--json"]
-    assert main(["impact", "--body", body, *quick, "--out", str(folder)]) == 0
+    assert main([*command, *quick, "--out", str(folder)]) == 0
     file = folder / "trajectory.npz"
     whole = file.read_bytes()
     for content in (
