@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjgranular import InputError
-from mjgranular.envs.ground import converted_errors
+from mjgranular.envs.ground import RIGID, converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import robot_path
@@ -34,20 +34,23 @@ _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
 _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
 _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
 
-# Motors as in mjlab: inertia of a rotor behind a gear, a natural frequency of 10 Hz, twice the
-# critical damping, and the torque of the data sheet.
+# Motors: inertia of a rotor behind a gear, and the torque of the data sheet, as in mjlab;
+# stiffness and damping as in MuJoCo Playground. With mjlab's stiffness, which is a natural
+# frequency of 10 Hz, the trunk sags and a scripted trot does not get ahead on sand.
 _ROTOR = 0.000111842  # [kg m^2]
-_FREQUENCY, _DAMPING = 20 * math.pi, 2.0  # [rad/s], ratio
+_STIFFNESS, _DAMPING = 35.0, 0.5  # [N m/rad], [N m s/rad]
 _GEARS = {"hip": 6.0, "thigh": 6.0, "calf": 9.0}
 _TORQUES = {"hip": 23.7, "thigh": 23.7, "calf": 35.55}  # [N m]
 _STANCE = {"hip": 0.1, "thigh": 0.9, "calf": -1.8}  # [rad]; hips on the left have the other sign
 _POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait needs [rad]
 
-_GAIT = 2.0  # steps of each leg in a second; this and the next one are chosen
+_GAIT = 2.0  # steps of each leg in a second; chosen, as are _SWING, _LIFT and _GAIN
 _SWING = 0.08  # height of a swinging foot over the surface [m]
 _LEG = 0.27  # length of a leg in the stance [m]
-_HIPS = np.array([[0.19, -0.13], [0.19, 0.13], [-0.19, -0.13], [-0.19, 0.13]])  # of legs, x and y [m]
+_LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
+_GAIN = 1.5  # strides over what would do without slip
 _PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
+_EDGE = 50.0  # of the rigid ground [m]
 _LOW = 0.1  # height of the trunk at which the robot has fallen [m]; chosen: half of standing
 _TILT = math.cos(math.radians(70))  # as in mjlab
 
@@ -58,9 +61,9 @@ class Go1Velocity(Task):
 
     ## Description
     A Unitree Go1, 12.7 kg, walks on Quikrete medium sand at commanded velocities: ahead,
-    sideways and in yaw. Commands, pushes and motors are those of mjlab's velocity task, which has
-    a hard floor; rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in
-    this package: `mjgranular.models.robot_path` finds them.
+    sideways and in yaw. Commands and pushes are those of mjlab's velocity task, which has a hard
+    floor; rewards and motors are after mjlab's and MuJoCo Playground's. The robot's files are not
+    in this package: `mjgranular.models.robot_path` finds them.
 
     The sand meets the lower legs, with the geoms that the robot collides with:
 
@@ -74,7 +77,9 @@ class Go1Velocity(Task):
 
     ## Action Space
     `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets
-    from the stance.
+    from those of a trot at the commanded velocity ahead; from the stance if the command is to
+    stand. The trot lifts diagonal legs in turn, twice a second: thighs by 0.5 and calves by -1 rad,
+    and swings them by 1.5 of the stride that would do without slip. It does not keep its balance.
 
     | index | name | unit | range |
     |---|---|---|---|
@@ -95,7 +100,7 @@ class Go1Velocity(Task):
     | 30 to 41 | last action | rad | -1 to 1 |
     | 42, 43 | commanded velocity ahead and to the left | m/s | `command_x`, `command_y` |
     | 44 | commanded yaw rate, to the left | rad/s | `command_yaw` |
-    | 45, 46 | sine and cosine of the gait's phase; 0 if the command is to stand | 1 | -1 to 1 |
+    | 45, 46 | sine and cosine of the trot's phase; 0 if the command is to stand | 1 | -1 to 1 |
 
     ## Rewards
     The sum of these, each times the duration of a step, 0.02 s:
@@ -106,7 +111,7 @@ class Go1Velocity(Task):
     | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
-    | `reward_gait` | exp(-e^2 / 0.01 m^2), e^2 the sum of squares of the feet's distances from a trot | 2 |
+    | `reward_gait` | exp(-e^2 / 0.01), e from the height of each foot in a trot [m], squares summed | 2 |
     | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
     | `reward_rate` | square of the change of the action | -0.02 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
@@ -131,6 +136,8 @@ class Go1Velocity(Task):
 
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;
+    `rigid`, the x up to which the ground is a rigid floor [m]: the robot starts at x = 0, so that
+    0.5 makes it walk from one to the other, and inf leaves no sand to walk on;
     `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
     `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=3`,
     `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
@@ -148,6 +155,7 @@ class Go1Velocity(Task):
     timestep: ClassVar[float] = 0.005
 
     robot_file: str | Path = "unitree_go1"
+    rigid: float | None = None
     bodies: Choice = tuple(f"{leg}_calf" for leg in LEGS)
     resolution: int | None = 2
     frame_skip: int = 4
@@ -182,6 +190,8 @@ class Go1Velocity(Task):
                 geom.conaffinity = int(bool(geom.contype or geom.conaffinity))
                 geom.contype = 0
         _add_scenery(spec)
+        if self.rigid is not None:
+            _add_rigid_ground(spec, self.rigid)
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.nuserdata = _PUSH.stop
@@ -292,10 +302,8 @@ class Go1Velocity(Task):
         """Return offsets from the stance: a trot at the commanded velocity, or 0; shape (n, 12)."""
         clock, command = self._find_clock(state), self._command(state)
         lift = np.maximum(clock[:, :1] * _PAIRS, 0.0)
-        ahead = command[:, :1] - command[:, 2:] * _HIPS[:, 1]
-        left = command[:, 1:2] + command[:, 2:] * _HIPS[:, 0]
-        stride = clock[:, 1:] * _PAIRS / (4 * _GAIT * _LEG)
-        offsets = [-stride * left, 0.3 * lift + stride * ahead, -0.6 * lift]
+        stride = clock[:, 1:] * _PAIRS * command[:, :1] * (_GAIN / (4 * _GAIT * _LEG))
+        offsets = [np.zeros_like(lift), _LIFT[0] * lift + stride, _LIFT[1] * lift]
         return np.stack(offsets, axis=2).reshape(-1, len(JOINTS))
 
     def _clock(self, state: State) -> np.ndarray:
@@ -415,7 +423,7 @@ def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
     inertia = _ROTOR * _GEARS[part] ** 2
     joint.armature, joint.damping, joint.frictionloss = inertia, [0, 0, 0], 0.0
     motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.set_to_position(kp=inertia * _FREQUENCY**2, kv=2 * _DAMPING * inertia * _FREQUENCY)
+    motor.set_to_position(kp=_STIFFNESS, kv=_DAMPING)
     motor.forcelimited, motor.forcerange = True, [-_TORQUES[part], _TORQUES[part]]
 
 
@@ -443,6 +451,18 @@ def _add_scenery(spec: mujoco.MjSpec) -> None:
         rgb2=[0.95, 0.95, 0.95],
         width=64,
         height=384,
+    )
+
+
+def _add_rigid_ground(spec: mujoco.MjSpec, end: float) -> None:
+    """Add a block with its top at z = 0, up to x = `end`; feet sink into it by less than 1 mm."""
+    right = min(end, _EDGE)
+    spec.worldbody.add_geom(
+        name=RIGID,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[(right - _EDGE) / 2, 0, -0.5],
+        size=[(right + _EDGE) / 2, _EDGE, 0.5],
+        rgba=[0.45, 0.47, 0.5, 1],
     )
 
 
