@@ -103,7 +103,7 @@ def test_it_stands_with_its_weight_on_its_feet():
     assert info["sand/force"][2] == pytest.approx(weight, rel=0.02)
     assert info["sand/depth"] < 0.05
     assert observation[:3] == pytest.approx([0, 0, -1], abs=0.05)
-    assert 5 * task.dt < reward < 6 * task.dt
+    assert 7 * task.dt < reward < 8 * task.dt
     assert sum(info[name] for name in info if name.startswith("reward_")) == pytest.approx(reward)
 
 
