@@ -84,7 +84,8 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
     # numba imports the module of a kernel; if the main thread is importing that module while it
     # waits for the compiling thread, neither would end.
     bare.__module__ = __name__
-    return Kernel(bare, njit(bare, forceinline=inline, no_cpython_wrapper=True, **_OPTIONS))
+    only_from_kernels = {"forceinline": inline, "no_cpython_wrapper": True}
+    return Kernel(bare, njit(bare, **_OPTIONS, **only_from_kernels))
 
 
 def entry(kernel: Any, signature: str) -> Callable[..., Any]:
