@@ -84,7 +84,7 @@ def compiled(function: Callable[..., Any], *, inline: bool = False) -> Kernel:
     # numba imports the module of a kernel; if the main thread is importing that module while it
     # waits for the compiling thread, neither would end.
     bare.__module__ = __name__
-    only_from_kernels = {"forceinline": inline, "no_cpython_wrapper": True}
+    only_from_kernels: dict[str, Any] = {"forceinline": inline, "no_cpython_wrapper": True}
     return Kernel(bare, njit(bare, **_OPTIONS, **only_from_kernels))
 
 
