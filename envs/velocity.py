@@ -179,7 +179,7 @@ class Go1Velocity(Task):
         with converted_errors():
             spec = mujoco.MjSpec.from_file(str(path))
         _check_robot(spec, path)
-        for each in (*spec.sensors, *spec.actuators, *spec.keys):
+        for each in (*spec.sensors, *spec.actuators, *spec.keys, *spec.lights):
             spec.delete(each)
         for joint in spec.joints[1:]:
             _add_motor(spec, joint)
@@ -443,7 +443,15 @@ def _add_foot_site(calf: mujoco.MjsBody) -> None:
 def _add_scenery(spec: mujoco.MjSpec) -> None:
     """Add a floor at z = 0, a sky and a light, without names: the file may have them too."""
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-    spec.worldbody.add_light(pos=[0, -1, 3], dir=[0, 0.3, -1], type=1, diffuse=[0.6, 0.6, 0.6])
+    spec.worldbody.add_light(
+        pos=[0, -1, 3],
+        dir=[0.3, 0.4, -1],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=[0.7, 0.7, 0.7],
+        specular=[0, 0, 0],
+    )
+    headlight = spec.visual.headlight
+    headlight.ambient, headlight.diffuse, headlight.specular = [0.3] * 3, [0.25] * 3, [0] * 3
     spec.add_texture(
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
