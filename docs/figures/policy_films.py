@@ -125,7 +125,9 @@ def main(names: list[str]) -> None:
         ]
         strip = np.vstack([np.hstack(chosen[i : i + 3]) for i in range(0, len(chosen), 3)])
         still = film.with_suffix(".jpg")
-        Image.fromarray(strip).save(still, quality=80)
+        image = Image.fromarray(strip)
+        image.thumbnail((3 * WIDTH, 3 * WIDTH))
+        image.save(still, quality=80)
         for path in (film, still):
             print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 
