@@ -34,8 +34,8 @@ def drawn(name: str, value: float) -> dict[str, Any]:
 
 GROUNDS: dict[str, dict[str, Any]] = {
     "Quikrete medium sand": {},
-    "loose poppy seeds": {"medium": "poppy_seed_loose"},
-    "loose glass beads": {"medium": "glass_beads_loose"},
+    "close poppy seeds": {"medium": "poppy_seed_close"},
+    "close glass beads of 3 mm": {"medium": "glass_beads_3mm_close"},
     "half the strength": drawn("strength", 0.5),
     "twice the strength": drawn("strength", 2.0),
     "slope of 10 degrees": drawn("slope", math.radians(10)),
