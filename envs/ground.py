@@ -23,6 +23,9 @@ from mjgranular.surface.choice import surface_of
 FORCE, DEPTH, POWER, SPEED = "sand/force", "sand/depth", "sand/power", "sand/speed"
 """Sensors of all bodies together; the name of a sand instance follows after "/"."""
 
+RIGID = "rigid ground"
+"""Name of a geom that carries the robot on purpose, beside the sand."""
+
 
 def put_on_sand(
     spec: mujoco.MjSpec,
@@ -126,10 +129,11 @@ def converted_errors() -> Iterator[None]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Ignore warnings of a deprecated attribute, and of robots buried until a reset."""
+    """Ignore warnings of a deprecated attribute, robots buried until a reset, and rigid ground."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="compiler attribute 'settotalmass'")
         warnings.filterwarnings("ignore", message="robot .* is buried")
+        warnings.filterwarnings("ignore", message=f"the model's own geom '{RIGID}'")
         yield
 
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjgranular import InputError
-from mjgranular.envs.ground import converted_errors
+from mjgranular.envs.ground import RIGID, converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
 from mjgranular.models import robot_path
@@ -34,16 +34,23 @@ _PUSH_TIME = (1.0, 3.0)  # from one push to the next [s]
 _PUSH_SIZE = np.array([0.5, 0.5, 0.4, 0.52, 0.52, 0.78])  # [m/s], [rad/s]
 _STANDING, _FORWARD = 0.1, 0.2  # shares of commands to stand, and to walk straight ahead
 
-# Motors as in mjlab: inertia of a rotor behind a gear, a natural frequency of 10 Hz, twice the
-# critical damping, and the torque of the data sheet.
+# Motors: inertia of a rotor behind a gear, and the torque of the data sheet, as in mjlab;
+# stiffness and damping as in MuJoCo Playground. With mjlab's stiffness, which is a natural
+# frequency of 10 Hz, the trunk sags and a scripted trot does not get ahead on sand.
 _ROTOR = 0.000111842  # [kg m^2]
-_FREQUENCY, _DAMPING = 20 * math.pi, 2.0  # [rad/s], ratio
+_STIFFNESS, _DAMPING = 35.0, 0.5  # [N m/rad], [N m s/rad]
 _GEARS = {"hip": 6.0, "thigh": 6.0, "calf": 9.0}
 _TORQUES = {"hip": 23.7, "thigh": 23.7, "calf": 35.55}  # [N m]
 _STANCE = {"hip": 0.1, "thigh": 0.9, "calf": -1.8}  # [rad]; hips on the left have the other sign
 _POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait needs [rad]
 
-_CLEARANCE = 0.1  # height of a swinging foot [m], as in mjlab
+_GAIT = 2.0  # steps of each leg in a second; chosen, as are _SWING, _LIFT and _GAIN
+_SWING = 0.08  # height of a swinging foot over the surface [m]
+_LEG = 0.27  # length of a leg in the stance [m]
+_LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
+_GAIN = 1.5  # strides over what would do without slip
+_PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
+_EDGE = 50.0  # of the rigid ground [m]
 _LOW = 0.1  # height of the trunk at which the robot has fallen [m]; chosen: half of standing
 _TILT = math.cos(math.radians(70))  # as in mjlab
 
@@ -54,9 +61,9 @@ class Go1Velocity(Task):
 
     ## Description
     A Unitree Go1, 12.7 kg, walks on Quikrete medium sand at commanded velocities: ahead,
-    sideways and in yaw. Commands, pushes and motors are those of mjlab's velocity task, which has
-    a hard floor; rewards are after mjlab's and MuJoCo Playground's. The robot's files are not in
-    this package: `mjgranular.models.robot_path` finds them.
+    sideways and in yaw. Commands and pushes are those of mjlab's velocity task, which has a hard
+    floor; rewards and motors are after mjlab's and MuJoCo Playground's. The robot's files are not
+    in this package: `mjgranular.models.robot_path` finds them.
 
     The sand meets the lower legs, with the geoms that the robot collides with:
 
@@ -70,7 +77,9 @@ class Go1Velocity(Task):
 
     ## Action Space
     `Box(-1, 1, (12,), float32)`: positions that the motors go to, 50 times a second, as offsets
-    from the stance.
+    from those of a trot at the commanded velocity ahead; from the stance if the command is to
+    stand. The trot lifts diagonal legs in turn, twice a second: thighs by 0.5 and calves by -1 rad,
+    and swings them by 1.5 of the stride that would do without slip. It does not keep its balance.
 
     | index | name | unit | range |
     |---|---|---|---|
@@ -80,7 +89,7 @@ class Go1Velocity(Task):
     | 9 to 11 | rear left | rad | -1 to 1 |
 
     ## Observation Space
-    `Box(-inf, inf, (45,), float64)`: what the robot can measure; order of joints as above.
+    `Box(-inf, inf, (47,), float64)`: what the robot can measure; order of joints as above.
 
     | index | name | unit | range |
     |---|---|---|---|
@@ -91,6 +100,7 @@ class Go1Velocity(Task):
     | 30 to 41 | last action | rad | -1 to 1 |
     | 42, 43 | commanded velocity ahead and to the left | m/s | `command_x`, `command_y` |
     | 44 | commanded yaw rate, to the left | rad/s | `command_yaw` |
+    | 45, 46 | sine and cosine of the trot's phase; 0 if the command is to stand | 1 | -1 to 1 |
 
     ## Rewards
     The sum of these, each times the duration of a step, 0.02 s:
@@ -101,11 +111,11 @@ class Go1Velocity(Task):
     | `reward_angular` | exp(-e^2 / 0.5), e from the commanded yaw rate [rad/s] | 1.5 |
     | `reward_upright` | exp(-s^2 / 0.2), s the sine of the tilt from the axis z | 1 |
     | `reward_pose` | exp of minus the mean square deviation from the stance | 0.5 |
+    | `reward_gait` | exp(-e^2 / 0.01), e the heights of the feet less those of a trot [m] | 2 |
     | `reward_wobble` | square of the rates of roll and pitch [rad^2/s^2] | -0.05 |
     | `reward_rate` | square of the change of the action | -0.02 |
     | `reward_torque` | square of the torques [N^2 m^2] | -2e-4 |
     | `reward_slip` | square of the speed along the surface of feet in the sand [m^2/s^2] | -0.1 |
-    | `reward_clearance` | speed of feet times distance from a height of 0.1 m [m^2/s] | -1 |
 
     Deviations from the stance count in units of 0.3 rad, of calves 0.6 rad; a third of that if the
     command is to stand. Tilt and motion along the surface are relative to the plane z = 0, which
@@ -126,6 +136,8 @@ class Go1Velocity(Task):
 
     ## Arguments
     `robot_file`, a name of MuJoCo Menagerie or a path of MJCF with the same joints and calves;
+    `rigid`, the x up to which the ground is a rigid floor [m]: the robot starts at x = 0, so that
+    0.5 makes it walk from one to the other, and inf leaves no sand to walk on;
     `command_x=(-0.8, 0.8)`, `command_y=(-0.4, 0.4)`, `command_yaw=(-1, 1)`, `push_scale=1`,
     `reset_noise_scale=0.05`, the sizes of the weights above, such as `linear_weight=3`,
     `frame_skip=4` substeps of 5 ms, and those of `Task`: the medium, randomised sand and so on. The
@@ -143,6 +155,7 @@ class Go1Velocity(Task):
     timestep: ClassVar[float] = 0.005
 
     robot_file: str | Path = "unitree_go1"
+    rigid: float | None = None
     bodies: Choice = tuple(f"{leg}_calf" for leg in LEGS)
     resolution: int | None = 2
     frame_skip: int = 4
@@ -155,18 +168,18 @@ class Go1Velocity(Task):
     angular_weight: float = 1.5
     upright_weight: float = 1.0
     pose_weight: float = 0.5
+    gait_weight: float = 2.0
     wobble_weight: float = 0.05
     rate_weight: float = 0.02
     torque_weight: float = 2e-4
     slip_weight: float = 0.1
-    clearance_weight: float = 1.0
 
     def robot(self) -> mujoco.MjSpec:
         path = robot_path(self.robot_file)
         with converted_errors():
             spec = mujoco.MjSpec.from_file(str(path))
         _check_robot(spec, path)
-        for each in (*spec.sensors, *spec.actuators, *spec.keys):
+        for each in (*spec.sensors, *spec.actuators, *spec.keys, *spec.lights):
             spec.delete(each)
         for joint in spec.joints[1:]:
             _add_motor(spec, joint)
@@ -177,6 +190,8 @@ class Go1Velocity(Task):
                 geom.conaffinity = int(bool(geom.contype or geom.conaffinity))
                 geom.contype = 0
         _add_scenery(spec)
+        if self.rigid is not None:
+            _add_rigid_ground(spec, self.rigid)
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.nuserdata = _PUSH.stop
@@ -267,7 +282,7 @@ class Go1Velocity(Task):
         state.userdata[:, _ACTION] = applied
         state.userdata[:, _STEP] += 1
         self._push(state)
-        return self._stance + applied
+        return self._stance + self._trot(state) + applied
 
     def _push(self, state: State) -> None:
         pushes = state.userdata[:, _PUSH].reshape(-1, _PUSHES, 7)
@@ -283,6 +298,24 @@ class Go1Velocity(Task):
         begun = table[:, :, 0] <= state.userdata[:, _STEP, None]
         return table[np.arange(len(table)), begun.sum(axis=1) - 1, 1:]
 
+    def _trot(self, state: State) -> np.ndarray:
+        """Return offsets from the stance: a trot at the commanded velocity, or 0; shape (n, 12)."""
+        clock, command = self._find_clock(state), self._command(state)
+        lift = np.maximum(clock[:, :1] * _PAIRS, 0.0)
+        stride = clock[:, 1:] * _PAIRS * command[:, :1] * (_GAIN / (4 * _GAIT * _LEG))
+        offsets = [np.zeros_like(lift), _LIFT[0] * lift + stride, _LIFT[1] * lift]
+        return np.stack(offsets, axis=2).reshape(-1, len(JOINTS))
+
+    def _clock(self, state: State) -> np.ndarray:
+        """Return sine and cosine of the gait's phase, 0 if the command is to stand; (n, 2)."""
+        return self.once(state, "clock", self._find_clock)
+
+    def _find_clock(self, state: State) -> np.ndarray:
+        angles = 2 * math.pi * _GAIT * self.dt * state.userdata[:, _STEP]
+        clock = np.array([(math.sin(angle), math.cos(angle)) for angle in angles.tolist()])
+        walks = np.square(self.command(state)).sum(axis=1) > 0.0
+        return np.where(walks[:, None], clock, 0.0)
+
     def observe(self, state: State) -> np.ndarray:
         sine, cosine = state.userdata[:, _SLOPE].T
         gravity = (-sine, np.zeros(len(sine)), -cosine)
@@ -294,6 +327,7 @@ class Go1Velocity(Task):
                 state.qvel[:, 6:],
                 state.userdata[:, _ACTION],
                 self.command(state),
+                self._clock(state),
             ],
             axis=1,
         )
@@ -308,6 +342,8 @@ class Go1Velocity(Task):
         offset = (state.qpos[:, 7:] - self._stance) / np.where(stands[:, None], _POSE / 3, _POSE)
         speed = np.sqrt(np.square((feet - feet_before)[:, :, :2] / self.dt).sum(axis=2))
         height = feet[:, :, 2] - self._radius - self._ground(state, feet)
+        lift = _SWING * self._clock(state)[:, :1] * _PAIRS
+        stray = np.where(lift > 0.0, height - lift, np.maximum(height, 0.0))
         change = state.userdata[:, _ACTION] - last
         slip = np.where(height < 0.0, np.square(speed), 0.0)
         linear = _with_xy(command[:, :2]) - velocity
@@ -317,11 +353,11 @@ class Go1Velocity(Task):
             "angular": self.angular_weight * _exp(-np.square(yaw) / 0.5),
             "upright": self.upright_weight * _exp(-tilt / 0.2),
             "pose": self.pose_weight * _exp(-np.square(offset).sum(axis=1) / 12),
+            "gait": self.gait_weight * _exp(-np.square(stray).sum(axis=1) / 0.01),
             "wobble": -self.wobble_weight * np.square(turning[:, :2]).sum(axis=1),
             "rate": -self.rate_weight * np.square(change).sum(axis=1),
             "torque": -self.torque_weight * np.square(state.actuator_force).sum(axis=1),
             "slip": -self.slip_weight * slip.sum(axis=1),
-            "clearance": -self.clearance_weight * (np.abs(height - _CLEARANCE) * speed).sum(axis=1),
         }
         return {f"reward_{name}": self.dt * value for name, value in terms.items()}
 
@@ -387,7 +423,7 @@ def _add_motor(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
     inertia = _ROTOR * _GEARS[part] ** 2
     joint.armature, joint.damping, joint.frictionloss = inertia, [0, 0, 0], 0.0
     motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.set_to_position(kp=inertia * _FREQUENCY**2, kv=2 * _DAMPING * inertia * _FREQUENCY)
+    motor.set_to_position(kp=_STIFFNESS, kv=_DAMPING)
     motor.forcelimited, motor.forcerange = True, [-_TORQUES[part], _TORQUES[part]]
 
 
@@ -407,7 +443,15 @@ def _add_foot_site(calf: mujoco.MjsBody) -> None:
 def _add_scenery(spec: mujoco.MjSpec) -> None:
     """Add a floor at z = 0, a sky and a light, without names: the file may have them too."""
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-    spec.worldbody.add_light(pos=[0, -1, 3], dir=[0, 0.3, -1], type=1, diffuse=[0.6, 0.6, 0.6])
+    spec.worldbody.add_light(
+        pos=[0, -1, 3],
+        dir=[0.3, 0.4, -1],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=[0.7, 0.7, 0.7],
+        specular=[0, 0, 0],
+    )
+    headlight = spec.visual.headlight
+    headlight.ambient, headlight.diffuse, headlight.specular = [0.3] * 3, [0.25] * 3, [0] * 3
     spec.add_texture(
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
@@ -415,6 +459,18 @@ def _add_scenery(spec: mujoco.MjSpec) -> None:
         rgb2=[0.95, 0.95, 0.95],
         width=64,
         height=384,
+    )
+
+
+def _add_rigid_ground(spec: mujoco.MjSpec, end: float) -> None:
+    """Add a block with its top at z = 0, up to x = `end`; feet sink into it by less than 1 mm."""
+    right = min(end, _EDGE)
+    spec.worldbody.add_geom(
+        name=RIGID,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[(right - _EDGE) / 2, 0, -0.5],
+        size=[(right + _EDGE) / 2, _EDGE, 0.5],
+        rgba=[0.45, 0.47, 0.5, 1],
     )
 
 

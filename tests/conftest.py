@@ -160,5 +160,5 @@ def _download_go1(folder: Path) -> None:
 def robot_of_task(request: pytest.FixtureRequest) -> None:
     """Has the Go1 there for tests of its task."""
     params = request.node.callspec.params if hasattr(request.node, "callspec") else {}
-    if str(params.get("name")) == "Go1Velocity":
+    if str(params.get("name")).startswith("Go1Velocity"):
         request.getfixturevalue("robots")

@@ -8,19 +8,24 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
+import matplotlib
 import mediapy
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
+from mjgranular.envs.single import SandEnv
+from mjgranular.envs.velocity import Go1Velocity
 from mjgranular.learn import environments
-from mjgranular.learn.policies import load_policy
+from mjgranular.learn.policies import Policy, load_policy
 
 FOLDER = Path(__file__).resolve().parent
 WIDTH, HEIGHT = 480, 320  # [px]; the grain of sand is hard to compress, hence small
 RATE = 25.0  # pictures a second, at most
 SEED = 10_000  # the first of an evaluation
+FONT = Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSansMono.ttf")
 
 
 @dataclass(frozen=True)
@@ -42,34 +47,64 @@ class Shown:
     count: int = 6
 
 
+class Walk(Go1Velocity):
+    """The Go1 with the commands of its film: ahead, in a curve, ahead and to the left."""
+
+    def _draw_commands(self, random: np.random.Generator) -> np.ndarray:
+        table = super()._draw_commands(random)
+        table[:, 0] = np.inf
+        table[:3] = [[0, 0.6, 0, 0], [150, 0.6, 0, 0.8], [300, 0.5, 0.3, 0]]
+        return table
+
+
 SHOWN = {
     "ChainSwim": Shown("ChainSwim-v0/ppo-0"),
     "ChainCrawl": Shown("ChainCrawl-v0/ppo-1"),
     "Hexapod": Shown("Hexapod-v0/ppo-0"),
     "Hopper": Shown("Hopper-v0/ppo-0"),
     "Ant": Shown("Ant-v0/ppo-0"),
+    "Go1": Shown("Go1Velocity-v0/ppo-0", seconds=9.0, begin=2.0, apart=3.0, count=3),
 }
+
+
+def environment(policy: Policy) -> Any:
+    """The environment of a film; that of the Go1 is larger, and its sand remembers."""
+    name = policy.run.environment
+    if name.endswith("Go1Velocity-v0"):
+        task = Walk(push_scale=0.0, memory=0.015)
+        return SandEnv(task, render_mode="rgb_array", width=1280, height=720)
+    size = {"width": WIDTH, "height": HEIGHT, "camera": None}
+    return environments.for_filming(name, policy.run.settings.environment, **size)
+
+
+def labeled(frame: np.ndarray, info: dict[str, Any]) -> np.ndarray:
+    """Write commands and velocities on a picture, if the robot has them."""
+    if "velocity" not in info:
+        return frame
+    (ahead, left, _), (x, y, turn) = info["velocity"], info["command"]
+    lines = (
+        f"command  {x:4.1f} m/s ahead  {y:4.1f} m/s left  {turn:4.1f} rad/s",
+        f"speed    {ahead:4.1f} m/s ahead  {left:4.1f} m/s left",
+    )
+    image = Image.fromarray(frame)
+    font = ImageFont.truetype(str(FONT), 26)
+    ImageDraw.Draw(image).multiline_text((30, 24), "\n".join(lines), fill=(30, 30, 30), font=font)
+    return np.asarray(image)
 
 
 def pictures(shown: Shown) -> tuple[list[np.ndarray], float]:
     """Pictures of an episode, each of shape (height, width, 3), and the time between them [s]."""
     policy = load_policy(shown.policy)
-    env = environments.for_filming(
-        policy.run.environment,
-        policy.run.settings.environment,
-        width=WIDTH,
-        height=HEIGHT,
-        camera=None,
-    )
+    env = environment(policy)
     step = float(env.unwrapped.dt)
     every = max(1, round(1 / (RATE * step)))
-    observation, _ = env.reset(seed=SEED)
+    observation, info = env.reset(seed=SEED)
     frames = []
     for number in range(round(shown.seconds / step)):
         if number % every == 0:
-            frames.append(np.asarray(env.render()))
+            frames.append(labeled(np.asarray(env.render()), info))
         action = policy.act(observation[None], np.array([number]))[0]
-        observation, _, terminated, truncated, _ = env.step(action)
+        observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
     env.close()
@@ -90,7 +125,9 @@ def main(names: list[str]) -> None:
         ]
         strip = np.vstack([np.hstack(chosen[i : i + 3]) for i in range(0, len(chosen), 3)])
         still = film.with_suffix(".jpg")
-        Image.fromarray(strip).save(still, quality=80)
+        image = Image.fromarray(strip)
+        image.thumbnail((3 * WIDTH, 3 * WIDTH))
+        image.save(still, quality=80)
         for path in (film, still):
             print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
 

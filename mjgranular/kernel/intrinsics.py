@@ -63,13 +63,23 @@ def address_of(name: str) -> Any:
 @intrinsic
 def call_step(typingctx: Any, function: Any, table: Any, lead: Any) -> Any:
     """Call the program at an address, with a table's address and a time [s]."""
+    return types.int64(types.int64, types.int64, types.float64), _call_at
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        long, double = ir.IntType(64), ir.DoubleType()
-        program = ir.FunctionType(long, (long, double)).as_pointer()
-        return builder.call(builder.inttoptr(args[0], program), args[1:])
 
-    return types.int64(types.int64, types.int64, types.float64), codegen
+@intrinsic
+def call_forces(
+    typingctx: Any, function: Any, table: Any, task: Any, eps: Any, update: Any, loose: Any
+) -> Any:
+    """Call a program with the signature `scheme.scheme.FORCES` at an address."""
+    long, double = types.int64, types.float64
+    return double(long, long, long, double, long, double), _call_at
+
+
+def _call_at(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    """Emit a call of the function at the address that is the first argument."""
+    result, *kinds = map(context.get_value_type, (signature.return_type, *signature.args[1:]))
+    function = ir.FunctionType(result, kinds).as_pointer()
+    return builder.call(builder.inttoptr(args[0], function), args[1:])
 
 
 def load_functions(code: str, names: Iterable[str]) -> dict[str, int]:

@@ -26,13 +26,14 @@ from mjgranular.kernel.structs import fields_of, offset_of
 # The table: six numbers, then addresses. The order is that of `simulation_table`. INTEGRATORS has a
 # bit for each integrator that can be stepped, LONGEST_STEP is in nanoseconds (`scheme.status`).
 # Within `mj_step` (`engine.block`) XFRC, WARNINGS and SNAPSHOT are 0: there MuJoCo handles them.
-# The last three belong to a surface with memory: the address of its state, the number of values in
-# it, and the address of the program that updates it after a step; 0 without memory.
+# STATE to UPDATE belong to a surface with memory: the address of its state, the number of values in
+# it, and the address of the program that updates it after a step; 0 without memory. LAW is the
+# address of the law's program, if the scheme has one for each law (`Scheme.forces`), else 0.
 NBODY, NV, ELEMENT_COUNT, BODY_COUNT, INTEGRATORS, LONGEST_STEP = range(6)
 OPTIONS, DOF_PARENT, XPOS, XMAT, XIPOS, SUBTREE_COM, CVEL, CDOF, WARMSTART, XFRC = range(6, 16)
 WARNINGS, ELEMENTS, BODIES, SCENE, CONTACTS, SNAPSHOT, WORKSPACE = range(16, 23)
-STATE, STATE_SIZE, UPDATE = range(23, 26)
-TABLE_SIZE = 26
+STATE, STATE_SIZE, UPDATE, LAW = range(23, 27)
+TABLE_SIZE = 27
 
 _WORD = ir.IntType(64)
 
@@ -53,6 +54,7 @@ def simulation_table(
     longest_step: int,
     state: np.ndarray,
     update: int,
+    forces: int,
 ) -> np.ndarray:
     """Make the table of sizes and addresses.
 
@@ -71,9 +73,10 @@ def simulation_table(
         longest_step: the longest time step that can be taken [ns].
         state: state of the surface (`relief.grid`), empty without memory.
         update: address of the program that updates it, 0 without memory.
+        forces: address of the law's program, 0 if it is part of the scheme's.
 
     Returns:
-        The table, shape (26,), int64. It keeps nothing alive: all arguments must outlive every use
+        The table, shape (27,), int64. It keeps nothing alive: all arguments must outlive every use
             of it.
     """
     arrays = (
@@ -97,7 +100,7 @@ def simulation_table(
     numbers = (model.nbody, model.nv, count, len(bodies), integrators, longest_step)
     addresses = (options, *(array.ctypes.data for array in arrays))
     remembered = (state.ctypes.data if state.size else 0, state.size, update)
-    return np.array([*numbers, *addresses, *remembered], dtype=np.int64)
+    return np.array([*numbers, *addresses, *remembered, forces], dtype=np.int64)
 
 
 def emit_array(

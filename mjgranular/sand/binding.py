@@ -93,5 +93,6 @@ def bind(
         longest_step=nanoseconds(scheme.step_limit),
         state=state,
         update=sand.update,
+        forces=sand.forces,
     )
     return Binding(table, table.ctypes.data, bodies, contacts, snapshot, workspace, scene, state)

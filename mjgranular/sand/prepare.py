@@ -22,7 +22,7 @@ from mjgranular.sand.remembering import kernel_under, remembering
 from mjgranular.sand.spec import SandSpec, combined
 from mjgranular.scheme import Auto, Explicit, Scheme, get_scheme
 from mjgranular.scheme.auto import FINE_STEP
-from mjgranular.scheme.scheme import STEP, SchemeChoice
+from mjgranular.scheme.scheme import FORCES, STEP, SchemeChoice
 from mjgranular.surface import Surface
 
 
@@ -41,6 +41,7 @@ class PreparedSand:
         scene: parameters of law and surface, shape (1,).
         kernel: kernel of the law under this surface.
         program: address of the scheme's compiled program (`Scheme.program`).
+        forces: address of the law's (`Scheme.forces`); 0 if it is part of the scheme's.
         footprint: the skin by which bodies press sand down; None without memory.
         update: address of the program that updates the memory; 0 without memory.
         disabled: ids of the geoms whose contacts are off: the sand itself, and what it replaces.
@@ -56,6 +57,7 @@ class PreparedSand:
     scene: np.ndarray
     kernel: LawKernel
     program: int
+    forces: int
     footprint: Footprint | None
     update: int
     disabled: tuple[int, ...]
@@ -97,7 +99,7 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         scene["surface"]["feet"] = footprint.feet.ctypes.data
         scene["surface"]["foot_count"] = len(footprint.feet)
     kernel = kernel_under(model, chosen, surface, footprint)
-    program = scheme.program(kernel, scene.dtype)
+    program, forces = scheme.program(kernel, scene.dtype), scheme.forces(kernel, scene.dtype)
     what = f"law {law.name}, scheme {scheme.name}, {type(surface).__name__}"
     return PreparedSand(
         medium=medium,
@@ -109,7 +111,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         packed=kernel.pack(elements),
         scene=scene,
         kernel=kernel,
-        program=program_address(program, STEP, what),
+        program=program_address(program, STEP, what if forces is None else ""),
+        forces=0 if forces is None else program_address(forces, FORCES, what),
         footprint=footprint,
         update=update_program(surface, scene.dtype),
         disabled=(*surface.geoms(model), *chosen.replaced),

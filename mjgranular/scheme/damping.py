@@ -14,15 +14,11 @@ the velocity of an element that stops in the step shrinks by only a factor per i
 from __future__ import annotations
 
 import math
-from functools import cache, partial
-from typing import Any
-
-import numpy as np
+from functools import partial
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.dense import add_scaled, copy, inner, solve
-from mjgranular.scheme.evaluation import evaluation_kernel, following_kernel
+from mjgranular.scheme.evaluation import DAMP, evaluate, follow_all
 from mjgranular.scheme.forces import FRESH
 
 FURTHEST = 3.0
@@ -31,47 +27,34 @@ last two. Chosen; steps in MuJoCo Warp are alike with 1 and 10. Never negative (
 that increases the error of a box sliding to a stop by half."""
 
 
-@cache
-def damping_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Make the kernel `damp(table, w, eps, steps)` for a law and a surface.
+@compiled
+def damp(table, w, eps, steps):
+    """Iterate from `w.velocity`; end at a velocity where damping balances the momenta.
 
     Args:
-        kernel: kernel of the law.
-        scene_dtype: record of law and surface.
+        table: table of addresses.
+        w: the workspace.
+        eps: softness [m/s].
+        steps: number of iterations, each with one evaluation.
+
+    Returns:
+        The residual with the law's own forces, one iteration before the last.
     """
-    evaluate = evaluation_kernel(kernel, scene_dtype, damped=True)
-    follow_all = following_kernel(kernel, scene_dtype)
-
-    @compiled
-    def damp(table, w, eps, steps):
-        """Iterate from `w.velocity`; end at a velocity where damping balances the momenta.
-
-        Args:
-            table: table of addresses.
-            w: the workspace.
-            eps: softness [m/s].
-            steps: number of iterations, each with one evaluation.
-
-        Returns:
-            The residual with the law's own forces, one iteration before the last.
-        """
-        error = 0.0
-        for step in range(steps):
-            error, _ = evaluate(table, w, eps, FRESH, eps)
-            solved = solve(w.jacobian, w.residual, w.change)
-            if not (solved and inner(w.change, w.change) < math.inf):  # forces that are not finite
-                break
-            beyond = beyond_the_last(w) if 0 < step < steps - 1 else 0.0
-            copy(w.gap, w.change)
-            add_scaled(w.velocity, -1.0, w.change)
-            for j in range(w.nv):
-                found = w.velocity[j]
-                w.velocity[j] = found + beyond * (found - w.found[j])
-                w.found[j] = found
-        follow_all(w, eps)
-        return error
-
-    return damp
+    error = 0.0
+    for step in range(steps):
+        error, _ = evaluate(table, w, DAMP, eps, FRESH, eps)
+        solved = solve(w.jacobian, w.residual, w.change)
+        if not (solved and inner(w.change, w.change) < math.inf):  # forces that are not finite
+            break
+        beyond = beyond_the_last(w) if 0 < step < steps - 1 else 0.0
+        copy(w.gap, w.change)
+        add_scaled(w.velocity, -1.0, w.change)
+        for j in range(w.nv):
+            found = w.velocity[j]
+            w.velocity[j] = found + beyond * (found - w.found[j])
+            w.found[j] = found
+    follow_all(table, w, eps)
+    return error
 
 
 @compiled

@@ -1,4 +1,8 @@
-"""Residual and Jacobian of the balance at a velocity, with the sand's forces there."""
+"""Residual and Jacobian of the balance at a velocity, with the sand's forces there.
+
+All that depends on law and surface is one program for each of them; the rest of the scheme is
+compiled once and calls it by its address.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.kernel.memory import SCENE, records
+from mjgranular.kernel.intrinsics import call_forces
+from mjgranular.kernel.memory import LAW, SCENE, WORKSPACE, records, table_at
 from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import (
     add_stiffness,
@@ -19,81 +24,107 @@ from mjgranular.scheme.balance import (
 )
 from mjgranular.scheme.dense import clear
 from mjgranular.scheme.forces import NEXT, tile_kernels
+from mjgranular.scheme.workspace import workspace_at
 from mjgranular.scheme.wrenches import gravity_of
+
+# Not literals: numba would compile a function for each of them.
+SAMPLE, RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(4))
+"""Tasks of a law's program (`forces_program`)."""
 
 
 @cache
-def evaluation_kernel(kernel: LawKernel, scene_dtype: np.dtype, *, damped: bool = False) -> Any:
-    """Make the kernel `evaluate(table, w, eps, update, loose)`.
+def forces_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
+    """Make the kernel `forces(address, task, eps, update, loose)`: a law's loops over all tiles.
 
     Args:
         kernel: kernel of the law.
         scene_dtype: record of law and surface.
-        damped: whether the Jacobian contains the secants of forces instead of their derivatives.
+
+    The arguments of `forces` are the address of the table, one of the tasks above, and those of
+    `evaluate`. It returns the greatest mismatch, for `FOLLOW` the greatest turn (`law.kernel`).
     """
     of_tiles = tile_kernels(kernel, scene_dtype)
-    move, add = of_tiles.move, of_tiles.add
-    respond = of_tiles.damp if damped else of_tiles.respond
+    sample, move, add, follow = of_tiles.sample, of_tiles.move, of_tiles.add, of_tiles.follow
+    respond, damp = of_tiles.respond, of_tiles.damp
     scene_records = records(scene_dtype)
 
     @compiled
-    def evaluate(table, w, eps, update, loose):
-        """Set residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
+    def forces(address, task, eps, update, loose):
+        table = table_at(address)
+        w = workspace_at(table[WORKSPACE])
+        most = 0.0
+        if task == SAMPLE:
+            sample(table, w)
+        elif task == FOLLOW:
+            for i in range(w.count):
+                body = w.heads[i].body
+                most = max(most, follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps))
+        else:
+            scene = scene_records(table[SCENE], 1)
+            law, g = scene[0].law, gravity_of(table)
+            for i in range(w.count):
+                tile, body = w.tiles[i], w.heads[i].body
+                move(tile, motion_of(w, body), update, eps, loose)
+                if task == DAMP:
+                    damp(tile, law, g, eps)
+                else:
+                    respond(tile, law, g, eps)
+                most = max(most, add(tile, w.wrench[body], w.stiffness[body]))
+        return most
 
-        Args:
-            table: table of addresses.
-            w: the workspace.
-            eps: softness [m/s].
-            update: origin of multipliers: `NEXT`, those after a Newton step to this velocity;
-                `FRESH` and `SAME` as for a `Search`.
-            loose: softness of the first multipliers, `Search.loose` [m/s].
-
-        Returns:
-            (size of the residual, greatest mismatch).
-        """
-        scene = scene_records(table[SCENE], 1)
-        law = scene[0].law
-        g = gravity_of(table)
-        find_motions(w, w.velocity)
-        for b in range(w.nbody):
-            clear(w.wrench[b])
-            clear(w.stiffness[b])
-        mismatch = 0.0
-        for i in range(w.count):
-            tile, body = w.tiles[i], w.heads[i].body
-            move(tile, motion_of(w, body), update, eps, loose)
-            respond(tile, law, g, eps)
-            mismatch = max(mismatch, add(tile, w.wrench[body], w.stiffness[body]))
-        sum_wrenches(w)
-        error, of_losses = balance(w, update)
-        add_stiffness(w)
-        return error, max(mismatch, of_losses)
-
-    return evaluate
+    return forces
 
 
-@cache
-def following_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Make the kernel `follow_all(w, eps)`; arguments as for `evaluation_kernel`."""
-    follow = tile_kernels(kernel, scene_dtype).follow
+@compiled
+def find_elements(table, w):
+    """Fill the workspace's tiles with the elements in the sand, and set `w.count`."""
+    call_forces(table[LAW], table.ctypes.data, SAMPLE, 0.0, NEXT, 0.0)
 
-    @compiled
-    def follow_all(w, eps):
-        """Set the residual at `w.velocity` with forces extrapolated by the Jacobian.
 
-        The forces that `evaluate` computed at the velocity before are replaced by these.
+@compiled
+def evaluate(table, w, task, eps, update, loose):
+    """Set residual and Jacobian at `w.velocity`, and the forces on elements in their tiles.
 
-        Returns:
-            (size of the residual, greatest turn: `law.kernel`).
-        """
-        find_motions(w, w.velocity)
-        for b in range(w.nbody):
-            clear(w.wrench[b])
-        turn = 0.0
-        for i in range(w.count):
-            body = w.heads[i].body
-            turn = max(turn, follow(w.tiles[i], motion_of(w, body), w.wrench[body], eps))
-        sum_wrenches(w)
-        return balance(w, NEXT)[0], turn
+    Args:
+        table: table of addresses.
+        w: the workspace.
+        task: `RESPOND`, or `DAMP` for secants of forces in the Jacobian instead of derivatives.
+        eps: softness [m/s].
+        update: origin of multipliers: `NEXT`, those after a Newton step to this velocity; `FRESH`
+            and `SAME` as for a `Search`.
+        loose: softness of the first multipliers, `Search.loose` [m/s].
 
-    return follow_all
+    Returns:
+        (size of the residual, greatest mismatch).
+    """
+    find_motions(w, w.velocity)
+    for b in range(w.nbody):
+        clear(w.wrench[b])
+        clear(w.stiffness[b])
+    mismatch = call_forces(table[LAW], table.ctypes.data, task, eps, update, loose)
+    sum_wrenches(w)
+    error, of_losses = balance(w, update)
+    add_stiffness(w)
+    return error, max(mismatch, of_losses)
+
+
+@compiled
+def follow_all(table, w, eps):
+    """Set the residual at `w.velocity` with forces extrapolated by the Jacobian.
+
+    The forces that `evaluate` computed at the velocity before are replaced by these.
+
+    Args:
+        table: table of addresses.
+        w: the workspace.
+        eps: softness [m/s].
+
+    Returns:
+        (size of the residual, greatest turn: `law.kernel`).
+    """
+    find_motions(w, w.velocity)
+    for b in range(w.nbody):
+        clear(w.wrench[b])
+    turn = call_forces(table[LAW], table.ctypes.data, FOLLOW, eps, NEXT, 0.0)
+    sum_wrenches(w)
+    return balance(w, NEXT)[0], turn

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any, ClassVar
 
 import mujoco
@@ -61,12 +61,12 @@ from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import prepare_inertia
 from mjgranular.scheme.constraints import prepare_constraints
 from mjgranular.scheme.dense import add_scaled, clear, copy, inner
-from mjgranular.scheme.forces import tile_kernels
+from mjgranular.scheme.evaluation import find_elements, forces_program
 from mjgranular.scheme.layout import FORCE, INDEX
 from mjgranular.scheme.metric import is_unsupported, make_metric
 from mjgranular.scheme.passivity import passive_share
 from mjgranular.scheme.scheme import Scheme, Workspace, refuse_runge_kutta, schemes
-from mjgranular.scheme.solver import lane_vector, solver_kernel
+from mjgranular.scheme.solver import find_velocity, lane_vector
 from mjgranular.scheme.status import BAD_METRIC, BAD_STATE, FINE, check_options
 from mjgranular.scheme.workspace import (
     DISCRETE,
@@ -105,7 +105,10 @@ class Implicit(Scheme):
         return 1.0
 
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        return implicit_program(kernel, scene, self.evaluations)
+        return implicit_program
+
+    def forces(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        return forces_program(kernel, scene)
 
     def workspace(
         self,
@@ -116,7 +119,9 @@ class Implicit(Scheme):
         *,
         within: bool = False,
     ) -> Workspace:
-        return make_workspace(model, data, elements, kernel, within=within)
+        return make_workspace(
+            model, data, elements, kernel, within=within, evaluations=self.evaluations
+        )
 
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
@@ -128,59 +133,46 @@ class Implicit(Scheme):
 schemes.add(Implicit.name, Implicit)
 
 
-@cache
-def implicit_program(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
-    """Compile law and scheme as one call that computes the wrenches at the end of the step.
-
-    Args:
-        kernel: kernel of the law.
-        scene_dtype: record of law and surface.
-        most: evaluations after which a diverged step uses damping.
-    """
-    sample_all = tile_kernels(kernel, scene_dtype).sample
-    find_velocity = solver_kernel(kernel, scene_dtype, most)
-
-    @compiled
-    def program(address, lead):
-        table = table_at(address)
-        if is_bad(table):
-            return BAD_STATE
-        status = check_options(table)
-        if status != FINE:
-            return status
-        options = options_at(table)
-        if is_unsupported(options.integrator, options.solver, options.enableflags):
-            return BAD_METRIC
-        w = workspace_at(table[WORKSPACE])
-        read_options(table, w)
-        bodies = body_records(table[BODIES], table[BODY_COUNT])
-        withdraw_wrenches(table)
-        for slot in range(len(bodies)):
-            clear(bodies[slot].wrench)
-        w.h = lead
-        sample_all(table, w)
-        if w.count > 0:
-            open_constraints(table[WORKSPACE], w)
-            find_smooth_forces(w)
-            prepare_inertia(w)
-            prepare_constraints(w)
-            mark_wet(w)
-            begin(w)
-            done, error = find_velocity(table, w)
-            warm_start(w)
-            share = passive_share(w, error)
-            write_body_wrenches(w, bodies, share)
-            write_contacts(table, w, share)
-            statistics = w.statistics[0]
-            statistics.steps += 1
-            statistics.evaluations += done
-            statistics.most = max(statistics.most, done)
-            statistics.unfinished += not error <= _UNFINISHED
-            statistics.residual = error
-            statistics.worst = max(statistics.worst, error)
-        return add_wrenches(table)
-
-    return program
+@compiled
+def implicit_program(address, lead):
+    """Compute the wrenches at the end of the step; see `Scheme.program`."""
+    table = table_at(address)
+    if is_bad(table):
+        return BAD_STATE
+    status = check_options(table)
+    if status != FINE:
+        return status
+    options = options_at(table)
+    if is_unsupported(options.integrator, options.solver, options.enableflags):
+        return BAD_METRIC
+    w = workspace_at(table[WORKSPACE])
+    read_options(table, w)
+    bodies = body_records(table[BODIES], table[BODY_COUNT])
+    withdraw_wrenches(table)
+    for slot in range(len(bodies)):
+        clear(bodies[slot].wrench)
+    w.h = lead
+    find_elements(table, w)
+    if w.count > 0:
+        open_constraints(table[WORKSPACE], w)
+        find_smooth_forces(w)
+        prepare_inertia(w)
+        prepare_constraints(w)
+        mark_wet(w)
+        begin(w)
+        done, error = find_velocity(table, w)
+        warm_start(w)
+        share = passive_share(w, error)
+        write_body_wrenches(w, bodies, share)
+        write_contacts(table, w, share)
+        statistics = w.statistics[0]
+        statistics.steps += 1
+        statistics.evaluations += done
+        statistics.most = max(statistics.most, done)
+        statistics.unfinished += not error <= _UNFINISHED
+        statistics.residual = error
+        statistics.worst = max(statistics.worst, error)
+    return add_wrenches(table)
 
 
 @compiled

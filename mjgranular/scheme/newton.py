@@ -11,15 +11,10 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from functools import cache
-from typing import Any
-
-import numpy as np
 
 from mjgranular.kernel.compiled import compiled
-from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.dense import add_scaled, inner, solve
-from mjgranular.scheme.evaluation import evaluation_kernel, following_kernel
+from mjgranular.scheme.evaluation import RESPOND, evaluate, follow_all
 from mjgranular.scheme.forces import NEXT
 
 # Square of the difference between a multiplier and its velocity's: below the first the force counts
@@ -48,74 +43,58 @@ Attributes:
 """
 
 
-@cache
-def newton_kernel(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
-    """Make the kernel `newton(table, w, search)` for a law and a surface.
+@compiled
+def newton(table, w, search):
+    """Run Newton's method from `w.velocity`; leave it at the last iterate.
+
+    Full steps are taken: turning multipliers are how the method finds out what holds and what
+    slides, and the residual grows meanwhile. Only if multipliers have stopped turning and the
+    residual still grows is there a kink in between, and the step is halved.
+
+    The last step is not evaluated with the law. If it is so short that the law is linear over
+    it (`misfit`), forces are extrapolated by their derivative: the momenta balance with them,
+    and they equal the law's within the tolerance. The balance itself is checked, since one of
+    MuJoCo's constraints may begin or end on the way.
 
     Args:
-        kernel: kernel of the law.
-        scene_dtype: record of law and surface.
+        table: table of addresses.
+        w: the workspace.
+        search: options of the search.
+
+    Returns:
+        (evaluations, residual; infinite while it is not meaningful).
     """
-    evaluate = evaluation_kernel(kernel, scene_dtype)
-    follow_all = following_kernel(kernel, scene_dtype)
-
-    @compiled
-    def newton(table, w, search):
-        """Run Newton's method from `w.velocity`; leave it at the last iterate.
-
-        Full steps are taken: turning multipliers are how the method finds out what holds and what
-        slides, and the residual grows meanwhile. Only if multipliers have stopped turning and the
-        residual still grows is there a kink in between, and the step is halved.
-
-        The last step is not evaluated with the law. If it is so short that the law is linear over
-        it (`misfit`), forces are extrapolated by their derivative: the momenta balance with them,
-        and they equal the law's within the tolerance. The balance itself is checked, since one of
-        MuJoCo's constraints may begin or end on the way.
-
-        Args:
-            table: table of addresses.
-            w: the workspace.
-            search: options of the search.
-
-        Returns:
-            (evaluations, residual; infinite while it is not meaningful).
-        """
-        velocity, change, eps = w.velocity, w.change, search.eps
-        error, mismatch = evaluate(table, w, eps, search.update, search.loose)
-        done = 1
-        stuck = 0
+    velocity, change, eps = w.velocity, w.change, search.eps
+    error, mismatch = evaluate(table, w, RESPOND, eps, search.update, search.loose)
+    done = 1
+    stuck = 0
+    while (
+        done <= search.steps
+        and stuck < _STUCK
+        and mismatch < search.most_mismatch
+        and (error > search.goal or mismatch > _MATCHED)
+    ):
+        if not solve(w.jacobian, w.residual, change):
+            break
+        add_scaled(velocity, -1.0, change)
+        turn = inner(change, change) / (inner(velocity, velocity) + _NOTHING)
+        if misfit(turn, mismatch) <= _NEARLY:
+            left, turn = follow_all(table, w, eps)
+            if left <= search.goal and misfit(turn, mismatch) <= _MISFIT:
+                return done, left
+        found, mismatch = evaluate(table, w, RESPOND, eps, NEXT, 0.0)
+        done += 1
+        back = 0.5
         while (
-            done <= search.steps
-            and stuck < _STUCK
-            and mismatch < search.most_mismatch
-            and (error > search.goal or mismatch > _MATCHED)
+            not found < error and mismatch < _STRAIGHT and back > _SHORTEST and done <= search.steps
         ):
-            if not solve(w.jacobian, w.residual, change):
-                break
-            add_scaled(velocity, -1.0, change)
-            turn = inner(change, change) / (inner(velocity, velocity) + _NOTHING)
-            if misfit(turn, mismatch) <= _NEARLY:
-                left, turn = follow_all(w, eps)
-                if left <= search.goal and misfit(turn, mismatch) <= _MISFIT:
-                    return done, left
-            found, mismatch = evaluate(table, w, eps, NEXT, 0.0)
+            add_scaled(velocity, back, change)
+            back *= 0.5
+            found, mismatch = evaluate(table, w, RESPOND, eps, NEXT, 0.0)
             done += 1
-            back = 0.5
-            while (
-                not found < error
-                and mismatch < _STRAIGHT
-                and back > _SHORTEST
-                and done <= search.steps
-            ):
-                add_scaled(velocity, back, change)
-                back *= 0.5
-                found, mismatch = evaluate(table, w, eps, NEXT, 0.0)
-                done += 1
-            stuck += mismatch < _STRAIGHT and not found < 0.5 * error
-            error = found
-        return done, error if mismatch <= _MATCHED else math.inf
-
-    return newton
+        stuck += mismatch < _STRAIGHT and not found < 0.5 * error
+        error = found
+    return done, error if mismatch <= _MATCHED else math.inf
 
 
 @compiled

@@ -23,6 +23,9 @@ schemes: Registry[type[SchemeChoice]] = Registry("scheme")
 STEP = "int64(int64, float64)"
 """Signature of the program of a scheme."""
 
+FORCES = "float64(int64, int64, float64, int64, float64)"
+"""Signature of the program of a law (`Scheme.forces`)."""
+
 _SPELLED = {"EULER": "Euler"}
 
 
@@ -100,7 +103,7 @@ class Scheme(SchemeChoice):
 
     @abstractmethod
     def program(self, kernel: LawKernel, scene: np.dtype) -> Any:
-        """Compile one call from a law's kernels to `xfrc_applied`.
+        """Make the kernel that goes from a law's kernels to `xfrc_applied`.
 
         Called as `program(address, lead)` with the address of the simulation's table
         (`kernel.memory`) and the lead in seconds; it returns one of `scheme.status`, or the row of
@@ -110,6 +113,18 @@ class Scheme(SchemeChoice):
             kernel: kernel of the law.
             scene: record with the fields `law`, made by its `parameters`, and `surface`.
         """
+
+    def forces(self, kernel: LawKernel, scene: np.dtype) -> Any:
+        """Make the kernel with all that depends on law and surface, if the program calls one.
+
+        Then `program` is the same for all laws, and is compiled once. The address of this one is
+        in the table (`kernel.memory.LAW`).
+
+        Args:
+            kernel: kernel of the law.
+            scene: see `program`.
+        """
+        return None
 
     def scheme_for(
         self, model: mujoco.MjModel, elements: int, *, adds_mass: bool = False

@@ -13,20 +13,17 @@ step uses that damping.
 from __future__ import annotations
 
 import math
-from functools import cache
-from typing import Any
 
 import numpy as np
 
 from mjgranular.kernel.compiled import compiled
 from mjgranular.kernel.vector import cross, norm, read_vector, vector
-from mjgranular.law.kernel import LawKernel
 from mjgranular.scheme.balance import find_motions
-from mjgranular.scheme.damping import damping_kernel
+from mjgranular.scheme.damping import damp
 from mjgranular.scheme.dense import copy
 from mjgranular.scheme.forces import FRESH, SAME
 from mjgranular.scheme.layout import ARM, VELOCITY
-from mjgranular.scheme.newton import Search, newton_kernel
+from mjgranular.scheme.newton import Search, newton
 
 # The softness of rest [m/s]: a body held for a year moves 0.03 mm at 0.7 of its limit. Added to it
 # is a share of the speeds that cancel in an element's own, the largest of all elements, since their
@@ -51,82 +48,68 @@ _STEPS_NEAR, _STEPS, _STEPS_SOFT, _STEPS_FROM_NEAR = (np.int64(n) for n in (8, 4
 _STEPS_DAMPED = np.int64(8)
 
 
-@cache
-def solver_kernel(kernel: LawKernel, scene_dtype: np.dtype, most: int) -> Any:
-    """Make the kernel `find_velocity(table, w)` for a law and a surface.
+@compiled
+def find_velocity(table, w):
+    """Solve for the velocity at the end of the step, `w.velocity`.
 
     Args:
-        kernel: kernel of the law.
-        scene_dtype: record of law and surface.
-        most: evaluations after which a diverged step uses damping.
+        table: table of addresses.
+        w: the workspace, with the velocity at the start of the step.
+
+    Returns:
+        (evaluations, residual relative to `w.scale`).
     """
-    newton = newton_kernel(kernel, scene_dtype)
-    damp = damping_kernel(kernel, scene_dtype)
-
-    @compiled
-    def find_velocity(table, w):
-        """Solve for the velocity at the end of the step, `w.velocity`.
-
-        Args:
-            table: table of addresses.
-            w: the workspace, with the velocity at the start of the step.
-
-        Returns:
-            (evaluations, residual relative to `w.scale`).
-        """
-        velocity = w.velocity
-        fine = softness(w, velocity)
-        coarse = speed_without_sand(w)
-        goal = goal_of(fine) * w.scale
-        done = 0
-        if fastest(w) < _SLOW * coarse:
-            # At rest the present velocities are the guess.
-            search = Search(FRESH, fine, fine, goal, _STEPS_NEAR, _TURNED)
-            done, error = newton(table, w, search)
-            if error <= goal:
-                return done, error / w.scale
-
-        # In motion the last acceleration, which is part of MuJoCo's state, is a good guess.
-        # Elements slower than the step may change are not assumed to slide.
-        known = True
-        for j in range(w.nv):
-            known = known and math.isfinite(w.qacc_warmstart[j])
-        for j in range(w.nv):
-            velocity[j] = w.start[j] + (w.h * w.qacc_warmstart[j] if known else 0.0)
-        loose = max(coarse, fine)
-        search = Search(FRESH, loose, fine, goal, _STEPS, math.inf)
-        more, error = newton(table, w, search)
-        done += more
-        if goal < error <= _LOST * w.scale:
-            # Bodies that start to move in this step have more rounding than their velocity before
-            # shows.
-            moved = softness(w, velocity)
-            if moved > _BEGUN * fine:
-                fine = moved
-                goal = goal_of(fine) * w.scale
-                loose = max(coarse, fine)
-                search = Search(SAME, fine, fine, goal, _STEPS_SOFT, math.inf)
-                more, error = newton(table, w, search)
-                done += more
-        if error <= _LOST * w.scale:
+    velocity = w.velocity
+    fine = softness(w, velocity)
+    coarse = speed_without_sand(w)
+    goal = goal_of(fine) * w.scale
+    done = 0
+    if fastest(w) < _SLOW * coarse:
+        # At rest the present velocities are the guess.
+        search = Search(FRESH, fine, fine, goal, _STEPS_NEAR, _TURNED)
+        done, error = newton(table, w, search)
+        if error <= goal:
             return done, error / w.scale
 
-        # Diverged: damping leads close to the solution, and Newton's method starts over from there.
-        copy(velocity, w.start)
-        while True:
-            error = damp(table, w, fine, _STEPS_DAMPED)
-            done += _STEPS_DAMPED
-            if done >= most:
-                return done, error / w.scale
-            copy(w.near, velocity)
-            search = Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf)
+    # In motion the last acceleration, which is part of MuJoCo's state, is a good guess.
+    # Elements slower than the step may change are not assumed to slide.
+    known = True
+    for j in range(w.nv):
+        known = known and math.isfinite(w.qacc_warmstart[j])
+    for j in range(w.nv):
+        velocity[j] = w.start[j] + (w.h * w.qacc_warmstart[j] if known else 0.0)
+    loose = max(coarse, fine)
+    search = Search(FRESH, loose, fine, goal, _STEPS, math.inf)
+    more, error = newton(table, w, search)
+    done += more
+    if goal < error <= _LOST * w.scale:
+        # Bodies that start to move in this step have more rounding than their velocity before
+        # shows.
+        moved = softness(w, velocity)
+        if moved > _BEGUN * fine:
+            fine = moved
+            goal = goal_of(fine) * w.scale
+            loose = max(coarse, fine)
+            search = Search(SAME, fine, fine, goal, _STEPS_SOFT, math.inf)
             more, error = newton(table, w, search)
             done += more
-            if error <= _LOST * w.scale:
-                return done, error / w.scale
-            copy(velocity, w.near)
+    if error <= _LOST * w.scale:
+        return done, error / w.scale
 
-    return find_velocity
+    # Diverged: damping leads close to the solution, and Newton's method starts over from there.
+    copy(velocity, w.start)
+    while True:
+        error = damp(table, w, fine, _STEPS_DAMPED)
+        done += _STEPS_DAMPED
+        if done >= w.evaluations:
+            return done, error / w.scale
+        copy(w.near, velocity)
+        search = Search(FRESH, fine, fine, goal, _STEPS_FROM_NEAR, math.inf)
+        more, error = newton(table, w, search)
+        done += more
+        if error <= _LOST * w.scale:
+            return done, error / w.scale
+        copy(velocity, w.near)
 
 
 @compiled

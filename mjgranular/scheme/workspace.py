@@ -55,6 +55,7 @@ _INTEGERS: tuple[str, ...] = (
     "integrator", "damped", "sparse", "descends", "factored",
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
     "count",  # of tiles filled in this step
+    "evaluations",  # limit on them in a step, `Implicit.evaluations`
 )  # fmt: skip
 _REALS: tuple[str, ...] = (
     "h",  # time step [s]
@@ -167,8 +168,9 @@ def make_workspace(
     kernel: LawKernel,
     *,
     within: bool,
+    evaluations: int,
 ) -> Workspace:
-    """Make the workspace of one simulation; see `Scheme.workspace`."""
+    """Make the workspace of one simulation; see `Scheme.workspace` and `Implicit`."""
     lone = lone_free_dofs(model)
     record: Any = np.zeros(1, _VIEWS.dtype)
     numbers = {name: getattr(model, name) for name in ("nbody", "nv", "njnt", "nC", "nD")}
@@ -181,6 +183,7 @@ def make_workspace(
         "model": model._address,
         "data": data._address,
         "within": int(within),
+        "evaluations": evaluations,
     }
     own = {
         name: np.zeros([numbers.get(str(size), size) for size in shape], dtype)

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjgranular.envs.single import SandEnv
+from mjgranular.envs.velocity import Go1Velocity
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent, make_baseline
 from mjgranular.learn.evaluate import FIRST_SEED
@@ -19,6 +21,18 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 SHIPPED = shipped_policies()
+
+
+class Straight(Go1Velocity):
+    """Its commands are those of the ranges, for the whole episode."""
+
+    def _draw_commands(self, random):
+        table = super()._draw_commands(random)
+        table[:, 0] = 0.0
+        table[:, 1:] = self.command_x[0], self.command_y[0], self.command_yaw[0]
+        return table
+
+
 STEPS = 100  # of 500: four seconds
 
 # The best of `search_gaits(..., count=200, by="x_velocity")` (docs/training.md).
@@ -54,9 +68,10 @@ def first_of(robot: str) -> str:
     return min(name for name in SHIPPED if name.startswith(f"{robot}-v0/"))
 
 
-def test_there_are_three_policies_for_each_of_five_robots():
+def test_there_are_three_policies_for_each_of_five_robots_and_one_for_the_go1():
     robots = sorted(name.partition("-v0/")[0] for name in SHIPPED)
-    assert robots == sorted(3 * ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
+    three = ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"]
+    assert robots == sorted([*3 * three, "Go1Velocity"])
 
 
 @pytest.mark.parametrize("robot", ["ChainSwim", "ChainCrawl", "Hexapod", "Hopper", "Ant"])
@@ -96,3 +111,21 @@ def test_the_hopper_hops_and_the_ant_runs():
     law = "rft3d_dynamic lateral=0"
     assert way("mjgranular/Hopper-v0", load_policy("Hopper-v0/ppo-0"), law=law) > 0.5
     assert way("mjgranular/Ant-v0", load_policy("Ant-v0/ppo-0"), law=law) > 5.0
+
+
+@pytest.mark.usefixtures("robots")
+@pytest.mark.parametrize("ground", [{}, {"rigid": np.inf}])
+def test_the_go1_follows_commands_on_sand_and_on_a_floor(ground):
+    policy = load_policy("Go1Velocity-v0/ppo-0")
+    for command in ((0.6, 0.0, 0.0), (0.4, 0.0, 0.6), (0.0, 0.0, 0.0)):
+        names = ("command_x", "command_y", "command_yaw")
+        fixed = {name: (value, value) for name, value in zip(names, command, strict=True)}
+        env = SandEnv(Straight(**fixed, push_scale=0.0, **ground))
+        observation, _ = env.reset(seed=0)
+        found = []
+        for step in range(150):
+            (action,) = policy.act(observation[None], np.array([step]))
+            observation, _, terminated, _, info = env.step(action)
+            assert not terminated
+            found.append([*info["velocity"][:2], observation[5]])
+        assert np.mean(found[50:], axis=0) == pytest.approx(command, abs=0.15)

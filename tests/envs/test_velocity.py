@@ -82,7 +82,7 @@ def test_files_that_are_not_such_a_robot_are_named(go1, tmp_path):
         made_from('<body name="FR_calf"', '<body name="FR_shin"')
     floor = '<worldbody><geom name="floor" type="plane" size="1 1 1"/>'
     observation, _ = made_from("<worldbody>", floor).reset(seed=0)
-    assert observation.shape == (45,)
+    assert observation.shape == (47,)
 
 
 def mujoco_humanoid():
@@ -103,7 +103,7 @@ def test_it_stands_with_its_weight_on_its_feet():
     assert info["sand/force"][2] == pytest.approx(weight, rel=0.02)
     assert info["sand/depth"] < 0.05
     assert observation[:3] == pytest.approx([0, 0, -1], abs=0.05)
-    assert 5 * task.dt < reward < 6 * task.dt
+    assert 7 * task.dt < reward < 8 * task.dt
     assert sum(info[name] for name in info if name.startswith("reward_")) == pytest.approx(reward)
 
 
@@ -181,3 +181,25 @@ def test_drawn_sand_in_a_batch_is_that_of_single_environments():
         actions = sync.action_space.sample()
         for one, other in zip(batch.step(actions)[:4], sync.step(actions)[:4], strict=True):
             assert np.array_equal(one, other)
+
+
+def test_the_clock_runs_unless_the_command_is_to_stand():
+    walking = {**STAND, "command_x": (0.5, 0.5)}
+    for options, moves in ((STAND, False), (walking, True)):
+        env = SandEnv(Go1Velocity(**STILL, **options))
+        env.reset(seed=0)
+        clocks = [env.step(ZERO)[0][45:] for _ in range(25)]
+        sizes = np.linalg.norm(clocks, axis=1)
+        assert sizes == pytest.approx(np.full(25, float(moves)))
+
+
+def test_part_of_the_ground_can_be_rigid():
+    weight = Go1Velocity(**STILL).model.body_mass.sum() * 9.81
+    for rigid, share in ((math.inf, 0.0), (-1.0, 1.0)):
+        env = SandEnv(Go1Velocity(**STILL, **STAND, rigid=rigid))
+        env.reset(seed=0)
+        info = {}
+        for _ in range(100):
+            _, _, terminated, _, info = env.step(ZERO)
+            assert not terminated
+        assert info["sand/force"][2] / weight == pytest.approx(share, abs=0.03)

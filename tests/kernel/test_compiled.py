@@ -233,7 +233,8 @@ for law in laws.values():
     for surface in (Plane(), Bed("box"), HeightField("dune")):
         scene = make_scene(made, medium, surface, model)
         for scheme in ("implicit",) if made.adds_mass else ("explicit", "implicit"):
-            program = schemes[scheme]().program(made.kernel(surface), scene.dtype)
+            chosen, parts = schemes[scheme](), (made.kernel(surface), scene.dtype)
+            program = chosen.forces(*parts) or chosen.program(*parts)
             print(program.py_func.__qualname__)
 """
 )

@@ -200,7 +200,10 @@ def test_policies_that_come_with_the_package_act_on_the_sand_that_they_say(name)
     run = shipped_policies()[name]
     assert run.sand
     other = changes(run.sand, sands_made(run.environment, run.arguments))
-    # All were trained before lateral strength, those on poppy seed before its plate was measured.
+    if name.startswith("Go1Velocity"):
+        assert not other
+        return
+    # All others are older than lateral strength, those on poppy seed older than its plate.
     assert other
     assert "lateral 0 (now 1." in other
     poppy = run.sand[0]["medium"] == "poppy_seed_loose"

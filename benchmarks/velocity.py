@@ -1,0 +1,93 @@
+"""How well a Go1 follows commanded velocities, on sands and on a rigid floor.
+
+    python benchmarks/velocity.py runs/Go1Velocity-v0-ppo-0
+    python benchmarks/velocity.py mjgranular/Go1Velocity-v0/ppo-0 --episodes 8 --seconds 10
+
+Errors are means over all steps, also those right after a command has changed, and include the sway
+of a gait. Prints the rows of the table in docs/policies.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from mjgranular.envs.vector import SandVectorEnv
+from mjgranular.envs.velocity import Go1Velocity
+from mjgranular.learn.policies import Policy, load_policy
+
+
+class HalfStep(Go1Velocity):
+    """The same at half the time step."""
+
+    timestep = 0.0025
+
+
+def drawn(name: str, value: float) -> dict[str, Any]:
+    """Return the options for one quantity of the sand, other than the default."""
+    return {"randomise": {name: (value, value)}}
+
+
+GROUNDS: dict[str, dict[str, Any]] = {
+    "Quikrete medium sand": {},
+    "close poppy seeds": {"medium": "poppy_seed_close"},
+    "close glass beads of 3 mm": {"medium": "glass_beads_3mm_close"},
+    "half the strength": drawn("strength", 0.5),
+    "twice the strength": drawn("strength", 2.0),
+    "slope of 10 degrees": drawn("slope", math.radians(10)),
+    "from a rigid floor to sand": {"rigid": 0.3},
+    "a rigid floor": {"rigid": math.inf},
+    "half the time step": {"task": HalfStep, "frame_skip": 8},
+    "with memory": {"memory": True},
+}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Errors and falls on each ground."""
+
+    policy: Annotated[str, tyro.conf.Positional]
+    """Folder of a run, or name of a policy that comes with the package."""
+    episodes: int = 32
+    """On each ground, with different commands."""
+    seconds: float = 20.0
+    """Of an episode."""
+    push_scale: float = 0.0
+    """Of pushes, as in the environment."""
+    law: str | None = None
+    """Default: that of the environment."""
+
+
+def follow(policy: Policy, task: Go1Velocity, episodes: int, seconds: float) -> tuple[float, ...]:
+    """Return errors of velocity [m/s] and yaw rate [rad/s], and the share of falls."""
+    steps = round(seconds / task.dt)
+    env = SandVectorEnv(task, episodes, max_episode_steps=steps)
+    observations, _ = env.reset(seed=20_000)
+    stands, errors, count = np.ones(episodes, bool), np.zeros(2), 0
+    for step in range(steps):
+        actions = policy.act(observations, np.full(episodes, step))
+        observations, _, terminated, _, info = env.step(actions)
+        stands &= ~terminated
+        errors += [info[name][stands].sum() for name in ("velocity_error", "yaw_rate_error")]
+        count += stands.sum()
+    env.close()
+    return *(errors / max(count, 1)), 1.0 - stands.mean()
+
+
+def main(options: Options) -> None:
+    """Print the table."""
+    policy = load_policy(options.policy)
+    print("| ground | error [m/s] | of yaw [rad/s] | falls |\n|---|---|---|---|")
+    for name, ground in GROUNDS.items():
+        fields = {"push_scale": options.push_scale, "law": options.law} | ground
+        task = fields.pop("task", Go1Velocity)(**fields)
+        speed, yaw, falls = follow(policy, task, options.episodes, options.seconds)
+        print(f"| {name} | {speed:.3f} | {yaw:.3f} | {100 * falls:.0f} % |", flush=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
