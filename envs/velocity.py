@@ -179,7 +179,7 @@ class Go1Velocity(Task):
         with converted_errors():
             spec = mujoco.MjSpec.from_file(str(path))
         _check_robot(spec, path)
-        for each in (*spec.sensors, *spec.actuators, *spec.keys, *spec.lights):
+        for each in (*spec.sensors, *spec.actuators, *spec.keys):
             spec.delete(each)
         for joint in spec.joints[1:]:
             _add_motor(spec, joint)
@@ -189,7 +189,7 @@ class Go1Velocity(Task):
             for geom in body.geoms:
                 geom.conaffinity = int(bool(geom.contype or geom.conaffinity))
                 geom.contype = 0
-        _add_scenery(spec)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         if self.rigid is not None:
             _add_rigid_ground(spec, self.rigid)
         spec.option.timestep = self.timestep
@@ -438,28 +438,6 @@ def _add_foot_site(calf: mujoco.MjsBody) -> None:
         raise InputError(f"the body {calf.name} must have a sphere that collides: its foot")
     foot = min(feet, key=lambda geom: geom.pos[2])
     calf.add_site(name=_foot_name(calf.name.split("_")[0]), pos=foot.pos, size=foot.size, group=5)
-
-
-def _add_scenery(spec: mujoco.MjSpec) -> None:
-    """Add a floor at z = 0, a sky and a light, without names: the file may have them too."""
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
-    spec.worldbody.add_light(
-        pos=[0, -1, 3],
-        dir=[0.3, 0.4, -1],
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        diffuse=[0.7, 0.7, 0.7],
-        specular=[0, 0, 0],
-    )
-    headlight = spec.visual.headlight
-    headlight.ambient, headlight.diffuse, headlight.specular = [0.3] * 3, [0.25] * 3, [0] * 3
-    spec.add_texture(
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.6, 0.75, 0.9],
-        rgb2=[0.95, 0.95, 0.95],
-        width=64,
-        height=384,
-    )
 
 
 def _add_rigid_ground(spec: mujoco.MjSpec, end: float) -> None:

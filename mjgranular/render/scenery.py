@@ -80,7 +80,7 @@ def add_daylight(spec: mujoco.MjSpec) -> None:
 
 
 def add_cut_scenery(spec: mujoco.MjSpec, reach: float, memory: Memory | None) -> None:
-    """Add daylight to the model of a link, and make its bed, which is cut open, sand to the horizon.
+    """Add daylight to the model of a link, and extend its bed, which is cut open, to the horizon.
 
     Args:
         spec: the model to be; it is changed.
