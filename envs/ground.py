@@ -40,7 +40,8 @@ def put_on_sand(
 
     Other changes: RK4 becomes the implicit-fast integrator, because sand that holds bodies at rest
     does not act within a step of RK4; a fluid that fills the world is removed; the floor is
-    rendered as sand, or hidden if the sand is not a plane. If no geom of the robot makes contacts,
+    rendered as sand, or hidden if the sand is not a plane; a sun and a sky replace the model's
+    lights and sky. If no geom of the robot makes contacts,
     as in a swimmer, all of them meet the sand.
 
     Args:
