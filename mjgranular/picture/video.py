@@ -134,8 +134,8 @@ def frames_of_run(
     """
     film.check(link)
     spec = link.spec()
-    remembers = prints is not None and sand is not None
-    add_cut_scenery(spec, link.reach, as_memory(sand.memory) if remembers else None)
+    shown = None if prints is None or sand is None else as_memory(sand.memory)
+    add_cut_scenery(spec, link.reach, shown)
     model = spec.compile()
     place_sun(model)
     memory = None if sand is None else as_memory(fitted(model, sand).memory)
