@@ -6,16 +6,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-from mjgranular import InputError
 from mjgranular.envs.ground import RIGID, converted_errors
 from mjgranular.envs.ranges import Sample
 from mjgranular.envs.task import Start, State, Task
+from mjgranular.errors import InputError, shown
 from mjgranular.models import robot_path
 from mjgranular.shape.select import Choice
 
@@ -46,7 +47,7 @@ _POSE = np.array([0.3, 0.3, 0.6] * 4)  # deviations from the stance that a gait 
 
 _GAIT = 2.0  # steps of each leg in a second; chosen, as are _SWING, _LIFT and _GAIN
 _SWING = 0.08  # height of a swinging foot over the surface [m]
-_LEG = 0.27  # length of a leg in the stance [m]
+_LEG = 0.27  # height of a hip over its foot in the stance [m]: 2 x 0.213 m x cos 0.9
 _LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
 _GAIN = 1.5  # strides over what would do without slip
 _PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
@@ -191,11 +192,28 @@ class Go1Velocity(Task):
                 geom.contype = 0
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[50, 50, 1])
         if self.rigid is not None:
-            _add_rigid_ground(spec, self.rigid)
+            self._add_rigid_ground(spec, self.rigid)
         spec.option.timestep = self.timestep
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.nuserdata = _PUSH.stop
         return spec
+
+    def _add_rigid_ground(self, spec: mujoco.MjSpec, end: float) -> None:
+        """Add a block with its top at z = 0, up to x = `end`; feet sink less than 1 mm into it."""
+        if not isinstance(end, Real) or not end > -_EDGE:
+            raise InputError(
+                f"rigid must be where the rigid floor ends, above -{_EDGE:g} m, not {shown(end)}"
+            )
+        if self.surface is not None or any(choice.surface == "dunes" for choice in self.choices):
+            raise InputError("rigid needs level sand: leave surface and dunes out")
+        right = min(float(end), _EDGE)
+        spec.worldbody.add_geom(
+            name=RIGID,
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[(right - _EDGE) / 2, 0, -0.5],
+            size=[(right + _EDGE) / 2, _EDGE, 0.5],
+            rgba=[0.45, 0.47, 0.5, 1],
+        )
 
     @cached_property
     def _stance(self) -> np.ndarray:
@@ -300,7 +318,9 @@ class Go1Velocity(Task):
 
     def _trot(self, state: State) -> np.ndarray:
         """Return offsets from the stance: a trot at the commanded velocity, or 0; shape (n, 12)."""
-        clock, command = self._find_clock(state), self._command(state)
+        # Not by `once`: the command may have changed since the last observation.
+        command = self._command(state)
+        clock = self._find_clock(state, command)
         lift = np.maximum(clock[:, :1] * _PAIRS, 0.0)
         stride = clock[:, 1:] * _PAIRS * command[:, :1] * (_GAIN / (4 * _GAIT * _LEG))
         offsets = [np.zeros_like(lift), _LIFT[0] * lift + stride, _LIFT[1] * lift]
@@ -308,12 +328,12 @@ class Go1Velocity(Task):
 
     def _clock(self, state: State) -> np.ndarray:
         """Return sine and cosine of the gait's phase, 0 if the command is to stand; (n, 2)."""
-        return self.once(state, "clock", self._find_clock)
+        return self.once(state, "clock", lambda state: self._find_clock(state, self.command(state)))
 
-    def _find_clock(self, state: State) -> np.ndarray:
+    def _find_clock(self, state: State, command: np.ndarray) -> np.ndarray:
         angles = 2 * math.pi * _GAIT * self.dt * state.userdata[:, _STEP]
         clock = np.array([(math.sin(angle), math.cos(angle)) for angle in angles.tolist()])
-        walks = np.square(self.command(state)).sum(axis=1) > 0.0
+        walks = np.square(command).sum(axis=1) > 0.0
         return np.where(walks[:, None], clock, 0.0)
 
     def observe(self, state: State) -> np.ndarray:
@@ -438,18 +458,6 @@ def _add_foot_site(calf: mujoco.MjsBody) -> None:
         raise InputError(f"the body {calf.name} must have a sphere that collides: its foot")
     foot = min(feet, key=lambda geom: geom.pos[2])
     calf.add_site(name=_foot_name(calf.name.split("_")[0]), pos=foot.pos, size=foot.size, group=5)
-
-
-def _add_rigid_ground(spec: mujoco.MjSpec, end: float) -> None:
-    """Add a block with its top at z = 0, up to x = `end`; feet sink into it by less than 1 mm."""
-    right = min(end, _EDGE)
-    spec.worldbody.add_geom(
-        name=RIGID,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[(right - _EDGE) / 2, 0, -0.5],
-        size=[(right + _EDGE) / 2, _EDGE, 0.5],
-        rgba=[0.45, 0.47, 0.5, 1],
-    )
 
 
 def _to_body(qpos: np.ndarray, vector: Any) -> tuple[Any, Any, Any]:

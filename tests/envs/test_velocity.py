@@ -203,3 +203,38 @@ def test_part_of_the_ground_can_be_rigid():
             _, _, terminated, _, info = env.step(ZERO)
             assert not terminated
         assert info["sand/force"][2] / weight == pytest.approx(share, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rigid": math.nan}, "above -50 m, not nan"),
+        ({"rigid": -60.0}, "above -50 m, not -60"),
+        ({"rigid": "0.5"}, "above -50 m, not '0.5'"),
+        ({"rigid": 0.5, "surface": "plane slope=0.1"}, "leave surface and dunes out"),
+        ({"rigid": 0.5, "randomise": {"surfaces": ("plane", "dunes")}}, "surface and dunes out"),
+    ],
+)
+def test_a_rigid_ground_that_cannot_be_is_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        _ = Go1Velocity(**options).model
+
+
+def test_targets_follow_from_the_state_where_a_command_changes():
+    class Stops(Go1Velocity):
+        def _draw_commands(self, random):
+            table = super()._draw_commands(random)
+            table[:, 0] = np.inf
+            table[:2] = [[0, 0.5, 0, 0], [6, 0, 0, 0]]
+            return table
+
+    env = SandEnv(Stops(**STILL))
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(ZERO)
+    userdata, state = env.data.userdata.copy(), env._state
+    first = env.task.act(ZERO[None], state)
+    env.data.userdata[:] = userdata
+    state.found.clear()
+    assert np.array_equal(env.task.act(ZERO[None], state), first)
+    assert np.array_equal(first[0], env.task._stance)
