@@ -40,9 +40,8 @@ def put_on_sand(
 
     Other changes: RK4 becomes the implicit-fast integrator, because sand that holds bodies at rest
     does not act within a step of RK4; a fluid that fills the world is removed; the floor is
-    rendered as sand, or hidden if the sand is not a plane; a sun and a sky replace the model's
-    lights and sky. If no geom of the robot makes contacts,
-    as in a swimmer, all of them meet the sand.
+    rendered as sand, or hidden if the sand is not a plane; a sun and a sky replace the model's. If
+    no geom of the robot makes contacts, as in a swimmer, all of them meet the sand.
 
     Args:
         spec: the model to be; it is changed.
@@ -102,6 +101,7 @@ def place(
     surfaces = [surface_of(sand.surface) if sand.surface else _surface_of(floors) for sand in sands]
     for number, floor in enumerate(floors):
         floor.name = floor.name or f"mjgranular_floor_{number}"
+    add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
     for number, body in enumerate(spec.bodies):
         if not body.name:  # sensors find bodies by name
@@ -179,7 +179,6 @@ def _paint(
     tile: float,
 ) -> None:
     """Make floors look like sand, and move them to its height."""
-    add_daylight(spec)
     material = add_material(spec, tile=tile)
     for surface in surfaces:
         if isinstance(surface, HeightField):
