@@ -156,27 +156,27 @@ def sum_wrenches(w):
 
     Wrenches about the center of one tree can be summed.
     """
-    carried, wet = w.carried, w.wet
+    carried, immersed = w.carried, w.immersed
     for b in range(w.nbody):
         copy(carried[b], w.wrench[b])
     for b in range(w.nbody - 1, 0, -1):
-        if wet[b] != 0:
+        if immersed[b] != 0:
             add_scaled(carried[w.body_parentid[b]], 1.0, carried[b])
     for j in range(w.nv):
         b = w.dof_bodyid[j]
-        w.sand[j] = w.h * inner(w.cdof[j], carried[b]) if wet[b] != 0 else 0.0
+        w.sand[j] = w.h * inner(w.cdof[j], carried[b]) if immersed[b] != 0 else 0.0
 
 
 @compiled
 def add_stiffness(w):
     """Add h sum_b J_b^T K_b J_b to the Jacobian, with the recursion for composite inertias."""
-    stiffness, wet, jacobian, cdof = w.stiffness, w.wet, w.jacobian, w.cdof
+    stiffness, immersed, jacobian, cdof = w.stiffness, w.immersed, w.jacobian, w.cdof
     for b in range(w.nbody - 1, 0, -1):
-        if wet[b] != 0:
+        if immersed[b] != 0:
             add_scaled(stiffness[w.body_parentid[b]], 1.0, stiffness[b])
     for j in range(w.nv):
         body = w.dof_bodyid[j]
-        if wet[body] == 0:
+        if immersed[body] == 0:
             continue
         k = stiffness[body]
         a, b, c, d = block_of(k, 0), block_of(k, 3), block_of(k, 18), block_of(k, 21)

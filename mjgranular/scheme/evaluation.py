@@ -28,7 +28,7 @@ from mjgranular.scheme.workspace import workspace_at
 from mjgranular.scheme.wrenches import gravity_of
 
 # Not literals: numba would compile a function for each of them.
-SAMPLE, RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(4))
+FIND, RESPOND, DAMP, FOLLOW = (np.int64(n) for n in range(4))
 """Tasks of a law's program (`forces_program`)."""
 
 
@@ -53,7 +53,7 @@ def forces_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
         table = table_at(address)
         w = workspace_at(table[WORKSPACE])
         most = 0.0
-        if task == SAMPLE:
+        if task == FIND:
             sample(table, w)
         elif task == FOLLOW:
             for i in range(w.count):
@@ -78,7 +78,7 @@ def forces_program(kernel: LawKernel, scene_dtype: np.dtype) -> Any:
 @compiled
 def find_elements(table, w):
     """Fill the workspace's tiles with the elements in the sand, and set `w.count`."""
-    call_forces(table[LAW], table.ctypes.data, SAMPLE, 0.0, NEXT, 0.0)
+    call_forces(table[LAW], table.ctypes.data, FIND, 0.0, NEXT, 0.0)
 
 
 @compiled

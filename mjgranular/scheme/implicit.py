@@ -14,6 +14,7 @@ those of MuJoCo's constraints, which are coupled to the sand's. In reading order
     balance        residual R(v') and Jacobian R'(v') of this equation: nv numbers, nv x nv,
                    for any number of elements
     constraints    the contribution of MuJoCo's constraints
+    evaluation     both with the forces of law and surface, which are a program of their own
     newton         Newton's method, with friction multipliers
     damping        forces as damping: slower, but never diverges
     solver         which of the two runs from which velocity, and how soft rest is: friction grows
@@ -126,7 +127,8 @@ class Implicit(Scheme):
     def check(self, model: mujoco.MjModel) -> None:
         refuse_runge_kutta(model)
         options = model.opt
-        if is_unsupported(options.integrator, options.solver, options.enableflags):
+        # As Python: it would be compiled anew in every process.
+        if is_unsupported.py_func(options.integrator, options.solver, options.enableflags):
             raise InputError(self.refusal(BAD_METRIC))
 
 
@@ -158,7 +160,7 @@ def implicit_program(address, lead):
         find_smooth_forces(w)
         prepare_inertia(w)
         prepare_constraints(w)
-        mark_wet(w)
+        mark_immersed(w)
         begin(w)
         done, error = find_velocity(table, w)
         warm_start(w)
@@ -192,15 +194,15 @@ def find_smooth_forces(w):
 
 
 @compiled
-def mark_wet(w):
+def mark_immersed(w):
     """Flag the bodies with an element in the sand, and their ancestors."""
-    wet = w.wet
+    immersed = w.immersed
     for body in range(w.nbody):
-        wet[body] = 0
+        immersed[body] = 0
     for i in range(w.count):
         body = w.heads[i].body
-        while body > 0 and wet[body] == 0:
-            wet[body] = 1
+        while body > 0 and immersed[body] == 0:
+            immersed[body] = 1
             body = w.body_parentid[body]
 
 
@@ -259,7 +261,7 @@ def write_body_wrenches(w, bodies, share):
     """Write the bodies' wrenches about their own centers of mass, force before moment."""
     for slot in range(len(bodies)):
         body = bodies[slot]
-        if w.wet[body.body] == 0:
+        if w.immersed[body.body] == 0:
             continue
         moment = read_vector(w.wrench[body.body], 0)
         force = read_vector(w.wrench[body.body], 3)

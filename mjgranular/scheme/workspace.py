@@ -55,7 +55,7 @@ _INTEGERS: tuple[str, ...] = (
     "integrator", "damped", "sparse", "descends", "factored",
     "nefc", "ncon", "nJ",  # of this step's constraints (`open_constraints`)
     "count",  # of tiles filled in this step
-    "evaluations",  # limit on them in a step, `Implicit.evaluations`
+    "evaluations",  # at most, of all forces in a step: `Implicit.evaluations`
 )  # fmt: skip
 _REALS: tuple[str, ...] = (
     "h",  # time step [s]
@@ -120,7 +120,7 @@ _OWN = {
     "wrench": (_F, ("nbody", 6)),  # about the center of the tree: moment, force
     "carried": (_F, ("nbody", 6)),  # the same plus those of the bodies that it carries
     "stiffness": (_F, ("nbody", 36)),  # K_b, minus the derivative of the wrench by the motion
-    "wet": (_I, ("nbody",)),  # 1 if a body or one that it carries has an element in the sand
+    "immersed": (_I, ("nbody",)),  # 1 if a body or one that it carries has an element in the sand
     "friction": (_F, ("nfriction", 2)),  # of friction losses: acceleration and multiplier
     "dofs": (_I, ("nv",)),  # 0, 1, 2, ...
     "lone_dofs": (_I, ("nlone",)),
