@@ -101,6 +101,9 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
     kernel = kernel_under(model, chosen, surface, footprint)
     program, forces = scheme.program(kernel, scene.dtype), scheme.forces(kernel, scene.dtype)
     what = f"law {law.name}, scheme {scheme.name}, {type(surface).__name__}"
+    # Forces first: an error in a law of the user's is found before all else is compiled.
+    law_program = 0 if forces is None else program_address(forces, FORCES, what)
+    shared = what if forces is None else f"scheme {scheme.name}"
     return PreparedSand(
         medium=medium,
         law=law,
@@ -111,8 +114,8 @@ def prepare(model: mujoco.MjModel, spec: SandSpec, *, within: bool = False) -> P
         packed=kernel.pack(elements),
         scene=scene,
         kernel=kernel,
-        program=program_address(program, STEP, what if forces is None else ""),
-        forces=0 if forces is None else program_address(forces, FORCES, what),
+        program=program_address(program, STEP, shared),
+        forces=law_program,
         footprint=footprint,
         update=update_program(surface, scene.dtype),
         disabled=(*surface.geoms(model), *chosen.replaced),
