@@ -1,10 +1,10 @@
 """How well a Go1 follows commanded velocities, on sands and on a rigid floor.
 
     python benchmarks/velocity.py runs/Go1Velocity-v0-ppo-0
-    python benchmarks/velocity.py mjgranular/Go1Velocity-v0/ppo-0 --episodes 8 --seconds 10
+    python benchmarks/velocity.py Go1Velocity-v0/ppo-0 --episodes 8 --seconds 10
 
-Errors are means over all steps, also those right after a command has changed, and include the sway
-of a gait. Prints the rows of the table in docs/policies.md.
+Errors are means over all steps before a fall, also those right after a command has changed, and
+include the sway of a gait. Prints the rows of the table in docs/policies.md.
 """
 
 from __future__ import annotations

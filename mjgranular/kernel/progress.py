@@ -8,7 +8,7 @@ from contextlib import suppress
 
 _logger = logging.getLogger("mjgranular.kernel.compiled")
 
-ONCE = "once on a machine, up to half a minute"
+ONCE = "once on a machine, up to a minute"
 ALWAYS = "in every process, as no folder for compiled kernels can be written (see NUMBA_CACHE_DIR)"
 
 _reported = False

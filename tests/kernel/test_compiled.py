@@ -279,7 +279,7 @@ def test_who_waits_at_a_terminal_is_told_once(tmp_path):
         "import sys; print('.', file=sys.stderr)"
     )
     first, second = seen_on_a_terminal(tmp_path, code), seen_on_a_terminal(tmp_path, code)
-    assert first == ["mjgranular: compiling kernels: once on a machine, up to half a minute", "."]
+    assert first == ["mjgranular: compiling kernels: once on a machine, up to a minute", "."]
     assert second == ["."]
     reads_the_log = (
         "import logging; logging.basicConfig(level='INFO', format='%(message)s')\n"
