@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mjgranular._util.io import place, read_file
-from mjgranular.errors import InputError, listed, shown
+from mjgranular.errors import InputError, UnknownNameError, listed, shown
 
 LARGEST = 50_000_000
 """Size up to which a table is read [bytes]; chosen."""
@@ -66,8 +66,14 @@ def read_table(
         columns: headings in the file of columns with other names, by column name.
 
     Raises:
-        InputError: the file cannot be read, a column is missing, or a cell is not a number.
+        InputError: the file cannot be read, a column is missing or there twice, or a cell is not a
+            number.
+        UnknownNameError: `columns` has a name that is neither needed nor optional.
     """
+    known, columns = (*needed, *optional), columns or {}
+    for column in columns:
+        if column not in known:
+            raise UnknownNameError(f"column of {place(path)}", column, known)
     text = read_file(path, "the measurement", largest=LARGEST).decode("utf-8-sig", "replace")
     rows = [
         (line, row)
@@ -86,8 +92,8 @@ def read_table(
     if len(rows) == 1:
         raise InputError(f"{name} has headings and no row of numbers")
     found = {}
-    for column in (*needed, *optional):
-        index = _find(headings, column, (columns or {}).get(column), name)
+    for column in known:
+        index = _find(headings, column, columns.get(column), name)
         if index is not None:
             found[column] = index
         elif column in needed:
@@ -107,9 +113,15 @@ def _find(headings: list[str], column: str, called: str | None, name: str) -> in
     if called is not None:
         if called not in headings:
             raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
-        return headings.index(called)
-    plain = [_split(heading, column)[0] for heading in headings]
-    return next((plain.index(known) for known in _NAMES[column] if known in plain), None)
+        plain, heading = headings, called
+    else:
+        plain = [_split(heading, column)[0] for heading in headings]
+        heading = next((known for known in _NAMES[column] if known in plain), None)
+        if heading is None:
+            return None
+    if plain.count(heading) > 1:
+        raise InputError(f"{name} has {plain.count(heading)} columns {shown(heading)}: keep one")
+    return plain.index(heading)
 
 
 def _split(heading: str, column: str) -> tuple[str, str | None]:

@@ -182,6 +182,9 @@ DATA = {
     ),
     "'x'": lambda place: (place / "slow.csv").write_text("time,depth\n0,0\n0.01,x\n"),
     "'in'": lambda place: (place / "slow.csv").write_text("time [s],depth [in]\n0,0\n0.01,1\n"),
+    "2 columns 'depth'": lambda place: (place / "slow.csv").write_text(
+        "time,depth [mm],depth_m\n0,0,0\n0.01,1,2\n"
+    ),
     "begins with numbers": lambda place: (place / "slow.csv").write_text("0,0\n0.01,1\n"),
     "slow.csv": lambda place: (place / "slow.csv").unlink(),
 }
