@@ -9,16 +9,19 @@ import sys
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import mujoco
+import numpy as np
 
 from mjgranular.kernel.intrinsics import processor
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")  # in the repr of objects that have no name
+
+_CONSTANTS = (bool, int, float, complex, str, np.generic, np.ndarray)  # in machine code
 
 # Environment variables of numba that change what it compiles.
 _SETTINGS = (
@@ -79,6 +82,10 @@ def stable_name(value: Any) -> tuple[object, ...]:
         content = () if path.is_relative_to(_PACKAGE) else _content(function, path)  # or in `build`
         # A kernel's name contains what it is made of (`compiled`).
         return (*name, *content, *(() if kernel else names_in_closure(function)))
+    if isinstance(value, np.ndarray):  # its repr is rounded
+        return (str(value.dtype), value.shape, value.tobytes())
+    if isinstance(value, tuple):
+        return (type(value).__qualname__, *map(stable_name, value))
     name = repr(value)
     if _ADDRESS.search(name):
         raise TypeError(
@@ -100,11 +107,16 @@ def _content(function: FunctionType, path: Path) -> tuple[str, str]:
     """
     code = function.__code__
     consts = [const for const in code.co_consts if not isinstance(const, CodeType)]
-    named = (function.__globals__.get(name) for name in code.co_names)
-    known = [
-        stable_name(value)
-        for value in named
-        if isinstance(value, (bool, int, float, str)) or hasattr(value, "py_func")
-    ]
+    named = [function.__globals__.get(name) for name in code.co_names]
+    for module in [value for value in named if isinstance(value, ModuleType)]:
+        named += [getattr(module, name, None) for name in code.co_names]
+    known = [stable_name(value) for value in named if _is_compiled_in(value)]
     file = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
     return digest((code.co_code, consts, code.co_names, known)), file
+
+
+def _is_compiled_in(value: Any) -> bool:
+    """Return True if the value of a name becomes part of machine code."""
+    if isinstance(value, tuple):
+        return all(map(_is_compiled_in, value))
+    return isinstance(value, _CONSTANTS) or hasattr(value, "py_func")
