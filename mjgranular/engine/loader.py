@@ -37,6 +37,7 @@ from mjgranular.kernel.engine import library
 from mjgranular.kernel.options import NO_PASSIVE_FORCES
 from mjgranular.kernel.structs import array_size, check_layout, fields_of, offset_of, read_struct
 from mjgranular.kernel.threads import LOADER
+from mjgranular.law import laws
 from mjgranular.medium import media
 from mjgranular.relief.relief import Relief
 from mjgranular.render.material import NOT_SHOWN, TILE, TILES, SandMaterial, radius_of
@@ -44,9 +45,10 @@ from mjgranular.render.skin import skin_of
 from mjgranular.render.track_kernel import shape_of
 from mjgranular.render.track_mesh import SIGNATURE, make_canvas, room_of
 from mjgranular.sand.prepare import PreparedSand, prepare
-from mjgranular.scheme import Auto
+from mjgranular.scheme import Auto, schemes
 from mjgranular.shape.select import names_in
 from mjgranular.surface import HeightField, Plane, Surface
+from mjgranular.surface.choice import surfaces
 
 _KEPT = 32  # images of past models: they cost memory, and save another preparation
 # Inputs of elements, selection and surfaces. Heights of a height field are read live.
@@ -87,7 +89,8 @@ class Prepared:
         place: its place in words, if that is fixed; None for sand that can be switched off
             (`tunable`).
         draws: whether anything is drawn.
-        origin: the medium; kept alive because the cache key contains its identity.
+        origin: the medium and `_registered`; kept alive because the cache key contains their
+            identities.
     """
 
     image: Image
@@ -234,7 +237,8 @@ def _key(model: int, instance: int, texts: dict[str, str]) -> bytes:
     digest = hashlib.blake2b(_sizes(model), digest_size=16)
     for name in _SWITCHES:
         digest.update(options[name].tobytes())
-    digest.update(repr((instance, texts, _medium_now(texts["medium"]))).encode())
+    parts = [id(part) for part in _registered()]
+    digest.update(repr((instance, texts, _medium_now(texts["medium"]), parts)).encode())
     if texts["scheme"].split()[:1] in ([], [Auto.name]):  # it depends on the time step
         digest.update(options["timestep"].tobytes())
     for name, (offset, size) in _arrays(_sizes(model)).items():
@@ -303,6 +307,11 @@ def _medium_now(text: str) -> object:
     return id(media.get(text))
 
 
+def _registered() -> list[type]:
+    """Return the classes that names mean at present."""
+    return [cls for register in (laws, schemes, surfaces) for cls in register.values()]
+
+
 def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Prepared:
     """Prepare the sand of an instance from its configuration, for a model, which is modified.
 
@@ -340,7 +349,7 @@ def _prepare(model: mujoco.MjModel, instance: int, texts: dict[str, str]) -> Pre
         hidden=sand.surface.geoms(model) if canvas else (),
         place=None if config.tunable else _place_of(sand.surface),
         draws=bool(drawing["draw"]),
-        origin=sand.medium,
+        origin=(sand.medium, *_registered()),
     )
 
 

@@ -31,6 +31,8 @@ from mjgranular import (
     Sand,
     Surface,
     add_sand,
+    laws,
+    register_law,
 )
 from mjgranular.engine import NAME, pickles
 from mjgranular.engine.config import KEYS
@@ -431,6 +433,28 @@ def test_a_medium_that_is_replaced_is_seen(register: Any) -> None:
         return data.qfrc_passive[1]
 
     assert force(20.0) == pytest.approx(2 * force(10.0))
+
+
+def test_a_law_that_is_defined_again_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(laws, "_things", dict(laws._things))
+
+    def force(factor: float) -> float:
+        class Changing(LinkLaw):
+            name = "changing"
+
+            def parameters(self, medium: Medium) -> np.ndarray:
+                parameters = super().parameters(medium)
+                parameters["eta_v"] *= factor
+                return parameters
+
+        register_law(Changing)
+        model = sandy_link(law="changing eta_d=0 eta_h=0 eta_v=10 exponent=1")
+        data = released(model)
+        data.qpos[1] -= 0.05
+        mujoco.mj_forward(model, data)
+        return data.qfrc_passive[1]
+
+    assert force(2.0) == pytest.approx(2 * force(1.0))
 
 
 def test_a_model_that_is_changed_is_seen_by_new_data() -> None:
