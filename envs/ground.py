@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import mujoco
 
@@ -93,14 +94,15 @@ def place(
         InputError: the model has no floor and a sand has no surface.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
-    _keep_extent(spec)
+    for number, floor in enumerate(floors):
+        floor.name = floor.name or f"mjgranular_floor_{number}"
+    bare = _keep_extent(spec)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
     _let_meet(spec)
-    surfaces = [surface_of(sand.surface) if sand.surface else _surface_of(floors) for sand in sands]
-    for number, floor in enumerate(floors):
-        floor.name = floor.name or f"mjgranular_floor_{number}"
+    placed = [bare.geom(floor.name) for floor in floors]
+    surfaces = [surface_of(sand.surface) if sand.surface else _surface_of(placed) for sand in sands]
     add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
     for number, body in enumerate(spec.bodies):
@@ -138,15 +140,16 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def _keep_extent(spec: mujoco.MjSpec) -> None:
-    """Keep the near and far clipping planes of a model without dunes."""
+def _keep_extent(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Keep the near and far clipping planes of a model without dunes, and return that model."""
     bare = spec.copy()
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             bare.delete(geom)
     with quiet():
-        stat = bare.compile().stat
-    spec.stat.extent, spec.stat.center = stat.extent, stat.center
+        model = bare.compile()
+    spec.stat.extent, spec.stat.center = model.stat.extent, model.stat.center
+    return model
 
 
 def _let_meet(spec: mujoco.MjSpec) -> None:
@@ -161,12 +164,12 @@ def _is_floor(geom: mujoco.MjsGeom) -> bool:
     return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
 
 
-def _surface_of(floors: Sequence[mujoco.MjsGeom]) -> Plane:
-    """Return the level plane at the height of the floor."""
+def _surface_of(floors: Sequence[Any]) -> Plane:
+    """Return the level plane at the height of the floor, a geom of a compiled model."""
     if not floors:
         raise InputError("the model has no floor (a plane geom of the world): give a surface=...")
     for floor in floors:
-        if abs(abs(floor.quat[0]) - 1) > 1e-9:
+        if math.hypot(floor.quat[1], floor.quat[2]) > 1e-5:
             raise InputError(f"the floor {floor.name!r} is not level: give a surface=Plane(...)")
     return Plane(height=max(float(floor.pos[2]) for floor in floors))
 
@@ -194,6 +197,9 @@ def _paint(
         plane = planes[0]
         floor.material = material
         floor.rgba = [1, 1, 1, 1]
+        if floor.frame is not None:
+            floor.set_frame(spec.worldbody.add_frame())
+        floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         floor.pos = [0, 0, plane.height - cut]
         half = plane.slope / 2
         axis = (math.sin(plane.uphill), -math.cos(plane.uphill))

@@ -389,6 +389,8 @@ def check_actions(actions: Any, shape: tuple[int, ...] | None) -> np.ndarray:
     array = np.asarray(actions)
     if array.shape != shape:
         raise InputError(f"Action dimension mismatch. Expected {shape}, found {array.shape}")
+    if array.dtype.kind not in "fiub":
+        raise InputError(f"an action must be real numbers, not {array}")
     # The sum is faster, and finite if all are, unless they are enormous.
     if not math.isfinite(array.sum()) and not np.isfinite(array).all():
         raise InputError(f"an action must be finite, not {array}")

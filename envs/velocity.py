@@ -200,7 +200,7 @@ class Go1Velocity(Task):
 
     def _add_rigid_ground(self, spec: mujoco.MjSpec, end: float) -> None:
         """Add a block with its top at z = 0, up to x = `end`; feet sink less than 1 mm into it."""
-        if not isinstance(end, Real) or not end > -_EDGE:
+        if not isinstance(end, Real) or isinstance(end, bool) or not end > -_EDGE:
             raise InputError(
                 f"rigid must be where the rigid floor ends, above -{_EDGE:g} m, not {shown(end)}"
             )

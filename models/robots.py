@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mjgranular._util.checks import kind_of
 from mjgranular._util.extras import require
 from mjgranular.errors import InputError, MissingExtraError, UnknownNameError
 
@@ -24,8 +25,11 @@ def robot_path(robot: str | Path) -> Path:
 
     Raises:
         UnknownNameError: MuJoCo Menagerie has no such robot; lists those it has.
-        InputError: the robot is not on this machine and cannot be downloaded.
+        InputError: the robot is not on this machine and cannot be downloaded, or `robot` is neither
+            a name nor a path.
     """
+    if not isinstance(robot, (str, Path)):
+        raise InputError(f"a robot must be a name or a path, not {kind_of(robot)}")
     if not is_name(robot):
         return Path(robot)
     name = str(robot)

@@ -63,9 +63,13 @@ def add_daylight(spec: mujoco.MjSpec) -> None:
     head = spec.visual.headlight
     head.active = 1
     head.ambient, head.diffuse, head.specular = [0.36, 0.37, 0.40], [0.12] * 3, [0.05] * 3
+    used = {name for material in spec.materials for name in material.textures}
     for texture in list(spec.textures):
         if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
-            spec.delete(texture)
+            if texture.name and texture.name in used:
+                texture.type = mujoco.mjtTexture.mjTEXTURE_CUBE
+            else:
+                spec.delete(texture)
     spec.add_texture(
         name="mjgranular_sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

@@ -133,6 +133,9 @@ def test_wrong_input_is_told():
         batch.step(np.zeros(6))
     with pytest.raises(InputError, match="must be finite"):
         batch.step(np.full((2, 6), np.inf))
+    for wrong in (np.full((2, 6), "a"), np.zeros((2, 6), complex), np.full((2, 6), None)):
+        with pytest.raises(InputError, match="must be real numbers"):
+            batch.step(wrong)
     with pytest.raises(InputError, match="needs a batch made with autoreset_mode='SameStep'"):
         SandVecEnv(batch)
     with pytest.raises(InputError, match="CartPole-v1 has no batch of mjgranular's"):

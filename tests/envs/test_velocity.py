@@ -56,6 +56,8 @@ def test_a_robot_is_found_by_its_name_or_its_path(go1, monkeypatch):
         robot_path("unitree_go1")
     with pytest.raises(UnknownNameError, match="unitree_go1"):
         robot_path("unitree_go")
+    with pytest.raises(InputError, match="a name or a path, not None"):
+        robot_path(None)
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
     with pytest.raises(InputError, match=r"mjgranular\[robots\].*; or give the path of its MJCF"):
         gym.make("mjgranular/Go1Velocity-v0")
@@ -211,6 +213,7 @@ def test_part_of_the_ground_can_be_rigid():
         ({"rigid": math.nan}, "above -50 m, not nan"),
         ({"rigid": -60.0}, "above -50 m, not -60"),
         ({"rigid": "0.5"}, "above -50 m, not '0.5'"),
+        ({"rigid": True}, "above -50 m, not True"),
         ({"rigid": 0.5, "surface": "plane slope=0.1"}, "leave surface and dunes out"),
         ({"rigid": 0.5, "randomise": {"surfaces": ("plane", "dunes")}}, "surface and dunes out"),
     ],
@@ -218,6 +221,11 @@ def test_part_of_the_ground_can_be_rigid():
 def test_a_rigid_ground_that_cannot_be_is_refused(options, message):
     with pytest.raises(InputError, match=message):
         _ = Go1Velocity(**options).model
+
+
+def test_commands_are_finite():
+    with pytest.raises(InputError, match=r"command_x must be a range of finite numbers"):
+        Go1Velocity(command_x=(0.0, math.inf))
 
 
 def test_targets_follow_from_the_state_where_a_command_changes():

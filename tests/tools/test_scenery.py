@@ -11,7 +11,7 @@ from mjgranular import Bed, HeightField, Plane
 from mjgranular.experiment.drop import Drop, load, run_drop
 from mjgranular.picture.video import Film, Motion, frames_of_model
 from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
-from mjgranular.render.scenery import add_scenery
+from mjgranular.render.scenery import add_daylight, add_scenery
 
 BLOCK = (
     '<body pos="0 0 0.1"><freejoint/><geom name="block" type="box" size="0.1 0.06 0.04"/></body>'
@@ -194,3 +194,19 @@ def test_what_stands_still_is_drawn_once(tmp_path, monkeypatch):
     pictures = film_of(Drop(write(tmp_path)), 40)
     assert len(pictures) == 80
     assert 5 < len(drawn) < 60
+
+
+def test_a_sky_that_a_material_shows_stays_a_texture():
+    spec = mujoco.MjSpec.from_string("""
+        <mujoco>
+          <asset>
+            <texture name="sky" type="skybox" builtin="flat" rgb1="1 0 0" width="8" height="8"/>
+            <texture type="skybox" builtin="flat" rgb1="1 0 0" width="8" height="8"/>
+            <material name="mirror" texture="sky"/>
+          </asset>
+          <worldbody><geom size="1" material="mirror"/></worldbody>
+        </mujoco>""")
+    add_daylight(spec)
+    model = spec.compile()
+    assert model.tex("sky").type == mujoco.mjtTexture.mjTEXTURE_CUBE
+    assert (model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX).sum() == 1
