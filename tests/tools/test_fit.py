@@ -182,6 +182,7 @@ DATA = {
     ),
     "'x'": lambda place: (place / "slow.csv").write_text("time,depth\n0,0\n0.01,x\n"),
     "'in'": lambda place: (place / "slow.csv").write_text("time [s],depth [in]\n0,0\n0.01,1\n"),
+    "is not CSV": lambda place: (place / "slow.csv").write_text("time,depth\n" + "0" * 200_000),
     "2 columns 'depth'": lambda place: (place / "slow.csv").write_text(
         "time,depth [mm],depth_m\n0,0,0\n0.01,1,2\n"
     ),
