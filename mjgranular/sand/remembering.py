@@ -36,8 +36,8 @@ def remembering(
         InputError: the surface cannot have memory, or the skin has more points than the capacity.
     """
     surface, geoms = chosen.surface, list(chosen.geoms)
-    advice.warn(advice.CHECKS_OF_MEMORY, model, geoms, surface, memory)
     relief = Relief(surface, memory, surroundings_of(model, geoms, memory))
+    advice.warn(advice.CHECKS_OF_MEMORY, model, geoms, surface, memory)
     return relief, footprint_of(model, geoms, chosen.elements, memory.cell)
 
 

@@ -24,6 +24,7 @@ from mjgranular import (
     Plane,
     Rft3dLaw,
     Sand,
+    Surface,
     UnstableError,
     add_sand,
 )
@@ -571,6 +572,20 @@ def test_slopes_and_sand_beside_a_bed() -> None:
 def test_what_has_no_meaning_is_refused(given: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Memory(**given)
+
+
+class Sea(Surface):
+    def record(self, model):
+        return np.zeros(1, [("level", float)])
+
+    def tilt(self, model):
+        return 0.0
+
+
+def test_a_custom_surface_cannot_remember():
+    model = mujoco.MjModel.from_xml_string(MODEL.format(bed=1, geom='<geom size="0.05"/>'))
+    with pytest.raises(InputError, match="a surface of the kind Sea cannot remember"):
+        Sand(model, law=LAW, surface=Sea(), bodies="plate", memory=True)
 
 
 def test_memory_is_given_as_what_one_has_at_hand() -> None:
