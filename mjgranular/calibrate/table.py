@@ -108,9 +108,11 @@ def _find(headings: list[str], column: str, called: str | None, name: str) -> in
         raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
     plain = headings if called else [_split(heading, column)[0] for heading in headings]
     chosen = called or next((known for known in _NAMES[column] if known in plain), None)
+    if chosen is None:
+        return None
     if plain.count(chosen) > 1:
         raise InputError(f"{name} has {plain.count(chosen)} columns {shown(chosen)}: rename one")
-    return plain.index(chosen) if chosen else None
+    return plain.index(chosen)
 
 
 def _split(heading: str, column: str) -> tuple[str, str | None]:

@@ -81,7 +81,8 @@ def law_of(law: str | Law | type[Law] | None, medium: Medium) -> Law:
         kind = law_in(law)[0] if isinstance(law, str) else law
         others = [name for name in media if has_constants(media[name], kind)]
         if not others:
-            needed = [f"{f.name}=..." for f in fields(kind) if f.default is MISSING]
+            known = fields(kind)  # pyright: ignore[reportArgumentType]
+            needed = [f"{field.name}=..." for field in known if field.default is MISSING]
             raise InputError(
                 f"no medium has constants for the law {kind.name!r}: give it {', '.join(needed)}"
             ) from None
