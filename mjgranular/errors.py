@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import difflib
 import sys
+import threading
 import warnings
 from collections.abc import Iterable, Sequence
+from types import FrameType
 
 # Messages contain strings from files, models and arguments: their length is limited.
 _LONGEST_VALUE = 80  # characters of one value; chosen, as the two below
@@ -212,8 +214,23 @@ def warn_user(message: str, kind: type[GranularWarning] = GranularWarning) -> No
         message: one sentence, as for an error.
         kind: class of the warning.
     """
+    frame = _outside(sys._getframe(1))
+    if _is_ours(frame):  # compiled in another thread, for which the main one waits
+        frame = _outside(sys._current_frames()[threading.main_thread().ident or 0])
+    text, file = _cut(one_line(message), _LONGEST_MESSAGE), frame.f_code.co_filename
+    registry = frame.f_globals.setdefault("__warningregistry__", {})
+    warnings.warn_explicit(
+        text, kind, file, frame.f_lineno, frame.f_globals.get("__name__"), registry
+    )
+
+
+def _outside(frame: FrameType) -> FrameType:
+    """Return the last frame outside this package; the first of the thread if all are inside."""
+    while frame.f_back and _is_ours(frame):
+        frame = frame.f_back
+    return frame
+
+
+def _is_ours(frame: FrameType) -> bool:
     package = __name__.partition(".")[0]
-    frame, level = sys._getframe(1), 2
-    while frame.f_back and str(frame.f_globals.get("__name__")).partition(".")[0] == package:
-        frame, level = frame.f_back, level + 1
-    warnings.warn(_cut(one_line(message), _LONGEST_MESSAGE), kind, stacklevel=level)
+    return str(frame.f_globals.get("__name__")).partition(".")[0] == package

@@ -104,12 +104,15 @@ def read_table(
 
 def _find(headings: list[str], column: str, called: str | None, name: str) -> int | None:
     """Return the index of a column; None if it is missing."""
-    if called is not None:
-        if called not in headings:
-            raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
-        return headings.index(called)
-    plain = [_split(heading, column)[0] for heading in headings]
-    return next((plain.index(known) for known in _NAMES[column] if known in plain), None)
+    if called is not None and called not in headings:
+        raise InputError(f"{name} has no column {shown(called)}: it has {listed(headings)}")
+    plain = headings if called else [_split(heading, column)[0] for heading in headings]
+    chosen = called or next((known for known in _NAMES[column] if known in plain), None)
+    if chosen is None:
+        return None
+    if plain.count(chosen) > 1:
+        raise InputError(f"{name} has {plain.count(chosen)} columns {shown(chosen)}: rename one")
+    return plain.index(chosen)
 
 
 def _split(heading: str, column: str) -> tuple[str, str | None]:

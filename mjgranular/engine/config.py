@@ -118,7 +118,7 @@ def write_config(
         "resolution": str,
         "instead_of": lambda geoms: _write_words(names_in(geoms)),
         "memory": _write_memory,
-        "draw": _write_words,
+        "draw": lambda draw: _write_words(split_words(draw) if isinstance(draw, str) else draw),
         "tunable": lambda _: "true",
     }
     texts = {}

@@ -249,7 +249,7 @@ def curve_text(rows: Sequence[Sequence[float]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CURVE_COLUMNS)
-    writer.writerows(rows)
+    writer.writerows((int(steps), time, int(count), *means) for steps, time, count, *means in rows)
     return text.getvalue()
 
 

@@ -47,6 +47,7 @@ def _pictures(film: Any, fps: int, seconds: float, camera: str | None) -> list[n
         pictures = [np.asarray(picture) for picture in film]
     except (TypeError, ValueError, UnknownNameError):  # not a sequence, nor a known result
         pictures = []
+    pictures = [picture[..., :3] if picture.ndim == 3 else picture for picture in pictures]
     if not pictures or any(p.ndim != 3 or p.shape != pictures[0].shape for p in pictures):
         raise InputError(
             "show takes pictures of one size, shape (height, width, 3), such as those of "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -107,7 +108,7 @@ class Journal:
                 file.write(_line(self._asked))
             for index, row in results:
                 self._places[index] = file.tell()
-                file.write(_line({"index": index, "row": row}))
+                file.write(_line(_entry(index, row)))
             file.flush()
         except OSError as error:
             raise self._as_output_error(error) from None
@@ -150,9 +151,14 @@ class Journal:
 
 def _index(content: Any, size: int) -> int:
     """Return the number of the task of a line of the file."""
-    if "row" not in content or not 0 <= content["index"] < size:
+    if not 0 <= content["index"] < size or content != _entry(content["index"], content["row"]):
         raise ValueError
     return content["index"]
+
+
+def _entry(index: int, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a line of the file, with a checksum of the result."""
+    return {"index": index, "row": row, "crc": zlib.crc32(_line(row))}
 
 
 def _difference(there: Any, asked: Mapping[str, Any]) -> str:
