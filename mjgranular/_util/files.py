@@ -8,6 +8,8 @@ The package writes all files with this module. It guarantees four things:
   and `latest_path` reads waiting files as if they were in their places.
 - `write_folder`: the same for a folder, with checksums that reveal damage.
 - `locked`: one process at a time. The system releases the lock when its holder ends.
+
+Errors of the system are raised as `OutputError`.
 """
 
 from __future__ import annotations
@@ -48,11 +50,7 @@ _TRIES = 5
 
 @contextmanager
 def atomic_write(file: Path) -> Iterator[Path]:
-    """Return a path to write to; at the end its content replaces `file` atomically.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Return a path to write to; at the end its content replaces `file` atomically."""
     with _staged(file, file, file.suffix) as part:  # writers choose the format by the suffix
         yield part
         _flush(part)
@@ -61,21 +59,13 @@ def atomic_write(file: Path) -> Iterator[Path]:
 
 
 def write_bytes(file: Path, content: bytes) -> None:
-    """Write a file atomically.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write a file atomically."""
     with atomic_write(file) as part:
         part.write_bytes(content)
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a UTF-8 text file atomically.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write a UTF-8 text file atomically."""
     write_bytes(file, text.encode())
 
 
@@ -89,9 +79,6 @@ def replace_directory(folder: Path, *, instead_of: Sequence[str] = ()) -> Iterat
     Args:
         folder: must be locked.
         instead_of: names of files in it that the new ones replace.
-
-    Raises:
-        OutputError: they cannot be written.
     """
     with _staged(folder / _READY, folder) as part:
         part.mkdir()
@@ -168,15 +155,7 @@ def read_consistent(folder: Path, name: str, read: Callable[[], T]) -> T:
 
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Write a folder atomically, with a manifest of sizes and SHA-256 sums.
-
-    Args:
-        folder: the folder; replaced if it exists.
-        fill: writes files into a given folder.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write a folder atomically, with a manifest of sizes and SHA-256 sums."""
     with _staged(folder, folder) as part:
         part.mkdir(parents=True)
         fill(part)
@@ -261,10 +240,6 @@ def locked(folder: Path, name: str = LOCK) -> Iterator[None]:
     Lock before reading what is to be changed, not only before writing. A file system without locks
     gives a warning.
 
-    Args:
-        folder: the folder.
-        name: name of the lock file; removed at the end.
-
     Raises:
         OutputError: another process is using the folder, or it cannot be written to.
     """
@@ -330,11 +305,7 @@ def _lock(file: Path) -> int:
 
 @contextmanager
 def _staged(path: Path, target: Path, suffix: str = "") -> Iterator[Path]:
-    """Return a hidden path next to a path, for what is renamed to it; removed at the end.
-
-    Raises:
-        OutputError: an error of the system, as one sentence about the target.
-    """
+    """Return a hidden path next to a path, for what is renamed to it; removed at the end."""
     part = _temporary(path, suffix)
     try:
         yield part

@@ -1,8 +1,8 @@
 """Safe reading of files from an earlier process or an untrusted source: only as data.
 
-A file may be missing, truncated, of the wrong kind, endless, or malicious. In every case each
-function here returns values of the documented kind, or raises an error with one sentence. Nothing
-in a file is executed.
+A file may be missing, truncated, of the wrong kind, endless, or malicious. Each function returns
+values of the documented kind, or raises an error with one sentence: `InputError` for a file of a
+user, `OutputError` for one that the package wrote. Nothing in a file is executed.
 """
 
 from __future__ import annotations
@@ -43,9 +43,6 @@ def check_regular(path: Path, what: str) -> None:
 
     A pipe would block the reader until there is a writer; a device may be endless; opening alone
     can move a tape. The reader reports a missing file.
-
-    Raises:
-        InputError: it is not regular; `what` names the expected content.
     """
     try:
         mode = path.stat().st_mode
@@ -64,9 +61,6 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
         path: path of the file.
         what: expected content, for the message: "the medium".
         largest: largest accepted size [bytes].
-
-    Raises:
-        InputError: it cannot be read, is not a regular file, or is larger.
     """
     check_regular(path, what)
     try:
@@ -84,11 +78,7 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
 
 
 def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
-    """Return the content of a file of a result, of `most` bytes at most.
-
-    Raises:
-        OutputError: it does not exist, cannot be read, or is larger.
-    """
+    """Return the content of a file of a result, of `most` bytes at most."""
     try:
         content = _beginning(file, most + 1)
     except NotRegularError:
@@ -103,11 +93,7 @@ def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
 
 
 def read_text(file: Path) -> str:
-    """Return the content of a UTF-8 text file.
-
-    Raises:
-        OutputError: it cannot be read, or is not UTF-8.
-    """
+    """Return the content of a UTF-8 text file."""
     try:
         return read_bytes(file).decode()
     except UnicodeDecodeError:
@@ -115,20 +101,12 @@ def read_text(file: Path) -> str:
 
 
 def read_json(file: Path) -> dict[str, Any]:
-    """Return the object in a JSON file.
-
-    Raises:
-        OutputError: it cannot be read, is not JSON, or not an object; says where.
-    """
+    """Return the object in a JSON file."""
     return parse_json(read_text(file), str(file))
 
 
 def parse_json(text: str, where: str) -> dict[str, Any]:
-    """Parse the object in a JSON string; `where` is its source, for the message.
-
-    Raises:
-        OutputError: not JSON, or not an object.
-    """
+    """Parse the object in a JSON string; `where` is its source, for the message."""
     try:
         content = json.loads(text, parse_constant=_raise_for_constant)
         if "\\u" in text:  # lone surrogates cannot be printed
@@ -148,9 +126,6 @@ def read_arrays(
         file: the file.
         names: names of the arrays.
         most: largest accepted size of the arrays [bytes]; None for the size of the file.
-
-    Raises:
-        OutputError: it cannot be read, or lacks one of the names; says which.
     """
     if not file.is_file():
         raise OutputError(f"{file} cannot be read: there is no such file")
@@ -173,11 +148,7 @@ def read_arrays(
 
 
 def number(content: Mapping[str, Any], name: str, where: object) -> float | None:
-    """Return a finite number or None from a parsed object.
-
-    Raises:
-        OutputError: it is missing, or neither of these.
-    """
+    """Return a finite number or None from a parsed object."""
     value = content.get(name, "")
     if not fits(value, float | None):
         raise OutputError(f"{where} is damaged: {name} must be a number, not {_kind(value)}")
@@ -185,11 +156,7 @@ def number(content: Mapping[str, Any], name: str, where: object) -> float | None
 
 
 def checked_fields(cls: type, content: object, where: object) -> dict[str, Any]:
-    """Return the fields of a dataclass from a parsed object; check names and types (`fits`).
-
-    Raises:
-        OutputError: says which field is wrong.
-    """
+    """Return the fields of a dataclass from a parsed object; check names and types (`fits`)."""
     fields, hints = _object(content, where), typing.get_type_hints(cls)
     for name, value in fields.items():
         if name not in hints:

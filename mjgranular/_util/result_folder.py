@@ -23,10 +23,6 @@ TRAINING = "train"
 class ResultFolder:
     """A folder for the files of one result.
 
-    Args:
-        path: the folder; need not exist.
-        names: names of the files that may be written.
-
     Attributes:
         path: the folder.
     """
@@ -112,12 +108,7 @@ class ResultFolder:
         return [name for name in names if is_plain_name(name)] if isinstance(names, list) else []
 
     def write(self, name: str, fill: Callable[[Path], object]) -> Path:
-        """Write a file atomically.
-
-        Args:
-            name: name of the file, one of the claimed names.
-            fill: writes to a given path.
-        """
+        """Write a file atomically."""
         path = (self._waiting or self.path) / name
         with files.atomic_write(path) as part:
             fill(part)

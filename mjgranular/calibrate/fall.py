@@ -109,18 +109,7 @@ def find_arrest(since: np.ndarray, depth: np.ndarray) -> Arrest:
 
 
 def check_units(time: np.ndarray, depth: np.ndarray, speed: float, size: float, where: str) -> None:
-    """Check that depths and times are plausible in meters and seconds; guess the unit if not.
-
-    Args:
-        time: [s], shape (n,).
-        depth: [m], shape (n,); some of it is in the sand.
-        speed: speed at the touch [m/s].
-        size: largest extent of the body [m]; infinite if unknown.
-        where: name of the run, for messages.
-
-    Raises:
-        InputError: they are not; names the likely unit.
-    """
+    """Check that depths and times are plausible in meters and seconds; guess the unit if not."""
     greatest = float(depth.max())
     near = np.flatnonzero(depth >= 0.9 * greatest)[0]
     begin = np.flatnonzero(depth[: near + 1] <= _BEGINNING * greatest)
@@ -160,11 +149,7 @@ def settling(since: np.ndarray, values: np.ndarray) -> float:
 
 
 def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
-    """Check that a record has enough rows, increasing times and contact.
-
-    Raises:
-        InputError: it does not; says which is missing.
-    """
+    """Check that a record has enough rows, increasing times and contact."""
     if len(time) < 4:
         raise InputError(f"{where}: a trajectory needs at least 4 rows, got {len(time)}")
     back = np.flatnonzero(np.diff(time) <= 0)
@@ -182,11 +167,7 @@ def check_record(time: np.ndarray, depth: np.ndarray, where: str) -> None:
 
 
 class DropTrial(Trial):
-    """A drop of a body of simple shape.
-
-    Raises:
-        InputError: times that go back, no contact, or implausible units.
-    """
+    """A drop of a body of simple shape."""
 
     carries = 3
     axis = "time"

@@ -163,11 +163,7 @@ def _trial(run: Run | MeasuredRun) -> Trial:
 
 
 def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
-    """Check that the data suffice for the free constants.
-
-    Raises:
-        InputError: they do not; says for how many they do.
-    """
+    """Check that the data suffice for the free constants."""
     rows = sum(trial.rows for trial in trials)
     carried = sum(trial.carries + len(trial.series) - 1 for trial in trials)
     if len(free) > carried or len(free) >= rows:
@@ -179,11 +175,7 @@ def _check_enough(trials: Sequence[Trial], free: Sequence[str]) -> None:
 
 
 def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
-    """Return the initial material; a default on a bound is replaced by the best power of ten.
-
-    Raises:
-        InputError: a given start lies on a bound.
-    """
+    """Return the initial material; a default on a bound is replaced by the best power of ten."""
     material = fit.material
     for name in fit.free:
         if material.has_start(name):

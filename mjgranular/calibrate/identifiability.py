@@ -101,15 +101,7 @@ def further_tests(
     half: np.ndarray,
     scale: np.ndarray,
 ) -> tuple[FurtherTest, ...]:
-    """Propose further tests, simulated with the fitted law; the most useful first.
-
-    Args:
-        problem: the fit.
-        material: the material with the fitted constants.
-        now: information of the data.
-        half: half widths of the intervals, in parts of each value.
-        scale: size of each constant.
-    """
+    """Propose further tests, simulated with the fitted law; the most useful first."""
     names = problem.free
     before = np.sqrt(np.diag(now.inverse))
     # From derivatives to intervals, as in the fit.
@@ -185,11 +177,7 @@ def _drops(
 def _planned_drop(
     body: Body, speed: float, angle: float, duration: float, material: Material
 ) -> DropTrial:
-    """Return a drop, followed for a time [s] or until it rests.
-
-    Raises:
-        GranularError: the law does not support the body, or it does not reach the sand.
-    """
+    """Return a drop, followed for a time [s] or until it rests."""
     time = np.linspace(0.0, duration, 4)
     free = {"time": time, "depth": speed * time + 0.1 * GRAVITY * time**2}
     run = Run("planned", "drop", free, body=body, speed=speed, angle=angle)

@@ -43,12 +43,7 @@ class Material:
 
     @classmethod
     def of(cls, medium: Medium, law: str | Law | None) -> Material:
-        """Return the law with the medium's constants; `law` as `Sand` takes it.
-
-        Raises:
-            UnknownNameError: no such law, or the medium has no constants for it.
-            InputError: a constant out of range.
-        """
+        """Return the law with the medium's constants; `law` as `Sand` takes it."""
         made = law_of(law, medium)
         names = {field.name for field in fields(made)}  # pyright: ignore[reportArgumentType]
         if isinstance(law, Law):
@@ -104,11 +99,7 @@ class Material:
         return float(getattr(self.law, name))
 
     def changed(self, values: dict[str, float]) -> Material:
-        """Return the material with other values of some constants; strength is a factor on it.
-
-        Raises:
-            InputError: a value that the law, or the medium, does not accept.
-        """
+        """Return the material with other values of some constants; strength is a factor on it."""
         own: Any = {name: value for name, value in values.items() if name in self._numbers}
         law = replace(self.law, **own) if own else self.law  # pyright: ignore
         medium = self.medium
@@ -131,13 +122,7 @@ class Material:
         return False
 
     def check_free(self, names: tuple[str, ...]) -> None:
-        """Check that constants can be free.
-
-        Raises:
-            UnknownNameError: the law has no such constant; lists those it has.
-            InputError: no constant, one of them twice, or strength together with a constant that it
-                scales.
-        """
+        """Check that constants can be free."""
         if not names:
             raise InputError(
                 f"no constant is free: the law {self.law.name!r} has {', '.join(self.names)}"

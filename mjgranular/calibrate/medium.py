@@ -37,10 +37,6 @@ def known_medium(
         name: default name of the medium; None for that of the file.
         title: default title.
         source: source of its constants; None for the file.
-
-    Raises:
-        InputError: a key that the law does not have, a missing key, or a value out of range.
-        UnknownNameError: no such medium or law.
     """
     where = f"{place(path)}: medium"
     if isinstance(entry, str):
@@ -85,11 +81,7 @@ def known_medium(
 def check_mapping(
     entry: Any, where: str, keys: Collection[str], *, needed: Iterable[str] = ()
 ) -> None:
-    """Check that an entry of a file is a mapping with known keys.
-
-    Raises:
-        InputError: it is not, has another key, or lacks one that is needed.
-    """
+    """Check that an entry of a file is a mapping with known keys."""
     known = ", ".join(keys)
     if not isinstance(entry, dict):
         raise InputError(f"{where} must be a mapping with {known}, got {shown(entry)}")
@@ -102,11 +94,7 @@ def check_mapping(
 
 
 def number(value: Any, key: str) -> float:
-    """Return a finite number from a file.
-
-    Raises:
-        InputError: it is not a finite number.
-    """
+    """Return a finite number from a file."""
     try:
         found = float(value) if isinstance(value, str) else math.nan
     except ValueError:
@@ -185,14 +173,7 @@ def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
 def fitted_medium(
     result: FitResult, name: str, *, source: str = "", title: str | None = None
 ) -> Medium:
-    """Return the fitted medium: free constants with intervals, the others unchanged.
-
-    Args:
-        result: the fit.
-        name: name of the medium.
-        source: what it was fitted to.
-        title: None for that of the initial medium.
-    """
+    """Return the fitted medium: free constants with intervals, the others unchanged."""
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
     key = _table(kind, before.constants)

@@ -22,12 +22,6 @@ class Problem:
 
     The unknowns are the free constants, then the touch time of each drop whose record does not have
     it.
-
-    Args:
-        trials: the runs to fit.
-        material: initial material.
-        free: names of the free constants.
-        progress: called with the number of simulated runs.
     """
 
     def __init__(

@@ -357,11 +357,7 @@ class RunSet:
     runs: tuple[MeasuredRun, ...] = field(repr=False)
 
     def __getitem__(self, name: str) -> MeasuredRun:
-        """Return the run of a name.
-
-        Raises:
-            UnknownNameError: no such run; lists the runs.
-        """
+        """Return the run of a name."""
         for run in self.runs:
             if run.name == name:
                 return run
@@ -380,11 +376,7 @@ def _plain(run: Run | MeasuredRun, **changes: Any) -> dict[str, Any]:
 
 
 def load_machine(file: Path) -> mujoco.MjSpec:
-    """Load a body from its MJCF file.
-
-    Raises:
-        InputError: MuJoCo cannot read it.
-    """
+    """Load a body from its MJCF file."""
     try:
         return mujoco.MjSpec.from_file(str(file))
     except ValueError as error:

@@ -76,14 +76,7 @@ def way_of(run: MeasuredRun, law: Law) -> str:
 def simulator_of(
     run: MeasuredRun, way: str, *, scheme: str = "implicit", timestep: float = TIMESTEP
 ) -> Simulator:
-    """Return a simulator for a measured run, of a way of `way_of`.
-
-    Args:
-        run: the run.
-        way: "drop", or a key of `MOVES`.
-        scheme: time stepping scheme of a drop.
-        timestep: time step of a drop or push [s].
-    """
+    """Return a simulator for a measured run, of a way of `way_of`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
     chosen: Scheme | str = "implicit"

@@ -97,11 +97,7 @@ class Drop(PlainSand):
 
     @classmethod
     def from_config(cls, config: object) -> Drop:
-        """Return the drop of which `config` returned these values.
-
-        Raises:
-            OutputError: they do not describe a drop; says what is wrong.
-        """
+        """Return the drop of which `config` returned these values."""
         where = "the drop's configuration"
         plain = {**config} if isinstance(config, dict) else {}
         for name in ("state", "site"):  # of version 0.2
@@ -377,11 +373,7 @@ def memory_of(drop: Drop, model: mujoco.MjModel) -> Memory | None:
 
 
 def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:
-    """Set the state of a keyframe; None to change nothing.
-
-    Raises:
-        UnknownNameError: the model has no such keyframe; lists those it has.
-    """
+    """Set the state of a keyframe; None to change nothing."""
     if keyframe is None:
         return
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)

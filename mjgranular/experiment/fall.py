@@ -180,11 +180,7 @@ class _Run:
         return Rest(time=since - self.watch.touchdown, depth=depth, angle=lean)
 
     def check_energy(self) -> None:
-        """Check that the simulation has not diverged.
-
-        Raises:
-            UnstableError: it has.
-        """
+        """Check that the simulation has not diverged."""
         if not self.energy() <= self.most_energy:  # also if it is NaN
             raise UnstableError(
                 f"the run was stopped at t = {self.time:.4g} s: the link "

@@ -56,11 +56,7 @@ def _write_drop_csv(path: Path, result: DropResult) -> None:
 
 
 def saved_command(path: Path) -> str:
-    """Return the command whose result a folder contains.
-
-    Raises:
-        OutputError: it contains none.
-    """
+    """Return the command whose result a folder contains."""
     try:
         command = read_json(files.latest_path(path, CONFIG)).get("command")
     except OutputError as error:
@@ -73,11 +69,7 @@ def saved_command(path: Path) -> str:
 
 
 def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
-    """Read a saved run of a model: options, and the samples.
-
-    Raises:
-        OutputError: the folder does not contain such a result.
-    """
+    """Read a saved run of a model: options, and the samples."""
 
     def read() -> tuple[Drop, dict[str, np.ndarray]]:
         config = read_json(files.latest_path(path, CONFIG)).get("config")
@@ -99,20 +91,12 @@ def read_drop(path: Path) -> tuple[Drop, dict[str, np.ndarray]]:
 
 
 def prints_of(arrays: dict[str, np.ndarray]) -> Tracks | None:
-    """Return the tracks among the samples of a run; None if there are none.
-
-    Raises:
-        ValueError: they are damaged.
-    """
+    """Return the tracks among the samples of a run; None if there are none."""
     return Tracks.from_arrays(arrays) if Tracks.names()[0] in arrays else None
 
 
 def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
-    """Read a saved impact: options, summary, trajectory.
-
-    Raises:
-        OutputError: the folder does not contain such a result.
-    """
+    """Read a saved impact: options, summary, trajectory."""
 
     def read() -> tuple[Impact, dict[str, Any], Trajectory]:
         config = read_json(files.latest_path(path, CONFIG))
@@ -135,11 +119,7 @@ def read_impact(path: Path) -> tuple[Impact, dict[str, Any], Trajectory]:
 
 
 def read_prints(path: Path) -> Tracks | None:
-    """Read the tracks of a saved impact; None for sand without memory.
-
-    Raises:
-        OutputError: they are damaged.
-    """
+    """Read the tracks of a saved impact; None for sand without memory."""
     try:
         file = files.latest_path(path, _NPZ)
         return prints_of(read_arrays(file, Tracks.names())) if Tracks.are_in(file) else None

@@ -104,11 +104,7 @@ class PlainSand:
 
 
 def hide_replaced(model: mujoco.MjModel, sand: SandSpec) -> None:
-    """Hide geoms that the sand replaces in viewers and films.
-
-    Raises:
-        UnknownNameError: the model has no such geom; lists the valid names.
-    """
+    """Hide geoms that the sand replaces in viewers and films."""
     model.geom_group[find_all(model, "geom", sand.instead_of)] = NOT_SHOWN
 
 
@@ -116,9 +112,6 @@ def refuse_floors(model: mujoco.MjModel, sand: SandSpec) -> None:
     """Check that no ground of the model carries it at or above the sand's surface.
 
     Contacts of geoms that the sand replaces are switched off in the model.
-
-    Raises:
-        InputError: some does; says which, and which options help.
     """
     replace_geoms(model, sand.instead_of)
     floors = find_floors(model, geoms_in_sand(model, sand), surface_of(sand.surface))

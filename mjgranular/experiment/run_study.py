@@ -145,9 +145,6 @@ def _try(experiment: Experiment) -> None:
 
     This reports what is wrong with all of them before workers start, and compiles missing machine
     code once, not in all of them.
-
-    Raises:
-        InputError: it cannot be set up.
     """
     short: dict[str, Any] = {"points": 2}
     if isinstance(experiment, Impact):

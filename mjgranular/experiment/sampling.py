@@ -58,11 +58,6 @@ class Sampler:
 
     What sand with memory does follows from more than a state: its reports are kept with the
     samples, and its tracks are recorded.
-
-    Args:
-        sand: the sand.
-        data: the simulation, before its first step.
-        duration: duration of the run [s].
     """
 
     def __init__(self, sand: Sand, data: mujoco.MjData, duration: float) -> None:

@@ -186,10 +186,6 @@ def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experime
     Args:
         experiment: the experiment.
         values: by the names of the fields, or `law.NAME`, or `medium.density`.
-
-    Raises:
-        UnknownNameError: no such field, or no such parameter of the law; lists the valid ones.
-        InputError: an invalid value of the experiment.
     """
     hints = typing.get_type_hints(type(experiment))
     known = [f.name for f in fields(experiment) if f.name not in _NOT_VARIED]
@@ -265,11 +261,7 @@ def _word(value: Any) -> str:
 
 
 def _converted(name: str, value: Value, kind: Any) -> Any:
-    """Convert a value to the type of a field.
-
-    Raises:
-        InputError: it is of another type.
-    """
+    """Convert a value to the type of a field."""
     kinds = typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
     if float not in kinds and int not in kinds:
         return value if isinstance(value, str) else f"{value:g}"

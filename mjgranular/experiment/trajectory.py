@@ -133,11 +133,7 @@ class Trajectory:
 
     @classmethod
     def read_npz(cls, path: Path) -> Trajectory:
-        """Read what `write_npz` wrote.
-
-        Raises:
-            OutputError: the file is missing, or has no trajectory.
-        """
+        """Read what `write_npz` wrote."""
         arrays = read_arrays(path, [field.name for field in fields(cls)])
         t = arrays["t"]
         if t.ndim != 1 or not len(t) or any(a.shape != t.shape for a in arrays.values()):

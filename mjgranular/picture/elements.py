@@ -47,11 +47,7 @@ def count(number: int, things: str) -> str:
 
 
 def check_file(file: Path) -> None:
-    """Check that a figure can be written to a file.
-
-    Raises:
-        InputError: its extension is not in `FORMATS`.
-    """
+    """Check that a figure can be written to a file."""
     if file.suffix.lower() not in FORMATS:
         raise InputError(
             f"a figure is written as {', '.join(FORMATS[:-1])} or {FORMATS[-1]}, not "

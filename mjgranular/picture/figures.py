@@ -131,15 +131,6 @@ def draw_drop(
     """Draw depth, force and power of the bodies that met the sand, against time.
 
     If there are many, those with the largest forces are drawn.
-
-    Args:
-        path: path of the picture.
-        t: times [s], shape (n,).
-        names: names of the bodies.
-        depth: [m], shape (n, bodies).
-        force: [N], shape (n, bodies, 3).
-        power: power of the sand [W], shape (n, bodies).
-        title: title of the figure.
     """
     met = [k for k in range(len(names)) if depth[:, k].max() > 0] or list(range(len(names)))
     greatest = np.linalg.norm(force, axis=2).max(axis=0)

@@ -127,11 +127,7 @@ def _cut_open(model: mujoco.MjModel) -> tuple[Region, float]:
 
 
 def make_renderer(model: mujoco.MjModel, width: int, height: int) -> Any:
-    """Make a renderer for pictures of a size in pixels.
-
-    Raises:
-        RenderError: MuJoCo cannot render on this machine; says what to install.
-    """
+    """Make a renderer for pictures of a size in pixels."""
     # Exactly the size of the picture: MuJoCo processes its whole buffer.
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     model.vis.quality.offsamples = min(model.vis.quality.offsamples, _SAMPLES)

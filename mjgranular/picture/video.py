@@ -68,12 +68,7 @@ class Film:
             raise InputError(f"the last frame can stand for 0 to 60 seconds, got {self.hold}")
 
     def check(self, link: Link) -> None:
-        """Check that the model has the camera and that the packages are installed.
-
-        Raises:
-            UnknownNameError: it does not; lists the model's cameras.
-            MissingExtraError: gives the install line.
-        """
+        """Check that the model has the camera and that the packages are installed."""
         known = [camera.name for camera in link.spec().cameras]
         if self.camera not in known:
             raise UnknownNameError("camera", self.camera, known)
@@ -186,11 +181,7 @@ def _frames_of_link(
 
 
 def check_camera(model: mujoco.MjModel, camera: str) -> None:
-    """Check that a model has a camera.
-
-    Raises:
-        UnknownNameError: it does not; lists its cameras.
-    """
+    """Check that a model has a camera."""
     known = ["free", *(model.camera(c).name for c in range(model.ncam))]
     if camera not in known:
         raise UnknownNameError("camera", camera, known)
@@ -342,11 +333,7 @@ def _two_digits(value: float) -> str:
 
 
 def need_mediapy(purpose: str) -> Any:
-    """Return the module mediapy, with the ffmpeg of imageio-ffmpeg.
-
-    Raises:
-        MissingExtraError: a package is not installed; gives the install line.
-    """
+    """Return the module mediapy, with the ffmpeg of imageio-ffmpeg."""
     mediapy = require("mediapy", extra="video", purpose=purpose)
     ffmpeg = require("imageio_ffmpeg", extra="video", purpose=purpose)
     mediapy.set_ffmpeg(ffmpeg.get_ffmpeg_exe())
@@ -361,19 +348,7 @@ def write_video(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write pictures as an MP4 (H.264).
-
-    Args:
-        path: path of the file.
-        film: options of the film.
-        count: number of pictures.
-        pictures: from `frames_of_run` or `frames_of_model`.
-        progress: called with the number of frames written, and the total.
-
-    Raises:
-        MissingExtraError: a package for video is not installed; gives the install line.
-        RenderError: MuJoCo cannot render on this machine.
-    """
+    """Write pictures as an MP4 (H.264)."""
     mediapy = need_mediapy(_PURPOSE)
     first = next(pictures)  # fails on a machine that cannot render, before a file is opened
     shape = (film.height, film.width)

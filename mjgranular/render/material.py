@@ -53,12 +53,7 @@ TILES = _tiles()
 
 
 def add_material(spec: mujoco.MjSpec, *, tile: float = TILE) -> str:
-    """Add the material of sand to a model, unless it has it; return its name.
-
-    Args:
-        spec: the model to be.
-        tile: edge of the grain texture [m].
-    """
+    """Add the material of sand to a model, unless it has it; return its name."""
     if spec.material(MATERIAL) is None:
         spec.add_texture(
             name=MATERIAL,
