@@ -36,11 +36,9 @@ from mjgranular.experiment.ground import (
 from mjgranular.experiment.sampling import Recorder, Sampler
 from mjgranular.experiment.watch import REST_WINDOW, RestWatch
 from mjgranular.models import robot_path
-from mjgranular.relief.memory import Memory, as_memory
 from mjgranular.render import Tracks
 from mjgranular.render.scenery import add_scenery, place_sun
 from mjgranular.sand import Sand
-from mjgranular.sand.prepare import fitted
 from mjgranular.sand.report import BodyReport
 from mjgranular.sand.work import WorkMeter
 
@@ -365,11 +363,6 @@ def make_ready(spec: mujoco.MjSpec, drop: Drop) -> None:
             "rest: it runs with implicitfast"
         )
     add_scenery(spec, drop.surface)
-
-
-def memory_of(drop: Drop, model: mujoco.MjModel) -> Memory | None:
-    """Return the memory of the sand of a run, on its model; None for sand without memory."""
-    return as_memory(fitted(model, drop.sand).memory)
 
 
 def start_from(model: mujoco.MjModel, data: mujoco.MjData, keyframe: str | None) -> None:

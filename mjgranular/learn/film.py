@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mjgranular.errors import GranularError, RenderError
+from mjgranular.errors import drawing
 from mjgranular.learn import environments
 from mjgranular.learn.agents import Agent
 from mjgranular.picture.video import Film
@@ -73,13 +73,5 @@ def frames_of_episode(
 
 
 def _frame(env: Any) -> np.ndarray:
-    try:
+    with drawing():
         return np.asarray(env.render(), dtype=np.uint8)
-    except GranularError:
-        raise
-    except Exception as error:  # each platform's GL fails differently
-        raise RenderError(
-            f"the environment cannot be drawn ({type(error).__name__}: {error}); on Linux without "
-            "a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import mjgranular "
-            "before mujoco, or set MUJOCO_GL=egl"
-        ) from None
