@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, get_type_hints
 
@@ -56,10 +56,6 @@ class Material:
         return cls(made, medium, frozenset(given))
 
     @cached_property
-    def _kinds(self) -> dict[str, Any]:
-        return get_type_hints(type(self.law))
-
-    @cached_property
     def _stronger(self) -> tuple[str, ...]:
         """The fields that a factor on static resistance multiplies; may be empty."""
         keys = type(self.law).strength_keys
@@ -75,8 +71,9 @@ class Material:
 
     @cached_property
     def _numbers(self) -> tuple[str, ...]:
+        kinds = get_type_hints(type(self.law))
         every = fields(self.law)  # pyright: ignore[reportArgumentType]
-        return tuple(field.name for field in every if self._kinds[field.name] is float)
+        return tuple(field.name for field in every if kinds[field.name] is float)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -152,9 +149,10 @@ class Material:
         if low < value < high and value != 0:
             return True
         if name in self.given:
+            accepted = f"from {low:g} on" if math.isinf(high) else f"{low:g} to {high:g}"
             raise InputError(
                 f"{name} starts at {value:g}, which is a bound of what the law {self.law.name!r} "
-                f"accepts, {_range(low, high)}: give a start inside, or none"
+                f"accepts, {accepted}: give a start inside, or none"
             )
         return False
 
@@ -202,17 +200,11 @@ class Material:
 
     def constants(self) -> dict[str, float]:
         """Return the law's constants that a medium must have: all but defaults."""
-        every = {field.name: field for field in fields(self.law)}  # pyright: ignore
-        kept = {}
-        for name in self._numbers:
-            default = every[name].default
-            value = getattr(self.law, name)
-            if default is MISSING or value != default or name in self.given:
-                kept[name] = float(value)
-        return kept
-
-
-def _range(low: float, high: float) -> str:
-    if math.isinf(high):
-        return f"from {low:g} on"
-    return f"{low:g} to {high:g}"
+        every = fields(self.law)  # pyright: ignore[reportArgumentType]
+        defaults = {field.name: field.default for field in every}
+        values = {name: float(getattr(self.law, name)) for name in self._numbers}
+        return {
+            name: value
+            for name, value in values.items()
+            if name in self.given or value != defaults[name]  # MISSING equals no value
+        }

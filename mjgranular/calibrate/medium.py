@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, asdict, fields, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from mjgranular._util.extras import require
 from mjgranular._util.io import place
 from mjgranular.calibrate.material import DENSITY, STRENGTH
 from mjgranular.calibrate.result import FitResult
@@ -219,25 +220,7 @@ def _interval(result: FitResult, name: str) -> str:
 
 def medium_text(medium: Medium) -> str:
     """Return a medium as a YAML string that `read_medium` reads."""
-    lines = [
-        f"name: {_quoted(medium.name)}",
-        f"title: {_quoted(medium.title)}",
-        f"density: {_entry(medium.density)}",
-    ]
-    if medium.grain is not None:
-        lines.append(f"grain: {_entry(medium.grain)}")
-    lines += [f"default_law: {medium.default_law}", "constants:"]
-    for law, constants in medium.constants.items():
-        lines.append(f"  {law}:")
-        lines += [f"    {name}: {_entry(quantity)}" for name, quantity in constants.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _entry(quantity: Quantity) -> str:
-    unit = f", unit: {_quoted(quantity.unit)}" if quantity.unit else ""
-    return f"{{value: {quantity.value!r}{unit}, source: {_quoted(quantity.source)}}}"
-
-
-def _quoted(text: str) -> str:
-    """Return a string in YAML's single quotes."""
-    return "'" + " ".join(text.split()).replace("'", "''") + "'"
+    yaml = require("yaml", extra="fit", purpose="Writing a medium")
+    content = {name: value for name, value in asdict(medium).items() if value is not None}
+    style = {"sort_keys": False, "default_flow_style": None, "allow_unicode": True}
+    return yaml.safe_dump(content, width=10_000, **style)

@@ -158,8 +158,9 @@ def compare(measured: Motion, simulated: Motion) -> Errors:
     Raises:
         InputError: only one is a drop, or a drop has no row in the sand.
     """
-    if measured.rate is not None:
-        return _compare_speeds(measured, simulated)
+    if measured.rate is not None and measured.speed is not None and simulated.speed is not None:
+        speeds = simulated.speed / measured.speed - 1
+        return Errors(trajectory=float(np.abs(speeds).mean()), speed=float(speeds.mean()))
     if measured.time is None or simulated.time is None:
         return _compare_forces(measured, simulated)
     final = measured.final_depth
@@ -194,13 +195,6 @@ def relative(measured: float | None, simulated: float | None) -> float | None:
 def rms(values: np.ndarray) -> float:
     """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _compare_speeds(measured: Motion, simulated: Motion) -> Errors:
-    assert measured.speed is not None
-    assert simulated.speed is not None
-    errors = simulated.speed / measured.speed - 1
-    return Errors(trajectory=float(np.abs(errors).mean()), speed=float(errors.mean()))
 
 
 def _compare_forces(measured: Motion, simulated: Motion) -> Errors:

@@ -308,11 +308,6 @@ class MeasuredRun:
         return _plain(self, motion=None)
 
     @property
-    def to_the_stop(self) -> bool:
-        """Whether the record ends where the lowest point stops, not where the body is at rest."""
-        return self.motion.to_the_stop
-
-    @property
     def shape(self) -> str:
         """Shape of the body, or the name of its MJCF file."""
         return self.body.name if isinstance(self.body, Path) else self.body.shape

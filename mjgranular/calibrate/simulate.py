@@ -126,7 +126,7 @@ def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
             if step * timestep > last and rows[-1][2] < 0.005 * fastest:
                 break
     found = np.array(rows)
-    if run.to_the_stop:
+    if run.motion.to_the_stop:
         found = found[: int(np.argmax(found[:, 1])) + 1]
     t, deepest, speed, pitch = found.T
     # Mean force since the previous row, from momentum.
@@ -138,7 +138,7 @@ def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
         speed=speed,
         force=force,
         pitch=None if body.shape == "sphere" else pitch,
-        to_the_stop=run.to_the_stop,
+        to_the_stop=run.motion.to_the_stop,
     )
 
 
