@@ -18,9 +18,7 @@ from mjgranular.experiment.watch import REST_WINDOW, RestWatch, StopWatch
 # Energy that the sand may seem to give before the run is ended, over the energy there was to
 # begin with. A passive medium gives none; the explicit sign of the static force a little.
 _ENERGY_MARGIN = 0.05
-_TRACKS_FOR = (
-    0.4  # duration over which tracks are recorded as often as over a whole run [s]; chosen
-)
+_TRACKS_FOR = 0.4  # tracks are recorded as often as over a whole run of that duration [s]; chosen
 _PROGRESS_STEPS = 5000  # between two calls of `progress`
 
 

@@ -17,10 +17,6 @@ class Recorder:
 
     When the buffer is full, every other sample is dropped, and from then on every other one is
     taken: between half and all of the buffer is in use, whatever the number of steps.
-
-    Args:
-        width: number of values in a sample.
-        keep: largest number of samples; even.
     """
 
     def __init__(self, width: int, keep: int = _KEEP) -> None:

@@ -28,8 +28,7 @@ Value = float | int | str
 ANGLES = ("angle", "slope", "uphill", "tilt", "direction")
 """Fields in radians, which are in degrees on the command line and in tables."""
 
-LAW, MEDIUM = "law.", "medium."
-_DENSITY = "medium.density"
+LAW, DENSITY = "law.", "medium.density"
 _MOST = 10**9  # tasks; chosen: a larger grid is a mistake
 _CHECKED = 1000  # values of a field that are checked beforehand; of more, both ends
 _NOT_VARIED = ("model", "bodies", "geoms", "groups", "instead_of", "keep_floor")
@@ -129,7 +128,6 @@ class Study:
     def config(self) -> dict[str, Any]:
         """Return the study in plain values."""
         base = self.experiment
-        drawn = self.sample is not None
         return {
             "experiment": type(base).__name__.lower(),
             "common": asdict(base) if isinstance(base, Impact) else base.config(),
@@ -138,7 +136,7 @@ class Study:
                 for name, values in self.vary.items()
             },
             "sample": self.sample,
-            "seed": self.seed if drawn else None,
+            "seed": None if self.sample is None else self.seed,
         }
 
     @property
@@ -181,29 +179,28 @@ class Study:
 
 
 def with_values(experiment: Experiment, values: Mapping[str, Value]) -> Experiment:
-    """Return an experiment with other values of some fields.
-
-    Args:
-        experiment: the experiment.
-        values: by the names of the fields, or `law.NAME`, or `medium.density`.
-    """
+    """Return an experiment with other values of some fields, of its law or of its medium."""
     hints = typing.get_type_hints(type(experiment))
     known = [f.name for f in fields(experiment) if f.name not in _NOT_VARIED]
-    changes, law, medium = {}, {}, {}
+    changes, law = {}, {}
     for name, value in values.items():
         if name.startswith(LAW):
             law[name.removeprefix(LAW)] = value
-        elif name.startswith(MEDIUM):
-            medium[name] = value
-        elif name not in known:
-            raise UnknownNameError("field to vary", name, [*known, "law.NAME", _DENSITY])
-        else:
+        elif name in known:
             changes[name] = _converted(name, value, hints[name])
+        elif name != DENSITY:
+            raise UnknownNameError("field to vary", name, [*known, "law.NAME", DENSITY])
     changed = replace(experiment, **changes)
     if law:  # before the medium: the constants of its law do not depend on its density
         changed = replace(changed, law=_law_with(changed, law))
-    if medium:
-        changed = replace(changed, medium=_medium_with(changed, medium))
+    if DENSITY in values:
+        if changed.medium is None:
+            raise InputError(
+                "law and bodies determine the medium if it is not given: name the medium whose "
+                "density is varied"
+            )
+        name = str(changed.medium).partition(" density=")[0]
+        changed = replace(changed, medium=f"{name} density={_word(values[DENSITY])}")
     return changed
 
 
@@ -236,22 +233,6 @@ def _law_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
         options[name] = _converted(f"law.{name}", value, hints[name])
     words = (f"{name}={_word(value)}" for name, value in options.items())
     return " ".join((kind.name, *words))
-
-
-def _medium_with(experiment: Experiment, values: Mapping[str, Value]) -> str:
-    """Return the medium of an experiment in words, with another density."""
-    for name in values:
-        if name != _DENSITY:
-            raise UnknownNameError(
-                "field to vary", name, [_DENSITY], "constants of a law are law.NAME", guess=False
-            )
-    if experiment.medium is None:
-        raise InputError(
-            "law and bodies determine the medium if it is not given: name the medium whose "
-            "density is varied"
-        )
-    name = str(experiment.medium).partition(" density=")[0]
-    return f"{name} density={_word(values[_DENSITY])}"
 
 
 def _word(value: Any) -> str:
