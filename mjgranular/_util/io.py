@@ -7,6 +7,7 @@ user, `OutputError` for one that the package wrote. Nothing in a file is execute
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import stat
@@ -28,10 +29,6 @@ _LONGEST_PATH = 300  # characters of a path that a message shows; chosen
 _PLAINLY = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)  # not defined on all systems
 
 
-class NotRegularError(OSError):
-    """Error for a path that is not a regular file."""
-
-
 def place(path: Path) -> str:
     """Format a path for a message."""
     text = one_line(str(path))
@@ -48,25 +45,16 @@ def check_regular(path: Path, what: str) -> None:
         mode = path.stat().st_mode
     except (OSError, ValueError):
         return
-    if stat.S_ISDIR(mode):
-        raise InputError(f"cannot read {what} {place(path)}: it is a folder, not a file")
     if not stat.S_ISREG(mode):
-        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file")
+        kind = "a folder, not a file" if stat.S_ISDIR(mode) else "not a regular file"
+        raise InputError(f"cannot read {what} {place(path)}: it is {kind}")
 
 
 def read_file(path: Path, what: str, *, largest: int) -> bytes:
-    """Return the content of a user's file.
-
-    Args:
-        path: path of the file.
-        what: expected content, for the message: "the medium".
-        largest: largest accepted size [bytes].
-    """
+    """Return the content of a user's file."""
     check_regular(path, what)
     try:
         content = _beginning(path, largest + 1)
-    except NotRegularError:
-        raise InputError(f"cannot read {what} {place(path)}: it is not a regular file") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is not a path"
         raise InputError(f"cannot read {what} {place(path)}: {reason}") from None
@@ -81,12 +69,9 @@ def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
     """Return the content of a file of a result, of `most` bytes at most."""
     try:
         content = _beginning(file, most + 1)
-    except NotRegularError:
-        raise OutputError(f"{file} is not a file") from None
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
-        raise OutputError(
-            f"{file} cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from None
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"{file} cannot be read: {reason}") from None
     if len(content) > most:
         raise OutputError(f"{file} is larger than anything that belongs there")
     return content
@@ -102,19 +87,15 @@ def read_text(file: Path) -> str:
 
 def read_json(file: Path) -> dict[str, Any]:
     """Return the object in a JSON file."""
-    return parse_json(read_text(file), str(file))
-
-
-def parse_json(text: str, where: str) -> dict[str, Any]:
-    """Parse the object in a JSON string; `where` is its source, for the message."""
+    text = read_text(file)
     try:
         content = json.loads(text, parse_constant=_raise_for_constant)
         if "\\u" in text:  # lone surrogates cannot be printed
             json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         reason = "" if isinstance(error, RecursionError) else f": {str(error)[:200]}"
-        raise OutputError(f"{where} is damaged{reason}") from None
-    return _object(content, where)
+        raise OutputError(f"{file} is damaged{reason}") from None
+    return _object(content, file)
 
 
 def read_arrays(
@@ -182,7 +163,7 @@ def _beginning(path: Path, most: int) -> bytes:
     descriptor = os.open(path, os.O_RDONLY | _PLAINLY)
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise NotRegularError
+            raise OSError(errno.EINVAL, "it is not a regular file")
         return file.read(most) or b""
 
 
