@@ -54,11 +54,6 @@ class Cameras:
     def look(self, model: mujoco.MjModel, data: mujoco.MjData, sand: int) -> np.ndarray | None:
         """Render an image, shape (height, width, 3), or to the window.
 
-        Args:
-            model: the model, of the task or a copy.
-            data: a simulation of it.
-            sand: index of the active sand.
-
         Raises:
             RenderError: rendering fails on this machine; says what to install.
         """

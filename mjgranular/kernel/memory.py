@@ -106,16 +106,7 @@ def simulation_table(
 def emit_array(
     context: Any, builder: Any, kind: Any, itemsize: int, address: Any, shape: list[Any]
 ) -> Any:
-    """Emit an array in C order at an address.
-
-    Args:
-        context: numba's.
-        builder: numba's.
-        kind: type of the array.
-        itemsize: size of an item [bytes].
-        address: address of the first item.
-        shape: LLVM's integers.
-    """
+    """Emit an array in C order at an address."""
     array = context.make_array(kind)(context, builder)
     strides = [_WORD(itemsize)]
     for size in reversed(shape[1:]):

@@ -27,20 +27,8 @@ def frames_of_episode(
 ) -> tuple[Film, int, Iterator[np.ndarray]]:
     """Return the frames of an episode in real time, from its beginning, for `film.seconds` at most.
 
-    Args:
-        env_id: Gymnasium id.
-        arguments: arguments of the environment.
-        make_agent: returns the agent for a given environment.
-        film: size, frames per second, length.
-        seed: seed of the environment's reset.
-        camera: camera of the model; None for the environment's default view.
-
     Returns:
         The film with the size and rate of the frames, their largest number, and the frames.
-
-    Raises:
-        InputError: no such camera.
-        RenderError: the environment cannot be drawn on this machine.
     """
     env = environments.for_filming(
         env_id, arguments, width=film.width, height=film.height, camera=camera

@@ -28,20 +28,7 @@ class OutlineError(InputError):
 def read_outline_file(
     path: Path, what: str, needed: str, *, largest: int, extra: str, purpose: str
 ) -> Any:
-    """Read a YAML file as `read_outline` does.
-
-    Args:
-        path: path of the file.
-        what: expected content, for messages: "the medium".
-        needed: what needs PyYAML: "a medium needs".
-        largest: largest accepted size of the file [bytes].
-        extra: the extra that installs PyYAML.
-        purpose: purpose of reading, for the message if PyYAML is missing.
-
-    Raises:
-        InputError: the file cannot be read, is too large, or is not such YAML; says which.
-        MissingExtraError: PyYAML is not installed.
-    """
+    """Read a YAML file as `read_outline` does."""
     yaml = require("yaml", extra=extra, purpose=purpose)
     content = read_file(path, what, largest=largest)
     try:
@@ -54,10 +41,6 @@ def read_outline_file(
 
 def read_outline(text: str, yaml: Any) -> Any:
     """Read YAML: dicts, lists, strings, and unquoted None, True and False.
-
-    Args:
-        text: one document.
-        yaml: the module `yaml`.
 
     Raises:
         OutlineError: it is not YAML, or has unsupported content: tags, several documents, a

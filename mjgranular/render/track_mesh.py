@@ -43,14 +43,7 @@ def relief_of_base(base: Surface, memory: Memory) -> Relief:
 def make_canvas(
     record: np.ndarray, memory: Memory, unit: float, region: Region | None = None
 ) -> np.ndarray:
-    """Return the description of a drawing, `CANVAS_DTYPE` without addresses, shape (1,).
-
-    Args:
-        record: record of the relief.
-        memory: memory of the sand.
-        unit: size of the rectangles of an infinite plane [m].
-        region: drawn region; None for everything.
-    """
+    """Return the description of a drawing, `CANVAS_DTYPE` without addresses, shape (1,)."""
     if region is None and np.isfinite(record["half_along"][0]):
         half = float(record["half_along"][0]), float(record["half_across"][0])
         names = record["base"].dtype.names or ()
@@ -115,12 +108,7 @@ class TrackMesh:
             model.geom_group[geom] = NOT_SHOWN
 
     def lay(self, state: np.ndarray, middle: np.ndarray) -> None:
-        """Fit the skin to the sand; call it before a scene is updated.
-
-        Args:
-            state: state of the sand's memory (`relief.grid`).
-            middle: center of the visible region [m], world.
-        """
+        """Fit the skin to the sand; call it before a scene is updated."""
         canvas, record = self._canvas[0], self._record[0]
         if not canvas["held"]:
             away = middle - record["origin"]

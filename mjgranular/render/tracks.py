@@ -97,12 +97,7 @@ class TrackRecorder:
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []
 
     def look(self, t: float, *, last: bool = False) -> None:
-        """Sample the sand if a sample is due.
-
-        Args:
-            t: present time [s].
-            last: whether to sample in any case.
-        """
+        """Sample the sand if a sample is due."""
         if t < self._next and not last:
             return
         self._next = t + self._apart
