@@ -165,16 +165,12 @@ def _with_starts(fit: Fit, trials: Sequence[Trial]) -> Material:
     """Return the initial material; a default on a bound is replaced by the best power of ten."""
     material = fit.material
     for name in fit.free:
-        if material.has_start(name):
-            continue
-        best, least = material, np.inf
-        for value in _SCAN:
-            tried = material.changed({name: value})
-            probe = Problem(trials, tried, (name,))
-            error = float(np.square(probe.residual(probe.start())).sum())
-            if error < least:
-                best, least = tried, error
-        material = best
+        if not material.has_start(name):
+            costs = {}
+            for value in _SCAN:
+                probe = Problem(trials, material.changed({name: value}), (name,))
+                costs[value] = np.square(probe.residual(probe.start())).sum()
+            material = material.changed({name: min(costs, key=costs.__getitem__)})
     return material
 
 

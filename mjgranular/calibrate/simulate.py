@@ -182,11 +182,19 @@ def _push(run: MeasuredRun, simulator: Simulator) -> Motion:
 
 def place(run: MeasuredRun, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
-    rows = _rows(run)
-    set_row = _set_machine if isinstance(run.body, Path) else _set_body
+    model, data, rows = simulator.model, simulator.data, _rows(run)
+    pose = model.qpos0
+    if isinstance(run.body, Projectile):
+        pose = run.body.touching(math.radians(run.angle))
     forces = []
     for row in rows:
-        set_row(run, simulator, row)
+        data.qpos[:], data.qvel[:] = pose, 0.0
+        if run.kind == "turn":
+            data.joint("turn").qpos = row["angle"]
+        else:
+            data.joint("z").qpos[0] -= row["depth"]
+        for name, value in _velocity(run.kind, row).items():
+            data.joint(name).qvel = value
         forces.append(simulator.force())
     x, y, z = np.array(forces).T
     if run.kind == "intrude":
@@ -194,24 +202,6 @@ def place(run: MeasuredRun, simulator: Simulator) -> Motion:
         return Motion(depth=run.motion.depth, speed=speed, force=z)
     side = None if run.motion.side is None else -y
     return replace(run.motion, force=x if run.kind == "turn" else -x, side=side, lift=z)
-
-
-def _set_body(run: MeasuredRun, simulator: Simulator, row: dict[str, float]) -> None:
-    data, along = simulator.data, run.kind == "drag"
-    data.qpos[:] = _projectile(run).touching(math.radians(run.angle))
-    data.qpos[1] -= row["depth"]
-    data.qvel[:] = (row["speed"], 0.0, 0.0) if along else (0.0, -row["speed"], 0.0)
-
-
-def _set_machine(run: MeasuredRun, simulator: Simulator, row: dict[str, float]) -> None:
-    data = simulator.data
-    data.qpos[:], data.qvel[:] = simulator.model.qpos0, 0.0
-    if run.kind == "turn":
-        data.joint("turn").qpos = row["angle"]
-    else:
-        data.joint("z").qpos = -row["depth"]
-    for name, value in _velocity(run.kind, row).items():
-        data.joint(name).qvel = value
 
 
 def _sink(run: MeasuredRun, simulator: Simulator) -> Motion:
@@ -285,8 +275,8 @@ def _rows(run: MeasuredRun) -> list[dict[str, float]]:
 
 def _velocity(kind: str, row: dict[str, float]) -> dict[str, float]:
     """Return the joint velocities of a body with prescribed motion."""
-    if kind == "turn":
-        return {"turn": row["speed"]}
+    if kind in ("turn", "intrude"):
+        return {"turn": row["speed"]} if kind == "turn" else {"z": -row["speed"]}
     found = {"x": row["speed"] * math.cos(row["angle"])}
     if "spin" in row:
         found |= {"y": row["speed"] * math.sin(row["angle"]), "turn": row["spin"]}

@@ -65,7 +65,7 @@ def read_table(
     if not rows:
         raise InputError(f"{name} is empty: a table has a line of headings and rows of numbers")
     headings = [cell.strip() for cell in rows[0][1]]
-    if all(_is_number(cell) for cell in headings):
+    if None not in map(_parsed, headings):
         raise InputError(
             f"{name} begins with numbers: its first line has to name the columns, such as "
             "time,depth"
@@ -123,14 +123,14 @@ def _factor(heading: str, column: str, name: str) -> float:
 
 def _number(row: list[str], index: int, line: int, name: str) -> float:
     cell = row[index].strip() if index < len(row) else ""
-    if not _is_number(cell) or not np.isfinite(float(cell)):
+    number = _parsed(cell)
+    if number is None or not np.isfinite(number):
         raise InputError(f"{name}, line {line}: {shown(cell)} is not a finite number")
-    return float(cell)
+    return number
 
 
-def _is_number(cell: str) -> bool:
+def _parsed(cell: str) -> float | None:
     try:
-        float(cell)
+        return float(cell)
     except ValueError:
-        return False
-    return True
+        return None
