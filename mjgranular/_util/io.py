@@ -65,14 +65,14 @@ def read_file(path: Path, what: str, *, largest: int) -> bytes:
     return content
 
 
-def read_bytes(file: Path, *, most: int = _MOST_TEXT) -> bytes:
-    """Return the content of a file of a result, of `most` bytes at most."""
+def read_bytes(file: Path) -> bytes:
+    """Return the content of a file of a result."""
     try:
-        content = _beginning(file, most + 1)
+        content = _beginning(file, _MOST_TEXT + 1)
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{file} cannot be read: {reason}") from None
-    if len(content) > most:
+    if len(content) > _MOST_TEXT:
         raise OutputError(f"{file} is larger than anything that belongs there")
     return content
 

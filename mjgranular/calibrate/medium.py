@@ -171,9 +171,7 @@ def _constants_of(kind: type[Law], medium: Medium) -> dict[str, Quantity]:
     }
 
 
-def fitted_medium(
-    result: FitResult, name: str, *, source: str = "", title: str | None = None
-) -> Medium:
+def fitted_medium(result: FitResult, name: str, *, source: str = "") -> Medium:
     """Return the fitted medium: free constants with intervals, the others unchanged."""
     material, start = result.material, result.start
     before, kind = start.medium, type(material.law)
@@ -190,14 +188,7 @@ def fitted_medium(
     density = before.density
     if material.medium.density.value != density.value:
         density = Quantity(material.medium.density.value, "kg/m^3", _found(result, DENSITY, source))
-    return Medium(
-        name=name,
-        title=title or before.title,
-        density=density,
-        grain=before.grain,
-        default_law=key,
-        constants={key: constants},
-    )
+    return replace(before, name=name, density=density, default_law=key, constants={key: constants})
 
 
 def _found(result: FitResult, constant: str, source: str) -> str:

@@ -25,6 +25,7 @@ TIMESTEP = 5e-5
 """Time step of simulated drops [s]: halving it changes final depths by less than 0.3 %."""
 
 _SAMPLES = 1e-4  # time between two samples [s]
+_LONGER = 0.1  # time after the end of the run within which the body may stop [s]
 _HEAVY = 1e6  # inertia of a body that keeps its angle [kg m^2]; chosen
 _HEAVY_BODY = 1e4  # mass or inertia of a body that keeps its speed [kg, kg m^2]; chosen
 _SETTLES = 0.01  # sinking speed of a wheel of given sinkage, in parts of its speed; chosen
@@ -38,8 +39,6 @@ def simulate(
     law: Law | str | None = None,
     *,
     timestep: float = TIMESTEP,
-    scheme: str = "implicit",
-    longer: float = 0.1,
 ) -> Motion:
     """Simulate a measured run with a law.
 
@@ -52,8 +51,6 @@ def simulate(
         medium: the sand.
         law: its law; None for the medium's default.
         timestep: time step of a drop [s].
-        scheme: time stepping scheme of a drop.
-        longer: time after the end of the run within which the body may stop [s].
 
     Raises:
         InputError: the law has no elements for such a body.
@@ -61,21 +58,19 @@ def simulate(
     """
     material = Material.of(get_medium(medium), law)
     way = way_of(run, material.law)
-    simulator = simulator_of(run, way, scheme=scheme, timestep=timestep)
+    simulator = simulator_of(run, way, timestep=timestep)
     simulator.use(material)
-    return _drop(run, simulator, longer) if way == "drop" else MOVES[way](run, simulator)
+    return MOVES[way](run, simulator)
 
 
 def way_of(run: MeasuredRun, law: Law) -> str:
-    """Return how a run is simulated: "drop", or a key of `MOVES`."""
+    """Return how a run is simulated, a key of `MOVES`."""
     if run.kind == "intrude" and law.adds_mass:
         return "push"
     return run.kind if run.kind in ("drop", "sink", "walk") else "place"
 
 
-def simulator_of(
-    run: MeasuredRun, way: str, *, scheme: str = "implicit", timestep: float = TIMESTEP
-) -> Simulator:
+def simulator_of(run: MeasuredRun, way: str, *, timestep: float = TIMESTEP) -> Simulator:
     """Return a simulator for a measured run, of a way of `way_of`."""
     spec = load_machine(run.body) if isinstance(run.body, Path) else run.body.spec()
     hinges = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
@@ -83,7 +78,6 @@ def simulator_of(
     if way in ("drop", "push"):
         spec.option.timestep = timestep
     if way == "drop":
-        chosen = scheme
         for joint in hinges if run.guided else ():
             joint.armature = _HEAVY
     elif way == "push":
@@ -104,7 +98,7 @@ def simulator_of(
     return Simulator(spec.compile(), chosen, bodies)
 
 
-def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
+def _drop(run: MeasuredRun, simulator: Simulator) -> Motion:
     time, depth = run.motion.time, run.motion.depth
     assert time is not None
     body, q = _projectile(run), math.radians(run.angle)
@@ -118,7 +112,7 @@ def _drop(run: MeasuredRun, simulator: Simulator, longer: float) -> Motion:
     last = time[-1] - time[0]
     rows = [(0.0, *_sample(body, simulator.data))]
     fastest = run.speed
-    for step in range(1, math.ceil((last + longer) / timestep) + 1):
+    for step in range(1, math.ceil((last + _LONGER) / timestep) + 1):
         simulator.step()
         if step % every == 0:
             rows.append((step * timestep, *_sample(body, simulator.data)))
@@ -249,12 +243,13 @@ def _walk(run: MeasuredRun, simulator: Simulator) -> Motion:
 
 
 MOVES: dict[str, Callable[[MeasuredRun, Simulator], Motion]] = {
+    "drop": _drop,
     "push": _push,
     "place": place,
     "sink": _sink,
     "walk": _walk,
 }
-"""How runs other than drops are simulated."""
+"""How runs are simulated."""
 
 
 def _projectile(run: MeasuredRun) -> Projectile:

@@ -79,7 +79,6 @@ class TrackMesh:
         memory: its memory.
         unit: edge of the grain texture, and of rectangles far away [m].
         region: drawn region; None for everything.
-        sand: name of the skin's sand.
     """
 
     def __init__(
@@ -90,12 +89,11 @@ class TrackMesh:
         *,
         unit: float,
         region: Region | None = None,
-        sand: str = "sand",
     ) -> None:
         relief = relief_of_base(base, memory)
         self._record = record = relief.record(model)
         self._shape = entry(shape_of(relief, record["base"].dtype), SIGNATURE)
-        self._skin, self._unit = skin_of(model, sand), unit
+        self._skin, self._unit = skin_of(model), unit
         self._canvas = canvas = make_canvas(record, memory, unit, region)
         self._blocks, rectangles = room_of(canvas)
         self._rectangles = rectangles.reshape(-1, 4)
