@@ -20,13 +20,7 @@ _MEDIUM_KEYS = ("base", "name", "title", "density", "grain")
 
 
 def known_medium(
-    entry: Any,
-    law: str | Law | None,
-    path: Path,
-    *,
-    name: str | None = None,
-    title: str | None = None,
-    source: str | None = None,
+    entry: Any, law: str | Law | None, path: Path, *, source: str | None = None
 ) -> Medium:
     """Return the medium of a file of runs: constants by their names, optionally based on another.
 
@@ -35,8 +29,6 @@ def known_medium(
             and constants of the law; or the name of a medium.
         law: the law, or its name; None for that of the base.
         path: path of the file.
-        name: default name of the medium; None for that of the file.
-        title: default title.
         source: source of its constants; None for the file.
     """
     where = f"{place(path)}: medium"
@@ -50,8 +42,7 @@ def known_medium(
     if base is None and "density" not in given:
         raise InputError(f"{where} needs the bulk density [kg/m^3]: density, or a base")
     constants = {} if base is None else {k: dict(v) for k, v in base.constants.items()}
-    density = given.get("density") or (base.density if base else None)
-    grain = given.get("grain") or (base.grain if base else None)
+    density = given.get("density") or (base and base.density)
     assert density is not None
     key = _table(kind, constants)
     own = {} if base is None else _constants_of(kind, base)
@@ -68,10 +59,10 @@ def known_medium(
             )
     try:
         return Medium(
-            name=str(entry.get("name") or name or path.stem),
-            title=str(entry.get("title") or title or f"the sand of {path.name}"),
+            name=str(entry.get("name") or path.stem),
+            title=str(entry.get("title") or f"the sand of {path.name}"),
             density=density,
-            grain=grain,
+            grain=given.get("grain") or (base and base.grain),
             default_law=key,
             constants={**constants, key: own},
         )

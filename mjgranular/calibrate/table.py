@@ -46,12 +46,6 @@ def read_table(
     A heading is a name with its unit, `depth [mm]`, `depth (mm)` or `depth_mm`; without one it is
     SI. Other columns are ignored, as are lines that start with `#`.
 
-    Args:
-        path: path of the file.
-        needed: names of required columns.
-        optional: names of optional columns.
-        columns: headings in the file of columns with other names, by column name.
-
     Raises:
         InputError: the file cannot be read, a column is missing, or a cell is not a number.
     """

@@ -161,8 +161,6 @@ def read_settings(file: Path, *, algorithm: str | None = None) -> Settings:
     environment = content.get("environment", {})
     try:
         return Settings.from_json({**table, "algorithm": name, "environment": environment})
-    except UnknownNameError:
-        raise
     except InputError as error:
         raise InputError(f"{where}, [{name}]: {error}") from None
 

@@ -116,14 +116,6 @@ def frames_of_run(
 ) -> Frames:
     """Return the pictures of a run of a link, slowed down up to the stop, and after it.
 
-    Args:
-        film: options of the film.
-        link: the link.
-        trajectory: the run.
-        stop: time from release to the stop [s], None if there was none.
-        prints: tracks of the run; None for sand without memory.
-        sand: the sand with memory.
-
     Raises:
         RenderError: MuJoCo cannot render on this machine; says what to install.
         UnknownNameError: no such camera.
@@ -159,14 +151,6 @@ def frames_of_model(
     memory: Memory | None = None,
 ) -> Frames:
     """Return the pictures of a run of any model, in real time or slower to fill the film.
-
-    Args:
-        film: options of the film; `camera` may be "free", which shows the whole run.
-        model: the model.
-        motion: the run.
-        surface: surface of the sand; a plane is drawn, others are geoms. None to draw none.
-        prints: tracks of the run; None for sand without memory.
-        memory: options of the memory.
 
     Raises:
         InputError: the run is longer than an hour.
