@@ -48,7 +48,7 @@ class ResultFolder:
                 `overwrite` is false, it contains a training run, is not a folder, or cannot be
                 written to.
         """
-        made = _missing(self.path)
+        made = [path for path in (self.path, *self.path.parents) if not path.exists()]
         # A single file, such as a film, may go to a folder that another process uses.
         lock = files.LOCK if self._is_a_result else f".{self._names[0]}{files.LOCK}"
         try:
@@ -132,12 +132,3 @@ class ResultFolder:
                 "files": list(self._names),
             },
         )
-
-
-def _missing(folder: Path) -> list[Path]:
-    """Return the folders to be made, the innermost first."""
-    missing = []
-    while not folder.exists() and folder != folder.parent:
-        missing.append(folder)
-        folder = folder.parent
-    return missing

@@ -63,15 +63,13 @@ class Simulator:
         now = self._prepared
         same_kernel = material.law.kernel(now.surface) is now.kernel
         changed = _changed(before, material)
-        if same_kernel and changed in self._harmless:
-            now.scene["law"][:] = material.law.parameters(material.medium)
-            return
-        prepared = self._prepare(material)
-        if same_kernel and np.array_equal(prepared.elements, now.elements):
+        if not (same_kernel and changed in self._harmless):
+            prepared = self._prepare(material)
+            if not (same_kernel and np.array_equal(prepared.elements, now.elements)):
+                self._bind(prepared, material)
+                return
             self._harmless.add(changed)
-            now.scene["law"][:] = prepared.scene["law"]
-            return
-        self._bind(prepared, material)
+        now.scene["law"][:] = material.law.parameters(material.medium)
 
     def _prepare(self, material: Material) -> PreparedSand:
         spec = SandSpec(

@@ -47,11 +47,11 @@ class Between:
     high: float
 
     def __post_init__(self) -> None:
-        if not (is_finite(self.low) and is_finite(self.high)):
-            raise InputError(f"a range must be finite, got {shown(self.low)} to {shown(self.high)}")
-        if not self.low < self.high:
+        low, high = self.low, self.high
+        if not (is_finite(low) and is_finite(high) and low < high):
             raise InputError(
-                f"a range goes from its lower to its upper end, got {self.low} to {self.high}"
+                "a range goes from its lower to its upper end, both finite, got "
+                f"{shown(low)} to {shown(high)}"
             )
 
 

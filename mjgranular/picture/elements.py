@@ -111,7 +111,9 @@ def draw_elements(
         )
         figure.suptitle("\n".join(lines), y=0.985, va="top", fontsize=10)
         if file is not None:
-            _save(figure, Path(file))
+            with atomic_write(Path(file)) as part:
+                style = {"facecolor": "white", "bbox_inches": "tight", "pad_inches": 0.15}
+                figure.savefig(part, dpi=150, **style)
     return figure
 
 
@@ -124,11 +126,6 @@ def _set_state(target: np.ndarray, values: Sequence[float] | np.ndarray | None, 
     if not np.isfinite(given).all():
         raise InputError(f"{name} must be finite, not {given}")
     target[:] = given
-
-
-def _save(figure: Figure, file: Path) -> None:
-    with atomic_write(file) as part:
-        figure.savefig(part, dpi=150, facecolor="white", bbox_inches="tight", pad_inches=0.15)
 
 
 def _draw(figure: Any, shown: Shown, surface: Any, *, normals: bool, forces: bool) -> None:

@@ -32,7 +32,9 @@ def draw_fit(path: Path, result: FitResult) -> None:
     rows = math.ceil(len(curves) / columns)
     size = max(6.4, 3.6 * columns), 0.9 + 2.7 * rows
     measured, fitted, predicted = "#8a8a8a", *PALETTE[:2]
-    with figure(path, *size, _constants(result)) as drawn:
+    constants = ", ".join(f"{name} = {value:.3g}" for name, value in result.values.items())
+    title = f"{result.material.law.name}: {constants}"
+    with figure(path, *size, title) as drawn:
         grid = drawn.subplots(rows, columns, squeeze=False).ravel()
         for axes, (name, curve) in zip(grid, curves, strict=False):
             along, below = _AXES[curve.axis]
@@ -51,9 +53,3 @@ def draw_fit(path: Path, result: FitResult) -> None:
             axes.legend(loc="best", fontsize="small")
         for axes in grid[len(curves) :]:
             axes.set_visible(False)
-
-
-def _constants(result: FitResult) -> str:
-    """Return the fitted constants, in one line."""
-    values = (f"{name} = {value:.3g}" for name, value in result.values.items())
-    return f"{result.material.law.name}: {', '.join(values)}"
