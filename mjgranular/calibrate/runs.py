@@ -47,6 +47,8 @@ class Body:
     density: float | None = None
 
     def __post_init__(self) -> None:
+        if self.shape not in get_args(Shape):
+            raise UnknownNameError("shape of a body", self.shape, get_args(Shape))
         if self.length is None and self.shape != "sphere":
             what = "its side" if self.shape == "plate" else "along its axis"
             raise InputError(f"a {self.shape} needs a length, {what} [m]")
@@ -56,7 +58,7 @@ class Body:
             value = getattr(self, name)
             if value is not None and not (is_finite(value) and value > 0):
                 raise InputError(f"the body's {name} must be positive and finite, not {value}")
-        _ = self.projectile  # checks shape and sizes
+        _ = self.projectile  # checks sizes
 
     @property
     def is_heavy(self) -> bool:
