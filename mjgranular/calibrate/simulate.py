@@ -178,8 +178,8 @@ def place(run: MeasuredRun, simulator: Simulator) -> Motion:
     """Return the forces on a body at the pose and velocity of each row."""
     model, data, rows = simulator.model, simulator.data, _rows(run)
     pose = model.qpos0
-    if isinstance(run.body, Projectile):
-        pose = run.body.touching(math.radians(run.angle))
+    if not isinstance(run.body, Path):
+        pose = _projectile(run).touching(math.radians(run.angle))
     forces = []
     for row in rows:
         data.qpos[:], data.qvel[:] = pose, 0.0
