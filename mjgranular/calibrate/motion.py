@@ -202,16 +202,10 @@ def _compare_forces(measured: Motion, simulated: Motion) -> Errors:
         raise InputError("a push or drag is compared by its force: one of the two has none")
     if measured.force.shape != simulated.force.shape:
         raise InputError("a push or drag is compared row by row: the two differ in length")
-    pairs = [
-        (one, other)
-        for one, other in (
-            (measured.force, simulated.force),
-            (measured.side, simulated.side),
-            (measured.lift, simulated.lift),
-        )
-        if one is not None and other is not None
-    ]
-    forces, found = np.array(pairs).transpose(1, 0, 2)
+    names = ("force", "side", "lift")
+    pairs = [(getattr(measured, name), getattr(simulated, name)) for name in names]
+    known = [pair for pair in pairs if pair[0] is not None and pair[1] is not None]
+    forces, found = np.array(known).transpose(1, 0, 2)
     error = np.linalg.norm(found - forces, axis=0)
     if measured.angle is None:
         late = max(1, len(measured.force) // 5)

@@ -89,17 +89,10 @@ class PlainSand:
     @property
     def sand(self) -> SandSpec:
         """The sand as `Sand` and `add_sand` take it."""
+        same = ("medium", "law", "scheme", "resolution", "instead_of", "memory")
+        chosen = {name: getattr(self, name) or None for name in ("bodies", "geoms", "groups")}
         return SandSpec(
-            medium=self.medium,
-            law=self.law,
-            surface=self.surface,
-            scheme=self.scheme,
-            bodies=self.bodies or None,
-            geoms=self.geoms or None,
-            groups=self.groups or None,
-            resolution=self.resolution,
-            instead_of=self.instead_of,
-            memory=self.memory,
+            surface=self.surface, **chosen, **{name: getattr(self, name) for name in same}
         )
 
 
