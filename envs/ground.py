@@ -80,17 +80,8 @@ def place(
 ) -> list[SandSpec]:
     """Prepare a model for sand in place of its floor; see `put_on_sand` for the changes.
 
-    Args:
-        spec: the model to be; it is changed.
-        sands: one or several.
-        cut: as for `put_on_sand` [m].
-        tile: as for `put_on_sand` [m].
-
     Returns:
         The sands with their surfaces, and with the floors that they replace.
-
-    Raises:
-        InputError: the model has no floor and a sand has no surface.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
     _keep_extent(spec)
@@ -115,11 +106,7 @@ def place(
 
 @contextmanager
 def converted_errors() -> Iterator[None]:
-    """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular.
-
-    Raises:
-        InputError: MuJoCo raised an error; has its message.
-    """
+    """Turn errors that MuJoCo raises, for the sand or itself, into errors of mjgranular."""
     try:
         yield
     except GranularError:

@@ -9,7 +9,8 @@ import difflib
 import sys
 import threading
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from types import FrameType
 
 # Messages contain strings from files, models and arguments: their length is limited.
@@ -156,6 +157,21 @@ class OutputError(GranularError, OSError):
 
 class RenderError(GranularError, RuntimeError):
     """Rendering does not work on this machine."""
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Raise a `RenderError` for any error of the block: OpenGL fails differently everywhere."""
+    try:
+        yield
+    except GranularError:
+        raise
+    except Exception as error:
+        raise RenderError(
+            f"MuJoCo cannot draw on this machine ({type(error).__name__}: {error}); on Linux "
+            "without a screen install libegl1 (apt-get install libegl1 libgl1-mesa-dri), import "
+            "mjgranular before mujoco or set MUJOCO_GL=egl, and use render_mode='rgb_array'"
+        ) from None
 
 
 class MissingExtraError(GranularError, ImportError):

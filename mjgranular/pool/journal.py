@@ -75,11 +75,7 @@ class Journal:
         return self.fault() is None
 
     def begin(self) -> None:
-        """Open the file: results of the same request stay, all else in it is deleted.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Open the file: results of the same request stay, all else in it is deleted."""
         if self._path is None:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the journal
             return
@@ -92,11 +88,7 @@ class Journal:
             raise self._as_output_error(error) from None
 
     def keep(self, results: Sequence[tuple[int, Mapping[str, Any]]]) -> None:
-        """Add results, all in one write.
-
-        Raises:
-            OutputError: they cannot be written.
-        """
+        """Add results, all in one write."""
         if not results:
             return
         if self._file is None:
