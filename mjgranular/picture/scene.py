@@ -145,4 +145,5 @@ def add_arrow(
     arrow, rgba = mujoco.mjtGeom.mjGEOM_ARROW, np.append(color, 1.0).astype(np.float32)
     mujoco.mjv_initGeom(geom, arrow, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
     mujoco.mjv_connector(geom, arrow, width, tail, tip)
+    geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # mjv_initGeom leaves it as it was in memory
     scene.ngeom += 1

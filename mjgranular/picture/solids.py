@@ -89,6 +89,7 @@ def _add_bodies(scene: mujoco.MjvScene, shown: Shown) -> None:
     for k, middle in enumerate(shown.middles):
         geom = scene.geoms[scene.ngeom]
         mujoco.mjv_initGeom(geom, kinds[k], sizes[k], middle, frames[k].ravel(), rgba[k])
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         scene.ngeom += 1
 
 

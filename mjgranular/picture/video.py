@@ -32,7 +32,7 @@ _PURPOSE = "Writing a video"
 _LONGEST = 3600.0  # film [s]
 _SHORT = 0.5  # run that ends before this has a clock in milliseconds [s]
 _STILL = 5e-4  # in parts of the view: a motion too small to see
-_ARROWS = 0.5  # length of the longest arrow, in parts of the view
+_ARROWS = 1.0  # longest arrow, in parts of the view; MuJoCo 4.0 draws half of it
 _SEEN = 0.02  # length below which an arrow is omitted, in parts of the view
 _WIDTH = 0.016  # width of arrows, in parts of the view
 
