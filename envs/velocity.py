@@ -52,7 +52,7 @@ _LIFT = (0.5, -1.0)  # thigh and calf of a swinging leg [rad]
 _GAIN = 1.5  # strides over what would do without slip
 _PAIRS = np.array([1.0, -1.0, -1.0, 1.0])  # a trot: legs of one sign swing together
 _EDGE = 50.0  # of the rigid ground [m]
-_LOW = 0.06  # height of the trunk's center at which its lowest geom, the head, meets the surface [m]
+_LOW = 0.06  # height of the trunk's center at which the head meets the surface [m]
 _TILT = math.cos(math.radians(70))  # as in mjlab
 
 

@@ -65,7 +65,7 @@ def _model_of(onnx: Any, policy: Policy) -> Any:
     make, nodes, constants = onnx.helper, [], {}
     low, high = policy.model.action_space.low, policy.model.action_space.high
 
-    def add(kind: str, *inputs: str | np.ndarray, **attributes: Any) -> None:
+    def add(kind: str, *inputs: Any, **attributes: Any) -> None:
         names = [nodes[-1].output[0] if nodes else "observations"]
         for value in inputs:
             names.append(f"constant_{len(constants)}")

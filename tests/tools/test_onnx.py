@@ -33,8 +33,9 @@ def trained(folder, algorithm: str, *changes: str) -> Policy:
 def check_actions(policy: Policy, file) -> None:
     """Drive an environment's observations through both."""
     model = ReferenceEvaluator(onnx.load(file))
+    observations: list[np.ndarray] = []
     with gym.make(policy.run.environment) as env:
-        observations = [env.reset(seed=1)[0]]
+        observations.append(env.reset(seed=1)[0])
         for _ in range(50):
             (action,) = model.run(None, {"observations": observations[-1][None].astype("f4")})
             assert env.action_space.contains(action[0])
