@@ -9,6 +9,7 @@ import pytest
 
 from mjgranular import Bed, HeightField, Plane
 from mjgranular.experiment.drop import Drop, load, run_drop
+from mjgranular.picture.scene import add_arrow
 from mjgranular.picture.video import Film, Motion, frames_of_model
 from mjgranular.render.material import MATERIAL, SandMaterial, radius_of
 from mjgranular.render.scenery import add_scenery
@@ -194,3 +195,11 @@ def test_what_stands_still_is_drawn_once(tmp_path, monkeypatch):
     pictures = film_of(Drop(write(tmp_path)), 40)
     assert len(pictures) == 80
     assert 5 < len(drawn) < 60
+
+
+def test_an_arrow_is_a_decoration_whatever_was_in_memory():
+    scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), maxgeom=1)
+    scene.geoms[0].category = -1717986918
+    add_arrow(scene, np.zeros(3), np.ones(3), 0.1)
+    assert scene.ngeom == 1
+    assert scene.geoms[0].category == mujoco.mjtCatBit.mjCAT_DECOR
