@@ -54,11 +54,11 @@ class Body:
             raise InputError(f"a {self.shape} needs a length, {what} [m]")
         if self.mass is not None and self.density is not None:
             raise InputError("a body has a mass or a density, got both")
-        for name in ("mass", "density"):
+        for name in ("diameter", "length", "mass", "density"):
             value = getattr(self, name)
             if value is not None and not (is_finite(value) and value > 0):
                 raise InputError(f"the body's {name} must be positive and finite, not {value}")
-        _ = self.projectile  # checks sizes
+        _ = self.projectile
 
     @property
     def is_heavy(self) -> bool:
