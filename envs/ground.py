@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import mujoco
+import numpy as np
 
 from mjgranular import HeightField, InputError, Plane, SandSpec, Surface, add_sand
 from mjgranular.engine.measures import SENSOR
@@ -84,14 +85,16 @@ def place(
         The sands with their surfaces, and with the floors that they replace.
     """
     floors = [geom for geom in spec.worldbody.geoms if _is_floor(geom)]
-    _keep_extent(spec)
+    for number, floor in enumerate(floors):
+        floor.name = floor.name or f"mjgranular_floor_{number}"
+    bare = _keep_extent(spec)
     if spec.option.integrator == mujoco.mjtIntegrator.mjINT_RK4:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.density = spec.option.viscosity = 0.0
     _let_meet(spec)
-    surfaces = [surface_of(sand.surface) if sand.surface else _surface_of(floors) for sand in sands]
-    for number, floor in enumerate(floors):
-        floor.name = floor.name or f"mjgranular_floor_{number}"
+    surfaces = [
+        surface_of(sand.surface) if sand.surface else _surface_of(bare, floors) for sand in sands
+    ]
     add_daylight(spec)
     _paint(spec, floors, surfaces, cut, tile)
     for number, body in enumerate(spec.bodies):
@@ -125,15 +128,16 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def _keep_extent(spec: mujoco.MjSpec) -> None:
-    """Keep the near and far clipping planes of a model without dunes."""
+def _keep_extent(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Keep the near and far clipping planes of a model without dunes; return that model."""
     bare = spec.copy()
     for geom in bare.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             bare.delete(geom)
     with quiet():
-        stat = bare.compile().stat
-    spec.stat.extent, spec.stat.center = stat.extent, stat.center
+        model = bare.compile()
+    spec.stat.extent, spec.stat.center = model.stat.extent, model.stat.center
+    return model
 
 
 def _let_meet(spec: mujoco.MjSpec) -> None:
@@ -148,14 +152,15 @@ def _is_floor(geom: mujoco.MjsGeom) -> bool:
     return geom.type == mujoco.mjtGeom.mjGEOM_PLANE
 
 
-def _surface_of(floors: Sequence[mujoco.MjsGeom]) -> Plane:
+def _surface_of(model: mujoco.MjModel, floors: Sequence[mujoco.MjsGeom]) -> Plane:
     """Return the level plane at the height of the floor."""
     if not floors:
         raise InputError("the model has no floor (a plane geom of the world): give a surface=...")
-    for floor in floors:
-        if abs(abs(floor.quat[0]) - 1) > 1e-9:
+    placed = [model.geom(floor.name) for floor in floors]
+    for floor in placed:
+        if np.hypot(*floor.quat[1:3]) > 1e-9:
             raise InputError(f"the floor {floor.name!r} is not level: give a surface=Plane(...)")
-    return Plane(height=max(float(floor.pos[2]) for floor in floors))
+    return Plane(height=max(float(floor.pos[2]) for floor in placed))
 
 
 def _paint(
@@ -184,6 +189,7 @@ def _paint(
         floor.pos = [0, 0, plane.height - cut]
         half = plane.slope / 2
         axis = (math.sin(plane.uphill), -math.cos(plane.uphill))
+        floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT  # else an euler angle counts
         floor.quat = [math.cos(half), axis[0] * math.sin(half), axis[1] * math.sin(half), 0]
 
 

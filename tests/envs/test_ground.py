@@ -1,0 +1,26 @@
+"""Sand in place of the floor of a model of a user's own."""
+
+import mujoco
+import pytest
+
+from mjgranular import InputError, SandSpec
+from mjgranular.envs.ground import place
+
+FLOOR = """<mujoco><worldbody>
+  <frame pos="0 0 0.1"><geom name="floor" type="plane" size="1 1 1" {turn}/></frame>
+  <body pos="0 0 1"><freejoint/><geom size="0.05"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("turn", ['euler="5 0 0"', 'zaxis="0 0.1 1"', 'quat="1 0.05 0 0"'])
+def test_a_floor_that_is_not_level_is_refused(turn):
+    spec = mujoco.MjSpec.from_string(FLOOR.format(turn=turn))
+    with pytest.raises(InputError, match="'floor' is not level"):
+        place(spec, [SandSpec()])
+
+
+@pytest.mark.parametrize("turn", ["", 'euler="0 0 30"', 'quat="1 0 0 0.3"'])
+def test_sand_is_where_the_floor_was(turn):
+    spec = mujoco.MjSpec.from_string(FLOOR.format(turn=turn))
+    (sand,) = place(spec, [SandSpec()])
+    assert sand.surface.height == pytest.approx(0.1)
